@@ -1,0 +1,83 @@
+"""Where the mesh file named in a URDF lies: relative and absolute paths, ``file://`` and ``package://``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from dvrk_cmaes.errors import InputError
+
+_PACKAGE = "package://"
+_MOST_TRIED = 6  # paths listed in a message
+
+
+def find_mesh(filename: str, urdf: Path, packages: Mapping[str, Path], where: str) -> Path:
+    """Path of an existing mesh file.
+
+    ``package://NAME/rest`` is looked for in ``packages[NAME]`` if that is given; otherwise, from the URDF's
+    folder upwards, in a folder called NAME, in one holding a folder NAME, and in one whose package.xml names
+    the package NAME. Such a path must stay inside its package.
+
+    Parameters
+    ----------
+    filename : as in the URDF.
+    urdf : path of the URDF; relative names start at its folder.
+    packages : folder of each package that is known.
+    where : opening words of messages.
+
+    Raises
+    ------
+    InputError : nothing there (with the paths tried), a path out of its package, or an unknown scheme.
+    """
+    folder = urdf.resolve().parent
+    if filename.startswith(_PACKAGE):
+        candidates = list(_in_package(filename, folder, packages, where))
+    elif filename.startswith("file:"):
+        candidates = [folder / unquote(urlsplit(filename).path)]
+    elif "://" in filename:
+        raise InputError(f"{where}: mesh {filename}: expected a path, file:// or package://")
+    else:
+        candidates = [folder / filename]
+    tried = list(dict.fromkeys(candidates))
+    for path in tried:
+        if path.is_file():
+            return path
+    more = f" and {len(tried) - _MOST_TRIED} more" if len(tried) > _MOST_TRIED else ""
+    hint = " (say where the package lies with --package-path NAME=DIR)" if filename.startswith(_PACKAGE) else ""
+    raise InputError(
+        f"{where}: mesh {filename}: no such file; tried {', '.join(map(str, tried[:_MOST_TRIED]))}{more}{hint}"
+    )
+
+
+def _in_package(filename: str, folder: Path, packages: Mapping[str, Path], where: str) -> Iterator[Path]:
+    name, _, inside = filename.removeprefix(_PACKAGE).partition("/")
+    if not name or name in (".", "..") or "\\" in filename:
+        raise InputError(f"{where}: mesh {filename}: expected package://NAME/path/of/the/mesh")
+    depth = 0
+    for part in inside.split("/"):
+        depth += {"..": -1, ".": 0, "": 0}.get(part, 1)
+        if depth < 0:
+            raise InputError(f"{where}: mesh {filename}: refused, the path climbs out of its package")
+    inside = inside.lstrip("/")
+    if name in packages:
+        yield packages[name] / inside
+        return
+    for parent in (folder, *folder.parents):
+        if parent.name == name:
+            yield parent / inside
+        if (parent / name).is_dir():
+            yield parent / name / inside
+        if parent.name != name and _package_name(parent / "package.xml") == name:
+            yield parent / inside
+
+
+def _package_name(manifest: Path) -> str | None:
+    """Name of a ROS package from its manifest, None if there is none."""
+    try:
+        text = manifest.read_text(encoding="utf-8", errors="replace")[:20_000]
+    except OSError:
+        return None
+    found = re.search(r"<name>\s*([^<\s]+)\s*</name>", text)
+    return found.group(1) if found else None

@@ -1,0 +1,136 @@
+"""Mesh files to welded triangles: STL, OBJ, DAE and PLY, with one clear line for every file that will not do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+
+#: Kinds of mesh file that can be read.
+SUFFIXES = (".stl", ".obj", ".dae", ".ply")
+
+#: Largest believable extent of one mesh, m.
+LARGEST_EXTENT = 5.0
+
+_LFS_POINTER = b"version https://git-lfs"
+_WELD = 1e-8  # of the mesh's diagonal
+_FLAT = 1e-7  # height over length below which a triangle counts as a line: float32's resolution
+
+Triangles = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+
+def one_line(error: BaseException) -> str:
+    """Return the message of a library's error on one line, cut at 200 characters."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 200 else text[:197] + "..."
+
+
+def read_mesh(path: Path) -> Triangles:
+    """Read a mesh file, units as in the file.
+
+    Returns
+    -------
+    vertices (V, 3) float64 and faces (F, 3) int32: welded, without degenerate or repeated faces.
+
+    Raises
+    ------
+    InputError : the file is unreadable, of an unknown kind, a Git LFS pointer, without faces, or has vertices
+        that are not finite.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: cannot read a mesh of kind {suffix!r}; expected one of {', '.join(SUFFIXES)}")
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_LFS_POINTER))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the mesh: {one_line(error)}") from None
+    if head == _LFS_POINTER:
+        raise InputError(f"{path}: a Git LFS pointer, not the mesh itself; fetch it with 'git lfs pull'")
+    try:
+        vertices, faces = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path)
+    except InputError:
+        raise
+    except Exception as error:  # parsers raise anything from struct.error to AttributeError
+        raise InputError(f"{path}: cannot be read as {suffix[1:].upper()}: {one_line(error)}") from None
+    if len(vertices) == 0 or len(faces) == 0:
+        raise InputError(f"{path}: an empty mesh: {len(vertices)} vertices, {len(faces)} faces; expected a surface")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: faces refer to vertices that do not exist (there are {len(vertices)})")
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{path}: vertices: expected finite coordinates, got NaN or infinity")
+    vertices, faces = weld(vertices, faces)
+    if len(faces) == 0:
+        raise InputError(f"{path}: an empty mesh: every face is degenerate (no area)")
+    return vertices, faces
+
+
+def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read a PLY whose faces may be triangles and n-gons mixed; n-gons become fans from their first corner."""
+    from plyfile import PlyData, PlyElementParseError
+
+    names = ("vertex_indices", "vertex_index")
+    try:  # far quicker when all faces are triangles
+        ply: Any = PlyData.read(str(path), known_list_len={"face": dict.fromkeys(names, 3)})
+    except (PlyElementParseError, ValueError):
+        ply = PlyData.read(str(path))
+    corners = ply["vertex"]
+    vertices = np.stack([np.asarray(corners[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+    if "face" not in ply or len(ply["face"].data) == 0:
+        return vertices, np.empty((0, 3), dtype=np.int64)
+    present = [name for name in names if name in ply["face"].data.dtype.names]
+    if not present:
+        raise InputError(f"{path}: element face: expected a list property vertex_indices")
+    polygons = ply["face"].data[present[0]]
+    fans = [_fan(np.asarray(polygon, dtype=np.int64)) for polygon in polygons]
+    return vertices, np.concatenate(fans)
+
+
+def _fan(polygon: NDArray[np.int64]) -> NDArray[np.int64]:
+    first = np.full(max(len(polygon) - 2, 0), polygon[0] if len(polygon) else 0)
+    return np.stack([first, polygon[1:-1][: len(first)], polygon[2:][: len(first)]], axis=1)
+
+
+def _read_with_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    import trimesh
+
+    scene: Any = trimesh.load_scene(str(path), process=False, skip_materials=True)
+    mesh: Any = scene.to_mesh()
+    vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+    return vertices, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+
+
+def weld(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Triangles:
+    """Merge vertices at one place, drop degenerate and repeated faces and vertices without a face.
+
+    vertices (V, 3), faces (F, 3) to the same with possibly fewer rows; the faces' order and winding stay.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    if diagonal == 0.0:
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int32)
+    cells = np.round((vertices - vertices.min(axis=0)) / (_WELD * diagonal)).astype(np.int64)
+    _, first, group = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    merged = group.reshape(-1)[faces]
+    places = vertices[first]
+    corner = places[merged]
+    sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
+    doubled = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    merged = merged[doubled > _FLAT * sides.max(axis=1, initial=0.0) ** 2]
+    _, kept = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+    merged = merged[np.sort(kept)]
+    used, renumbered = np.unique(merged, return_inverse=True)
+    return places[used], renumbered.reshape(-1, 3).astype(np.int32)
+
+
+def place(triangles: Triangles, link_from_mesh: NDArray[np.float64], scale: NDArray[np.float64]) -> Triangles:
+    """Scale a mesh, then move it into its link's frame; a mirroring scale turns the faces' winding back.
+
+    triangles : vertices (V, 3) and faces (F, 3); link_from_mesh : (4, 4); scale : (3,), negative values mirror.
+    """
+    vertices, faces = triangles
+    moved = (vertices * scale) @ link_from_mesh[:3, :3].T + link_from_mesh[:3, 3]
+    return moved, np.ascontiguousarray(faces[:, ::-1] if np.prod(scale) < 0 else faces)

@@ -1,0 +1,156 @@
+"""Which joints of a robot belong to the instrument, and which of them are independent.
+
+An independent joint is one that is neither fixed nor a mimic and moves geometry below the root, itself or
+through the joints that mimic it. All other moving joints follow one of these: value = multiplier * it + offset.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.kinematics import Joint, Motion
+
+_MOTIONS: dict[str, Motion] = {
+    "fixed": "fixed",
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+}
+
+
+def below(robot: Any, root: str, path: Path) -> list[Any]:
+    """Joints below a link, parents before children, branches in the file's order.
+
+    Raises `InputError` for names used twice, joints of links that do not exist, links with two parents, loops.
+    """
+    links = [link.name for link in robot.links]
+    for kind, names in (("link", links), ("joint", [joint.name for joint in robot.joints])):
+        doubled = sorted({str(name) for name in names if names.count(name) > 1})
+        if doubled:
+            raise InputError(f"{path}: {kind} {doubled[0]!r}: expected a name used once, got it twice")
+    children: dict[str, list[Any]] = {}
+    parent_of: dict[str, str] = {}
+    for joint in robot.joints:
+        for end, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                raise InputError(f"{path}: joint {joint.name!r}: {end} link {link!r} does not exist")
+        if joint.child in parent_of:
+            raise InputError(f"{path}: link {joint.child!r}: expected one joint above it, got two")
+        parent_of[joint.child] = joint.parent
+        children.setdefault(joint.parent, []).append(joint)
+    found: list[Any] = []
+    stack = list(reversed(children.get(root, [])))
+    while stack:
+        joint = stack.pop()
+        if joint.child == root:
+            raise InputError(f"{path}: link {root!r}: expected a tree of links, got a loop through it")
+        found.append(joint)
+        stack.extend(reversed(children.get(joint.child, [])))
+    return found
+
+
+def build_joints(
+    robot: Any, tree: list[Any], root: str, solid: set[str], path: Path
+) -> tuple[tuple[Joint, ...], tuple[str, ...], NDArray[np.float64]]:
+    """Joints that lead to geometry, names of the independent ones, and their (J, 2) limits.
+
+    tree : joints below the root as from `below`; solid : links with geometry.
+    """
+    above = {joint.child: joint for joint in tree}
+    leading: set[str] = set()
+    for link in solid:
+        while link != root and above[link].name not in leading:
+            leading.add(above[link].name)
+            link = above[link].parent
+    kept = [joint for joint in tree if joint.name in leading]
+    rules = {joint.name: _rule(robot, joint, path) for joint in kept}
+
+    drivers = {driver for driver, multiplier, _ in rules.values() if driver is not None and multiplier != 0.0}
+    order = [joint.name for joint in tree] + [joint.name for joint in robot.joints]
+    joint_names = tuple(dict.fromkeys(name for name in order if name in drivers))
+    by_name = {joint.name: joint for joint in robot.joints}
+    limits = np.array([_limits(by_name[name], path) for name in joint_names], dtype=np.float64).reshape(-1, 2)
+
+    index_of = {root: -1}
+    joints: list[Joint] = []
+    for joint in kept:
+        driver, multiplier, offset = rules[joint.name]
+        column = joint_names.index(driver) if driver in joint_names else None
+        index_of[joint.child] = len(joints)
+        joints.append(
+            Joint(
+                name=joint.name,
+                child=joint.child,
+                parent=index_of[joint.parent],
+                motion=_MOTIONS[joint.type],
+                parent_from_joint=_origin(joint, path),
+                axis=_axis(joint, path),
+                driver=column,
+                multiplier=multiplier,
+                offset=offset,
+            )
+        )
+    return tuple(joints), joint_names, limits
+
+
+def _rule(robot: Any, joint: Any, path: Path) -> tuple[str | None, float, float]:
+    """Independent joint, multiplier and offset that give a joint's value; mimics of mimics are followed."""
+    by_name = {other.name: other for other in robot.joints}
+    multiplier, offset, passed = 1.0, 0.0, [joint.name]
+    while True:
+        if joint.type not in _MOTIONS:
+            raise InputError(
+                f"{path}: joint {joint.name!r}: type {joint.type!r} is not supported; expected {', '.join(_MOTIONS)}"
+            )
+        if joint.type == "fixed":
+            return None, 0.0, offset
+        if joint.mimic is None:
+            return joint.name, multiplier, offset
+        factor, shift = float(joint.mimic.multiplier), float(joint.mimic.offset)
+        if not np.isfinite([factor, shift]).all():
+            raise InputError(f"{path}: joint {joint.name!r}: mimic: expected a finite multiplier and offset")
+        multiplier, offset = multiplier * factor, offset + multiplier * shift
+        target = joint.mimic.joint
+        if target not in by_name:
+            raise InputError(f"{path}: joint {joint.name!r}: mimic: joint {target!r} does not exist")
+        if target in passed:
+            raise InputError(f"{path}: joint {joint.name!r}: mimic: expected an end, got a loop through {target!r}")
+        passed.append(target)
+        joint = by_name[target]
+
+
+def _origin(joint: Any, path: Path) -> NDArray[np.float64]:
+    origin = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64)
+    if not np.isfinite(origin).all():
+        raise InputError(f"{path}: joint {joint.name!r}: origin: expected finite numbers")
+    return origin
+
+
+def _axis(joint: Any, path: Path) -> NDArray[np.float64]:
+    """Axis of a joint: of unit length where it turns, as stated where it slides (yourdfpy's convention)."""
+    axis = np.asarray(joint.axis, dtype=np.float64)
+    if joint.type == "fixed":
+        return np.array([1.0, 0.0, 0.0])
+    length = float(np.linalg.norm(axis)) if axis.shape == (3,) else float("nan")
+    if not np.isfinite(length) or length == 0.0:
+        raise InputError(f"{path}: joint {joint.name!r}: axis: expected three finite numbers, not all zero")
+    return axis if joint.type == "prismatic" else axis / length
+
+
+def _limits(joint: Any, path: Path) -> tuple[float, float]:
+    if joint.type == "continuous":
+        return -np.pi, np.pi
+    limit = joint.limit
+    lower, upper = (None, None) if limit is None else (limit.lower, limit.upper)
+    if lower is None or upper is None:
+        raise InputError(f"{path}: joint {joint.name!r}: limit: expected lower and upper")
+    if not np.isfinite([lower, upper]).all() or lower > upper:
+        raise InputError(
+            f"{path}: joint {joint.name!r}: limit: expected finite lower <= upper, got {lower:g} and {upper:g}"
+        )
+    return float(lower), float(upper)

@@ -1,0 +1,113 @@
+"""The visual geometry of a link: mesh files found and read, primitives made, all put into the link's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.locate import find_mesh
+from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, place, read_mesh, weld
+
+_ROUND_SECTIONS = 64  # sides of a primitive cylinder
+
+
+def link_triangles(
+    visuals: Sequence[Any],
+    link: str,
+    urdf: Path,
+    packages: Mapping[str, Path],
+    cache: dict[Path, Triangles],
+) -> Triangles | None:
+    """Triangles of all visuals of one link in its frame, or None if it has no geometry.
+
+    Parameters
+    ----------
+    visuals : yourdfpy's visuals of the link.
+    link, urdf : names for messages; relative mesh paths start at the URDF's folder.
+    packages : folders of ROS packages.
+    cache : mesh files read so far.
+
+    Raises
+    ------
+    InputError : a mesh that is missing or will not do, a primitive or an origin with senseless numbers.
+    """
+    parts: list[Triangles] = []
+    for visual in visuals:
+        where = f"{urdf}: link {link!r}"
+        origin = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
+        if not np.isfinite(origin).all():
+            raise InputError(f"{where}: visual origin: expected finite numbers")
+        geometry = visual.geometry
+        if geometry.mesh is not None:
+            parts.append(_mesh(geometry.mesh, where, urdf, packages, cache, origin))
+        else:
+            primitive = _primitive(geometry, where)
+            if primitive is not None:
+                parts.append(place(primitive, origin, np.ones(3)))
+    if not parts:
+        return None
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    vertices = np.concatenate([vertices for vertices, _ in parts])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts, strict=False)])
+    return np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int32)
+
+
+def _mesh(
+    mesh: Any,
+    where: str,
+    urdf: Path,
+    packages: Mapping[str, Path],
+    cache: dict[Path, Triangles],
+    origin: NDArray[np.float64],
+) -> Triangles:
+    if not mesh.filename:
+        raise InputError(f"{where}: mesh: expected a filename")
+    path = find_mesh(mesh.filename, urdf, packages, where)
+    if path not in cache:
+        cache[path] = read_mesh(path)
+    scale = np.ones(3) if mesh.scale is None else np.broadcast_to(np.asarray(mesh.scale, dtype=np.float64), (3,))
+    if not np.isfinite(scale).all() or np.any(scale == 0.0):
+        raise InputError(f"{where}: mesh {mesh.filename}: scale: expected three finite numbers, none zero")
+    placed = place(cache[path], origin, scale)
+    extent = float(np.ptp(placed[0], axis=0).max())
+    if extent > LARGEST_EXTENT:
+        raise InputError(
+            f"{path}: {extent:.4g} m across; expected at most {LARGEST_EXTENT:g} m "
+            '(a mesh in millimetres? then give scale="0.001 0.001 0.001" in the URDF)'
+        )
+    return placed
+
+
+def _primitive(geometry: Any, where: str) -> Triangles | None:
+    """Triangles of a box, cylinder or sphere about its centre; None for one of no size (a placeholder)."""
+    import trimesh
+
+    if geometry.box is not None:
+        kind, sizes = "box", np.asarray(geometry.box.size, dtype=np.float64)
+    elif geometry.cylinder is not None:
+        kind, sizes = "cylinder", np.array([geometry.cylinder.radius, geometry.cylinder.length])
+    else:
+        kind, sizes = "sphere", np.array([geometry.sphere.radius])
+    if (
+        not np.isfinite(sizes).all()
+        or np.any(sizes < 0)
+        or sizes.shape != ({"box": 3, "cylinder": 2, "sphere": 1}[kind],)
+    ):
+        raise InputError(f"{where}: {kind}: expected finite sizes, not negative, got {sizes.tolist()}")
+    if np.any(sizes == 0):
+        return None
+    if sizes.max() > LARGEST_EXTENT:
+        raise InputError(f"{where}: {kind}: {sizes.max():.4g} m; expected at most {LARGEST_EXTENT:g} m (millimetres?)")
+    solid: Any
+    if kind == "box":
+        solid = trimesh.creation.box(extents=sizes)
+    elif kind == "cylinder":
+        solid = trimesh.creation.cylinder(radius=sizes[0], height=sizes[1], sections=_ROUND_SECTIONS)
+    else:
+        solid = trimesh.creation.icosphere(subdivisions=3, radius=sizes[0])
+    return weld(np.asarray(solid.vertices, dtype=np.float64), np.asarray(solid.faces))
