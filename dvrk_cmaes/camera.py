@@ -7,7 +7,8 @@ image covers [-0.5, width - 0.5] x [-0.5, height - 0.5]. The ray of a pixel is `
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,6 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     model: str = "plumb_bob"
-    _lens: Lens | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -74,8 +74,11 @@ class Camera:
             raise InputError(f"distortion: expected {expected} coefficients for {self.model}, got {len(coefficients)}")
         if not all(math.isfinite(c) for c in coefficients):
             raise InputError(f"distortion: expected finite coefficients, got {list(coefficients)}")
-        if not self.is_pinhole:
-            object.__setattr__(self, "_lens", Lens(self.model, coefficients, self._border()))
+        _ = self._lens  # refuses a distortion that folds
+
+    @cached_property
+    def _lens(self) -> Lens | None:
+        return None if self.is_pinhole else Lens(self.model, self.distortion, self._border())
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -86,6 +89,11 @@ class Camera:
     def is_pinhole(self) -> bool:
         """Whether straight lines stay straight: there is no distortion."""
         return self.model != "equidistant" and not any(self.distortion)
+
+    @property
+    def lens_radius(self) -> float:
+        """Undistorted radius |x/z, y/z| up to which the distortion model is used as written; infinite for a pinhole."""
+        return float("inf") if self._lens is None else self._lens.radius
 
     def scaled(self, width: int, height: int) -> Camera:
         """Return the camera of the same image resized to another size, in pixels, of the same aspect.
@@ -116,7 +124,7 @@ class Camera:
         """Map undistorted to distorted normalised coordinates, (..., 2) to (..., 2); float32 stays float32.
 
         Exactly the model's inside the image and a little beyond; further out the map is continued so that it stays
-        continuous and one-to-one (see ``lens``).
+        continuous and one-to-one (see ``lens``). A pinhole hands back the very array.
         """
         points = _floats(xy)
         return points if self._lens is None else self._lens.distort(points)
@@ -148,7 +156,7 @@ class Camera:
 
     def _without_matrix(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """Pixels to normalised coordinates, still distorted."""
-        out = pixels - self._principal(pixels.dtype)
+        out: NDArray[Any] = pixels - self._principal(pixels.dtype)
         out /= self._focal(pixels.dtype)
         return out
 

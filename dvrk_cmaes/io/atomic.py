@@ -1,0 +1,80 @@
+"""Writing files that are there whole or not at all: written beside under another name, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import uuid
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+
+_MACHINE_AT_FAULT = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # not the path that was asked for
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a file, and the folders above it if need be; an older file stays until the new one is whole.
+
+    Raises
+    ------
+    InputError
+        The path cannot be written to.
+    DvrkCmaesError
+        The disk is full or failing.
+    """
+    target = Path(path)
+    beside = target.with_name(f".{uuid.uuid4().hex}.tmp")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(beside, "xb") as file:
+                file.write(data)
+            os.replace(beside, target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                beside.unlink()
+            raise
+    except OSError as error:
+        kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
+        raise kind(f"{path}: not written ({error.strerror}); expected a place to write a file") from None
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write UTF-8 text; errors as in ``write_bytes``."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: str | Path, obj: Any) -> None:
+    """Write an object of plain values as JSON; errors as in ``write_bytes``.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, which JSON cannot say.
+    """
+    write_text(path, json.dumps(obj, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> None:
+    """Write an image, (H, W) grey, (H, W, 3) BGR, or a bool mask as 0 and 255, by the extension of its name.
+
+    Raises
+    ------
+    InputError
+        Another extension than .png, .jpg or .jpeg, and as in ``write_bytes``.
+    """
+    extension = Path(path).suffix.lower()
+    if extension not in (".png", ".jpg", ".jpeg"):
+        raise InputError(f"{path}: expected an image's name to end in .png, .jpg or .jpeg, got {extension!r}")
+    pixels = np.asarray(image, np.uint8) * (255 if image.dtype == np.bool_ else 1)
+    encoded, data = cv2.imencode(extension, pixels)
+    if not encoded:
+        raise DvrkCmaesError(f"{path}: the image could not be encoded")
+    write_bytes(path, data.tobytes())

@@ -1,0 +1,69 @@
+"""Size, depth and wholeness of a PNG or JPEG, before anything is decoded: decoders print, guess or fill with grey.
+
+PNG: ISO/IEC 15948, the IHDR chunk. JPEG: ITU-T T.81 annex B, the frame header behind a SOF marker.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # those three are tables and a reserved code
+_WITHOUT_LENGTH = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG markers that stand alone
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image file says of itself: size in pixels, bits a channel, and whether all of it is there."""
+
+    width: int
+    height: int
+    bits: int
+    whole: bool
+
+
+def read_header(data: bytes) -> ImageHeader | None:
+    """Read the header of a PNG or JPEG; None for anything else, and for a header that makes no sense."""
+    try:
+        if data.startswith(_PNG) and data[12:16] == b"IHDR":
+            width, height, bits = struct.unpack_from(">IIB", data, 16)
+            header = ImageHeader(width, height, bits, _png_is_whole(data))
+        elif data.startswith(b"\xff\xd8"):
+            header = _read_jpeg(data)
+        else:
+            return None
+    except (struct.error, IndexError):
+        return None
+    return header if header.width > 0 and header.height > 0 else None
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Whether all chunks are there up to the last, each with the checksum it states."""
+    view, position = memoryview(data), len(_PNG)
+    while position + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, position)
+        end = position + 8 + length
+        if end + 4 > len(data) or struct.unpack_from(">I", data, end)[0] != zlib.crc32(view[position + 4 : end]):
+            return False
+        if data[position + 4 : position + 8] == b"IEND":
+            return True
+        position = end + 4
+    return False
+
+
+def _read_jpeg(data: bytes) -> ImageHeader:
+    """Walk the segments of a JPEG to its frame header."""
+    position = 2
+    while data[position] == 0xFF:
+        while data[position] == 0xFF:
+            position += 1
+        marker, position = data[position], position + 1
+        if marker in _SOF:
+            bits, height, width = struct.unpack_from(">BHH", data, position + 2)
+            return ImageHeader(width, height, bits, data.rfind(b"\xff\xd9", position) > 0)
+        if marker not in _WITHOUT_LENGTH:
+            (length,) = struct.unpack_from(">H", data, position)
+            position += length
+    raise IndexError("no marker where a segment should begin")
