@@ -1,0 +1,7 @@
+"""Silhouettes by outline and ray: poses in, spans out; from spans, sums, masks and coverage."""
+
+from __future__ import annotations
+
+from dvrk_cmaes.silhouette.renderer import NEAR, Body, PixelSums, Renderer
+
+__all__ = ["NEAR", "Body", "PixelSums", "Renderer"]

@@ -1,0 +1,186 @@
+"""Silhouettes of whole populations of poses: loss sums, masks to the pixel, antialiased coverage.
+
+Poses in, sums and images out; the only place where threads are used. Poses are handled in groups of eight whatever the
+number of threads, so results do not depend on it to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.silhouette.crossings import LANES, LineGrid
+from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
+from dvrk_cmaes.silhouette.spans import SpanEnds, SpanRenderer
+from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """An instrument prepared for rendering: its outline topology and its Embree scenes. Share it between renderers."""
+
+    instrument: Instrument
+    topology: MeshTopology
+    scenes: LinkScenes
+
+    @staticmethod
+    def prepare(instrument: Instrument) -> Body:
+        """Pair the edges and build the scenes of an instrument."""
+        return Body(instrument, build_topology(instrument), LinkScenes(instrument))
+
+    def camera_from_links(
+        self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Poses (C, 4, 4) of the root and joints (C, J) to poses of all links, (C, L, 4, 4)."""
+        return np.asarray(camera_from_root[:, None] @ self.instrument.forward(joints))
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSums:
+    """Images whose sums over a silhouette are wanted, as prefix sums along the rows.
+
+    ``table`` is (H, W + 1, K): the sums of K images from the left border to each pixel's left side.
+    """
+
+    table: NDArray[np.float32]
+
+    @staticmethod
+    def of(images: NDArray[np.floating], weight: NDArray[np.floating] | None = None) -> PixelSums:
+        """Prepare images (K, H, W), each multiplied by a weight (H, W)."""
+        weighted = np.asarray(images if weight is None else images * weight, dtype=np.float64)
+        table = np.zeros((weighted.shape[1], weighted.shape[2] + 1, len(weighted)), dtype=np.float32)
+        table[:, 1:] = np.moveaxis(weighted.cumsum(axis=2), 0, -1)
+        return PixelSums(table)
+
+
+class Renderer:
+    """Silhouettes of one instrument in one camera."""
+
+    def __init__(self, body: Body, camera: Camera, *, threads: int = 2) -> None:
+        self.body = body
+        self.camera = camera
+        self.threads = threads
+        self.rays = 0
+        """Rays traced so far."""
+        self.poses = 0
+        """Poses rendered so far."""
+
+    def at(self, width: int, height: int) -> Renderer:
+        """Return a renderer of the same body in the same camera at another image size."""
+        return Renderer(self.body, self.camera.scaled(width, height), threads=self.threads)
+
+    def _spans(self, lines_per_pixel: int, to_pixel: bool) -> SpanRenderer:
+        grid = LineGrid(self.camera.height, lines_per_pixel)
+        return SpanRenderer(self.body.topology, self.body.scenes, self.camera, grid, to_pixel)
+
+    def _each_group(
+        self,
+        renderer: SpanRenderer,
+        camera_from_root: NDArray[np.float64],
+        joints: NDArray[np.float64],
+        use: Callable[[SpanEnds, int], T],
+    ) -> list[T]:
+        """Apply ``use`` to the spans of each group of poses and its size, in threads."""
+        links = self.body.camera_from_links(camera_from_root, joints)
+        groups = [links[i : i + LANES] for i in range(0, len(links), LANES)]
+
+        def work(group: NDArray[np.float64]) -> tuple[T, int]:
+            ends = renderer.ends(group)
+            return use(ends, len(group)), ends.rays
+
+        if self.threads == 1 or len(groups) == 1:
+            done = [work(group) for group in groups]
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                done = list(pool.map(work, groups))
+        self.poses += len(links)
+        self.rays += sum(rays for _, rays in done)
+        return [result for result, _ in done]
+
+    def sums(
+        self,
+        camera_from_root: NDArray[np.float64],
+        joints: NDArray[np.float64],
+        images: PixelSums,
+        *,
+        lines_per_pixel: int = 1,
+        to_pixel: bool = False,
+    ) -> NDArray[np.float64]:
+        """Sum K images over the silhouettes of C poses, giving (C, K), without making any image.
+
+        With ``to_pixel``, over the pixels whose centres are covered; otherwise over the real outline, which makes the
+        sums continuous in the pose.
+        """
+        width = self.camera.width
+        flat = images.table.reshape(-1, images.table.shape[2])
+
+        def add(ends: SpanEnds, poses: int) -> NDArray[np.float64]:
+            row = ends.line // lines_per_pixel if lines_per_pixel > 1 else ends.line
+            whole = ends.at.astype(np.int32)
+            index = row * np.int64(width + 1) + whole
+            values = flat[index]
+            if not to_pixel:
+                part = (ends.at - whole)[:, None]
+                values = values + part * (flat[np.minimum(index + 1, len(flat) - 1)] - values)
+            values = values * -ends.sign[:, None]
+            return np.stack(
+                [np.bincount(ends.pose, weights=values[:, k], minlength=poses) for k in range(values.shape[1])], axis=1
+            )
+
+        renderer = self._spans(lines_per_pixel, to_pixel)
+        return np.concatenate(self._each_group(renderer, camera_from_root, joints, add)) / lines_per_pixel
+
+    def coverage(
+        self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 4
+    ) -> NDArray[np.float32]:
+        """Antialiased silhouettes of C poses: the covered share of each pixel, (C, H, W)."""
+        renderer = self._spans(lines_per_pixel, to_pixel=False)
+        height, width = self.camera.height, self.camera.width
+
+        def draw(ends: SpanEnds, poses: int) -> NDArray[np.float32]:
+            row = ends.line // lines_per_pixel
+            whole = ends.at.astype(np.int32)
+            part = ends.at - whole
+            index = (ends.pose * np.int64(height) + row) * (width + 2) + whole
+            size = poses * height * (width + 2)
+            change = np.bincount(index, weights=ends.sign * (1 - part), minlength=size)
+            change += np.bincount(index + 1, weights=ends.sign * part, minlength=size)
+            table = change.reshape(poses, height, width + 2).cumsum(axis=2)[:, :, :width]
+            return (table / lines_per_pixel).astype(np.float32)
+
+        return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
+
+    def masks(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Silhouettes to the pixel of C poses: whether each pixel's centre is covered, (C, H, W)."""
+        renderer = self._spans(1, to_pixel=True)
+        height, width = self.camera.height, self.camera.width
+
+        def draw(ends: SpanEnds, poses: int) -> NDArray[np.bool_]:
+            index = (ends.pose * np.int64(height) + ends.line) * (width + 1) + ends.at.astype(np.int32)
+            change = np.bincount(index, weights=ends.sign, minlength=poses * height * (width + 1))
+            return np.asarray(change.reshape(poses, height, width + 1).cumsum(axis=2)[:, :, :width] > 0.5)
+
+        return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
+
+    def trace(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Trace one ray through every pixel's centre, with nothing clever: the reference for ``masks``, (C, H, W)."""
+        height, width = self.camera.height, self.camera.width
+        v, u = np.mgrid[:height, :width]
+        pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
+        directions = np.c_[self.camera.normalise(pixels), np.ones(len(pixels))]
+        links = self.body.camera_from_links(camera_from_root, joints)
+        pose = np.zeros(len(pixels), dtype=np.intp)
+        found = [self.body.scenes.covered(one[None], pose, directions).reshape(height, width) for one in links]
+        return np.stack(found)
+
+
+__all__ = ["NEAR", "Body", "PixelSums", "Renderer"]
