@@ -19,7 +19,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 COEFFICIENT_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients that each model may have."""
 
-_FOLDS = "distortion: expected a {} map that is one-to-one over the image, got one that folds back on itself{}"
+_FOLDS = "distortion: expected the {} map to be one-to-one over the image, got one that folds back on itself{}"
 _MARGINS = (1.02, 1.005, 1.0005)  # R in units of the largest undistorted radius of the image: the widest that is sound
 _LAST_STEP = 1e-8  # Newton's error after a step this small is of its square: far below 1e-9
 _BLOCK = 16384  # points that are undistorted at a time, to stay in the processor's cache
