@@ -26,14 +26,22 @@ class Joint:
 
     Parameters
     ----------
-    name : name of the joint.
-    child : name of the link below.
-    parent : index of the joint whose child link is this joint's parent link; -1 for the root link.
-    motion : how the child moves: not at all, about the axis, or along it.
-    parent_from_joint : (4, 4) the child's frame in the parent's when the value is zero.
-    axis : (3,) unit axis of a turning joint; metres per unit of value of a sliding one. In the joint's frame.
-    driver : column of the independent joint that moves this one, or None.
-    multiplier, offset : see above.
+    name
+        Name of the joint.
+    child
+        Name of the link below.
+    parent
+        Index of the joint whose child link is this joint's parent link; -1 for the root link.
+    motion
+        How the child moves: not at all, about the axis, or along it.
+    parent_from_joint : (4, 4)
+        The child's frame in the parent's when the value is zero.
+    axis : (3,)
+        Unit axis of a turning joint; metres per unit of value of a sliding one. In the joint's frame.
+    driver
+        Column of the independent joint that moves this one, or None.
+    multiplier, offset
+        As above.
     """
 
     name: str
@@ -102,12 +110,14 @@ class Chain:
 
         Parameters
         ----------
-        joints : (..., J) values of the independent joints, rad or m.
-        wanted : indices of joints, whose child links' poses are asked for; -1 stands for the root link.
+        joints : (..., J)
+            Values of the independent joints, rad or m.
+        wanted
+            Indices of joints, whose child links' poses are asked for; -1 stands for the root link.
 
         Returns
         -------
-        (..., len(wanted), 4, 4) root_from_link.
+        root_from_link : (..., len(wanted), 4, 4)
         """
         values = np.asarray(joints, dtype=np.float64)
         poses: list[NDArray[np.float64]] = []

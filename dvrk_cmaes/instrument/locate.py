@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from dvrk_cmaes.errors import InputError
 
@@ -22,20 +22,26 @@ def find_mesh(filename: str, urdf: Path, packages: Mapping[str, Path], where: st
 
     Parameters
     ----------
-    filename : as in the URDF.
-    urdf : path of the URDF; relative names start at its folder.
-    packages : folder of each package that is known.
-    where : opening words of messages.
+    filename
+        As in the URDF.
+    urdf
+        Path of the URDF; relative names start at its folder.
+    packages
+        Folder of each package that is known.
+    where
+        Opening words of messages.
 
     Raises
     ------
-    InputError : nothing there (with the paths tried), a path out of its package, or an unknown scheme.
+    InputError
+        Nothing there (with the paths tried), a path out of its package, or an unknown scheme.
     """
     folder = urdf.resolve().parent
     if filename.startswith(_PACKAGE):
         candidates = list(_in_package(filename, folder, packages, where))
     elif filename.startswith("file:"):
-        candidates = [folder / unquote(urlsplit(filename).path)]
+        inside = filename.removeprefix("file:").removeprefix("//").removeprefix("localhost/")
+        candidates = [folder / unquote(f"/{inside}" if "//localhost/" in filename else inside)]
     elif "://" in filename:
         raise InputError(f"{where}: mesh {filename}: expected a path, file:// or package://")
     else:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.library_errors import one_line
+from dvrk_cmaes.instrument.plain_xml import parse_xml
 
 #: Kinds of mesh file that can be read.
 SUFFIXES = (".stl", ".obj", ".dae", ".ply")
@@ -17,16 +19,11 @@ SUFFIXES = (".stl", ".obj", ".dae", ".ply")
 LARGEST_EXTENT = 5.0
 
 _LFS_POINTER = b"version https://git-lfs"
+_LARGEST_COORDINATE = 1e9
 _WELD = 1e-8  # of the mesh's diagonal
 _FLAT = 1e-7  # height over length below which a triangle counts as a line: float32's resolution
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int32]]
-
-
-def one_line(error: BaseException) -> str:
-    """Return the message of a library's error on one line, cut at 200 characters."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= 200 else text[:197] + "..."
 
 
 def read_mesh(path: Path) -> Triangles:
@@ -34,12 +31,15 @@ def read_mesh(path: Path) -> Triangles:
 
     Returns
     -------
-    vertices (V, 3) float64 and faces (F, 3) int32: welded, without degenerate or repeated faces.
+    vertices : (V, 3) float64
+    faces : (F, 3) int32
+        Welded, without degenerate or repeated faces.
 
     Raises
     ------
-    InputError : the file is unreadable, of an unknown kind, a Git LFS pointer, without faces, or has vertices
-        that are not finite.
+    InputError
+        The file is unreadable, of an unknown kind, a Git LFS pointer, without faces, or has vertices that are
+        not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -52,18 +52,18 @@ def read_mesh(path: Path) -> Triangles:
     if head == _LFS_POINTER:
         raise InputError(f"{path}: a Git LFS pointer, not the mesh itself; fetch it with 'git lfs pull'")
     try:
-        vertices, faces = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path)
+        places, corners = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path)
     except InputError:
         raise
     except Exception as error:  # parsers raise anything from struct.error to AttributeError
         raise InputError(f"{path}: cannot be read as {suffix[1:].upper()}: {one_line(error)}") from None
-    if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(f"{path}: an empty mesh: {len(vertices)} vertices, {len(faces)} faces; expected a surface")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(f"{path}: faces refer to vertices that do not exist (there are {len(vertices)})")
-    if not np.isfinite(vertices).all():
-        raise InputError(f"{path}: vertices: expected finite coordinates, got NaN or infinity")
-    vertices, faces = weld(vertices, faces)
+    if len(places) == 0 or len(corners) == 0:
+        raise InputError(f"{path}: an empty mesh: {len(places)} vertices, {len(corners)} faces; expected a surface")
+    if corners.min() < 0 or corners.max() >= len(places):
+        raise InputError(f"{path}: faces refer to vertices that do not exist (there are {len(places)})")
+    if not (np.abs(places) < _LARGEST_COORDINATE).all():
+        raise InputError(f"{path}: vertices: expected finite coordinates, got NaN, infinity or over 1e9")
+    vertices, faces = weld(places, corners)
     if len(faces) == 0:
         raise InputError(f"{path}: an empty mesh: every face is degenerate (no area)")
     return vertices, faces
@@ -96,12 +96,23 @@ def _fan(polygon: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _read_with_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read STL, OBJ or DAE; a DAE states its unit, and comes back in metres."""
     import trimesh
 
+    unit = _dae_unit(path) if path.suffix.lower() == ".dae" else 1.0
     scene: Any = trimesh.load_scene(str(path), process=False, skip_materials=True)
     mesh: Any = scene.to_mesh()
     vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
-    return vertices, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return unit * vertices, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+
+
+def _dae_unit(path: Path) -> float:
+    """Metres per unit of a DAE file; trimesh reads past it. Its up axis is of no account in a URDF."""
+    unit = parse_xml(path, path.read_bytes()).find("{*}asset/{*}unit")
+    metres = float(unit.get("meter", "1")) if unit is not None else 1.0
+    if not (np.isfinite(metres) and metres > 0):
+        raise InputError(f"{path}: asset unit: expected a positive number of metres, got {metres}")
+    return metres
 
 
 def weld(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Triangles:

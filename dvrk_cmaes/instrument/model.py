@@ -24,8 +24,14 @@ _SKELETON_STEP = 0.01  # m between the skeleton's points along the shaft
 class Link:
     """A rigid body: its name and its surface in its own frame.
 
-    vertices : (V, 3) float64, m, welded (no two closer than the welding tolerance).
-    faces : (F, 3) int32, counter-clockwise seen from outside where the mesh file says so; none degenerate.
+    Parameters
+    ----------
+    name
+        The URDF's.
+    vertices : (V, 3) float64
+        In metres; those of one mesh file welded, so that neighbouring faces share them.
+    faces : (F, 3) int32
+        Counter-clockwise seen from outside where the mesh file has them so; none degenerate.
     """
 
     name: str
@@ -37,10 +43,17 @@ class Link:
 class Shaft:
     """The straight cylindrical part of the insertion shaft, in the root link's frame.
 
-    point : (3,) m, on the axis: the point of the axis nearest to the root link's origin.
-    direction : (3,) unit, distal (towards the wrist).
-    radius : m, half the width of the silhouette, averaged over all directions of view.
-    distal_end, proximal_end : m, coordinates along `direction` from `point` where the cylinder ends.
+    Parameters
+    ----------
+    point : (3,)
+        The point of the axis nearest to the root link's origin, m.
+    direction : (3,)
+        Unit vector along the axis, distal (towards the wrist).
+    radius
+        Half the width of the silhouette, m, averaged over all directions of view: for a mesh with flat sides
+        between the radii of the circles in and around it.
+    distal_end, proximal_end
+        Coordinates along `direction` from `point`, m, where the straight part ends; flange and wrist lie beyond.
     """
 
     point: NDArray[np.float64]
@@ -66,16 +79,28 @@ class JawTip(NamedTuple):
 class Instrument:
     """An articulated instrument from its root link down.
 
-    name : the URDF's robot name.
-    root_link : link whose pose is sought; the poses of all others follow from the joints.
-    links : those with geometry, the root's first if it has any; L of them.
-    joint_names : independent joints that move geometry, in the order of the chain; J of them.
-    limits : (J, 2) lower and upper, rad or m; -pi and pi for a continuous joint.
-    shaft : the cylinder seen as two parallel edges, None if no straight cylinder was found.
-    jaw_tips : two, or none for an instrument without a pair of jaws.
-    chain : the joints between the links.
-    link_joints : (L,) the joint above each link, -1 for the root link.
-    has_twin : whether the mirror twin of a pose looks the same but for small details (see `twin`).
+    Parameters
+    ----------
+    name
+        The URDF's name of the robot.
+    root_link
+        Link whose pose is sought; the poses of all others follow from the joints.
+    links
+        Those with geometry, the root first if it has any; L of them.
+    joint_names
+        Independent joints that move geometry, in the order of the chain; J of them.
+    limits : (J, 2)
+        Lower and upper, rad or m; -pi and pi for a continuous joint.
+    shaft
+        The cylinder seen as two straight edges, None if there is none.
+    jaw_tips
+        Two, or none for an instrument without a pair of jaws.
+    chain
+        The joints between the links.
+    link_joints
+        Of each link, the index in the chain of the joint above it; -1 for the root link.
+    has_twin
+        Whether the mirror twin of a pose looks the same but for small details (see `twin`).
     """
 
     name: str
@@ -130,11 +155,13 @@ class Instrument:
 
         Parameters
         ----------
-        joints : (J,) joint values.
+        joints : (J,)
+            Joint values.
 
         Returns
         -------
-        (K, 3) m, in the root link's frame; the last ``len(jaw_tips)`` are the tips.
+        points : (K, 3)
+            In metres, in the root link's frame; the last ``len(jaw_tips)`` are the tips.
         """
         values = self._values(joints)
         points = [np.empty((0, 3))]
@@ -149,7 +176,7 @@ class Instrument:
         return np.concatenate(points)
 
     def _hinges(self) -> list[int]:
-        """Moving joints on the way to the jaws, without those that stay where the one before is."""
+        """List the moving joints on the way to the jaws, without those that stay where the one before is."""
         last = self.jaw_tips[0].link if self.jaw_tips else len(self.links) - 1
         hinges: list[int] = []
         for index in self.chain.path(self.link_joints[last]):
@@ -193,12 +220,15 @@ class Instrument:
 
         Parameters
         ----------
-        camera_from_root : (..., 4, 4).
-        joints : (..., J).
+        camera_from_root : (..., 4, 4)
+            Pose of the root link.
+        joints : (..., J)
+            Joint values.
 
         Returns
         -------
-        The same shapes: camera_from_root and joints of the twin.
+        camera_from_root, joints
+            Those of the twin, in the same shapes.
         """
         values = self._values(joints).copy()
         for name in TWIN_JOINTS:

@@ -1,7 +1,7 @@
 """A URDF file to yourdfpy's robot model, refusing what is not plain, finished URDF.
 
-yourdfpy recovers silently from broken XML, which would lose links without a word; so the XML is checked here
-first. Document type declarations are refused: a robot needs none, and entities in them can expand without end.
+yourdfpy recovers silently from broken XML, which would lose links without a word; so the XML is parsed here
+first, and yourdfpy is handed what is left after elements of no use to us are taken out.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from __future__ import annotations
 import io
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.meshes import one_line
+from dvrk_cmaes.instrument.library_errors import one_line
+from dvrk_cmaes.instrument.plain_xml import parse_xml
 
 #: Largest URDF that is read, bytes. Real ones have some ten thousand.
 LARGEST_URDF = 20_000_000
@@ -21,32 +22,13 @@ _XACRO = "{http://www.ros.org/wiki/xacro}"
 _UNUSED = ("collision", "inertial", "transmission", "gazebo", "material")
 
 
-class _NoDoctype(ElementTree.TreeBuilder):
-    """A tree builder that stops at a document type declaration, before any entity in it is expanded."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
-        raise InputError("a document type declaration (<!DOCTYPE ...>) is not accepted: expected plain XML")
-
-
-def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
-    """Parse XML that has no document type. Raises `InputError`, naming the file."""
-    parser = ElementTree.XMLParser(target=_NoDoctype())
-    try:
-        parser.feed(data)
-        root: ElementTree.Element = parser.close()
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: not well-formed XML: {one_line(error)}") from None
-    return root
-
-
 def read_robot(path: Path) -> Any:
     """Read a URDF into yourdfpy's ``Robot`` (links with visuals, joints). No mesh file is touched.
 
     Raises
     ------
-    InputError : unreadable, over 20 MB, not XML, with a document type, unexpanded xacro, or not a URDF.
+    InputError
+        Unreadable, over 20 MB, not XML, with a document type, unexpanded xacro, or not a URDF.
     """
     try:
         size = path.stat().st_size
@@ -70,5 +52,14 @@ def read_robot(path: Path) -> Any:
         plain = io.BytesIO(ElementTree.tostring(root))
         model = yourdfpy.URDF.load(plain, build_scene_graph=False, load_meshes=False)
     except Exception as error:  # yourdfpy raises KeyError, AttributeError, ValueError, ... for a wrong element
-        raise InputError(f"{path}: not a valid URDF: {type(error).__name__}: {one_line(error)}") from None
+        raise InputError(f"{path}: not a valid URDF: {_reason(error)}") from None
     return model.robot
+
+
+def _reason(error: Exception) -> str:
+    """Say what yourdfpy's error means: it looks up attributes and elements without checking for them."""
+    if isinstance(error, KeyError):
+        return f"an element lacks the attribute {error}"
+    if isinstance(error, (AttributeError, TypeError, IndexError)):
+        return f"a required element or number is missing ({one_line(error)})"
+    return one_line(error)

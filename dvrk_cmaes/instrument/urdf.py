@@ -57,16 +57,22 @@ def load_instrument(
 
     Parameters
     ----------
-    source : name of a bundled instrument (see `bundled_names`) or path of a URDF.
-    package_paths : folder of each ROS package named in ``package://NAME/...``; a package not listed is looked
-        for upwards from the URDF's folder.
-    root_link : link whose pose is sought, with the shaft on it or below it; ``roll_link`` by default.
-    shaft_radius : m, instead of the one measured on the mesh.
-    shaft_axis : point (3,) m and direction (3,), distal, in the root link's frame, instead of the measured axis.
+    source
+        Name of a bundled instrument (see `bundled_names`) or path of a URDF.
+    package_paths
+        Folder of each ROS package named in ``package://NAME/...``; a package not listed is looked for upwards
+        from the URDF's folder.
+    root_link
+        Link whose pose is sought, with the shaft on it or below it; ``roll_link`` by default.
+    shaft_radius
+        In metres, instead of the one measured on the mesh.
+    shaft_axis
+        Point (3,) in metres and direction (3,), distal, in the root link's frame, instead of the measured axis.
 
     Raises
     ------
-    InputError : in one line, what is wrong with which file and field.
+    InputError
+        In one line, what is wrong with which file and field.
     """
     path = _urdf_path(source)
     robot = read_robot(path)

@@ -27,14 +27,21 @@ def link_triangles(
 
     Parameters
     ----------
-    visuals : yourdfpy's visuals of the link.
-    link, urdf : names for messages; relative mesh paths start at the URDF's folder.
-    packages : folders of ROS packages.
-    cache : mesh files read so far.
+    visuals
+        yourdfpy's visuals of the link.
+    link
+        Its name, for messages.
+    urdf
+        Path of the URDF, for messages and where relative mesh paths start.
+    packages
+        Folders of ROS packages.
+    cache
+        Mesh files read so far; new ones are added.
 
     Raises
     ------
-    InputError : a mesh that is missing or will not do, a primitive or an origin with senseless numbers.
+    InputError
+        A mesh that is missing or will not do, a primitive or an origin with senseless numbers.
     """
     parts: list[Triangles] = []
     for visual in visuals:
@@ -70,8 +77,9 @@ def _mesh(
     path = find_mesh(mesh.filename, urdf, packages, where)
     if path not in cache:
         cache[path] = read_mesh(path)
-    scale = np.ones(3) if mesh.scale is None else np.broadcast_to(np.asarray(mesh.scale, dtype=np.float64), (3,))
-    if not np.isfinite(scale).all() or np.any(scale == 0.0):
+    scale = np.atleast_1d(np.asarray(1.0 if mesh.scale is None else mesh.scale, dtype=np.float64))
+    scale = np.repeat(scale, 3) if len(scale) == 1 else scale
+    if scale.shape != (3,) or not np.isfinite(scale).all() or np.any(scale == 0.0):
         raise InputError(f"{where}: mesh {mesh.filename}: scale: expected three finite numbers, none zero")
     placed = place(cache[path], origin, scale)
     extent = float(np.ptp(placed[0], axis=0).max())
