@@ -1,0 +1,153 @@
+"""The bundled Large Needle Driver: closed meshes of the right size, the dVRK's kinematics, and made by its script."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from dvrk_cmaes.bundled import bundled_path
+
+FOLDER = bundled_path("instruments", "lnd")
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "make_instrument.py"
+LINKS = ["roll_link", "wrist_pitch_link", "jaw_1_link", "jaw_2_link"]
+
+
+def mesh(link: str) -> trimesh.Trimesh:
+    return trimesh.load_mesh(FOLDER / "meshes" / f"{link}.ply")
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, SCRIPT, *arguments], capture_output=True, text=True, check=False)
+
+
+def joints() -> dict[str, ET.Element]:
+    return {joint.attrib["name"]: joint for joint in ET.parse(FOLDER / "lnd.urdf").getroot().iter("joint")}
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_each_mesh_is_one_closed_solid_with_its_faces_outwards(link: str) -> None:
+    solid = mesh(link)
+    assert solid.is_watertight
+    assert solid.is_winding_consistent
+    assert solid.is_volume
+    assert solid.body_count == 1
+
+
+def test_no_two_vertices_coincide() -> None:
+    for link in LINKS:
+        points = mesh(link).vertices
+        assert len(np.unique(points.round(8), axis=0)) == len(points), link
+
+
+def test_all_meshes_together_have_at_most_20000_triangles() -> None:
+    assert sum(len(mesh(link).faces) for link in LINKS) <= 20_000
+
+
+def test_the_shaft_is_a_round_straight_bar_of_0_3_m() -> None:
+    points = mesh("roll_link").vertices
+    far_end = points[points[:, 2] < -0.3]
+    rim = far_end[np.hypot(far_end[:, 0], far_end[:, 1]) > 0.004]
+    assert len(rim) >= 96
+    np.testing.assert_allclose(np.hypot(rim[:, 0], rim[:, 1]), 0.00407, atol=1e-8)
+    start_of_end_piece = -0.00905
+    assert start_of_end_piece - rim[:, 2].max() >= 0.3
+
+
+def test_the_jaws_end_9_6_mm_from_the_yaw_axis_half_a_millimetre_aside() -> None:
+    for link, side in (("jaw_1_link", -1), ("jaw_2_link", 1)):
+        points = mesh(link).vertices
+        tip = points[points[:, 1] > points[:, 1].max() - 1e-4]
+        assert points[:, 1].max() == pytest.approx(0.0096, abs=1e-4)
+        assert (tip[:, 0].min() + tip[:, 0].max()) / 2 == pytest.approx(side * 0.0005, abs=2e-4)
+
+
+def test_closed_jaws_touch_and_do_not_cross() -> None:
+    blade_1, blade_2 = (mesh(link).vertices for link in ("jaw_1_link", "jaw_2_link"))
+    assert blade_1[blade_1[:, 1] > 0.005][:, 0].max() == pytest.approx(0.0, abs=1e-7)
+    assert blade_2[blade_2[:, 1] > 0.005][:, 0].min() == pytest.approx(0.0, abs=1e-7)
+
+
+def test_jaw_2_is_jaw_1_turned_half_round_about_y() -> None:
+    turned = mesh("jaw_1_link").vertices * [-1, 1, -1]
+    assert {tuple(p) for p in turned.round(8) + 0.0} == {tuple(p) for p in mesh("jaw_2_link").vertices.round(8) + 0.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "parent", "child", "lower", "upper"),
+    [
+        ("wrist_pitch", "roll_link", "wrist_pitch_link", -1.39626, 1.39626),
+        ("wrist_yaw", "wrist_pitch_link", "wrist_yaw_link", -1.39626, 1.39626),
+        ("jaw", "wrist_yaw_link", "jaw_link", -0.349066, 1.39626),
+        ("jaw_1", "wrist_yaw_link", "jaw_1_link", -1.5707, 1.5707),
+        ("jaw_2", "wrist_yaw_link", "jaw_2_link", -1.5707, 1.5707),
+    ],
+)
+def test_a_joint_has_the_dvrk_s_links_and_limits(
+    name: str, parent: str, child: str, lower: float, upper: float
+) -> None:
+    joint = joints()[name]
+    assert joint.attrib["type"] == "revolute"
+    assert joint.find("parent").attrib["link"] == parent
+    assert joint.find("child").attrib["link"] == child
+    assert joint.find("axis").attrib["xyz"].split() == ["0", "0", "1"]
+    limit = joint.find("limit").attrib
+    assert (float(limit["lower"]), float(limit["upper"])) == (lower, upper)
+
+
+def test_the_tool_tip_frame_is_fixed_10_2_mm_from_the_yaw_axis() -> None:
+    joint = joints()["tool_tip"]
+    assert joint.attrib["type"] == "fixed"
+    assert joint.find("origin").attrib["xyz"].split() == ["0", "0.0102", "0"]
+
+
+def test_the_yaw_axis_is_9_1_mm_from_the_pitch_axis() -> None:
+    assert [float(x) for x in joints()["wrist_yaw"].find("origin").attrib["xyz"].split()] == [0.0091, 0.0, 0.0]
+
+
+def test_each_jaw_follows_half_the_jaw_angle_one_to_each_side() -> None:
+    mimics = {name: joint.find("mimic") for name, joint in joints().items()}
+    assert {name: float(m.attrib["multiplier"]) for name, m in mimics.items() if m is not None} == {
+        "jaw_1": 0.5,
+        "jaw_2": -0.5,
+    }
+    assert {m.attrib["joint"] for m in mimics.values() if m is not None} == {"jaw"}
+
+
+def test_every_mesh_of_the_urdf_is_there_and_no_other() -> None:
+    named = {e.attrib["filename"] for e in ET.parse(FOLDER / "lnd.urdf").getroot().iter("mesh")}
+    assert named == {f"meshes/{link}.ply" for link in LINKS}
+    assert {f"meshes/{p.name}" for p in (FOLDER / "meshes").iterdir()} == named
+
+
+def test_the_committed_files_are_what_the_script_makes() -> None:
+    done = run("--check")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_check_names_a_file_that_was_changed_one_that_is_missing_and_one_too_many(tmp_path: Path) -> None:
+    copy = tmp_path / "lnd"
+    shutil.copytree(FOLDER, copy)
+    (copy / "lnd.urdf").write_text("<robot/>")
+    (copy / "meshes" / "roll_link.ply").unlink()
+    (copy / "meshes" / "stray.ply").touch()
+    done = run("--check", "--out", copy)
+    assert done.returncode == 1
+    assert [line.split(":")[0] for line in done.stderr.splitlines()] == [
+        str(copy / "lnd.urdf"),
+        str(copy / "meshes" / "roll_link.ply"),
+        str(copy / "meshes" / "stray.ply"),
+    ]
+
+
+def test_the_script_writes_the_same_bytes_again_and_leaves_nothing_beside_them(tmp_path: Path) -> None:
+    assert run("--out", tmp_path).returncode == 0
+    made = {p.relative_to(tmp_path): p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    assert made == {p: (FOLDER / p).read_bytes() for p in made}
+    assert {p.as_posix() for p in made} == {"lnd.urdf", *(f"meshes/{link}.ply" for link in LINKS)}
