@@ -43,7 +43,8 @@ def write_bytes(path: str | Path, data: bytes) -> None:
             raise
     except OSError as error:
         kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
-        raise kind(f"{path}: not written ({error.strerror}); expected a place to write a file") from None
+        reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
+        raise kind(f"{path}: not written ({reason}); expected a place to write a file") from None
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -56,7 +56,7 @@ def read_camera(path: str | Path, *, rectified: bool = False) -> Camera:
     if not any(name in document for name in (*_RAW, *_RECTIFIED)):
         raise InputError(
             f"{path}: expected a ROS camera_info file with camera_matrix and projection_matrix "
-            f"(or K and P, or k and p), got {listed(document) or 'no fields'}"
+            f"(or K and P, or k and p), got the fields {listed(document) or '(none)'}"
         )
     return _camera_info(path, document, rectified=rectified)
 
@@ -89,7 +89,7 @@ def _distortion(path: str | Path, document: Mapping[str, Any]) -> tuple[str, tup
     if given in (None, "") and not any(coefficients):
         return "plumb_bob", ()
     if not isinstance(given, str) or given not in _MODELS:
-        names = ", ".join(nearest_first(str(given)[:60], _MODELS))
+        names = ", ".join(nearest_first(given[:60], _MODELS) if isinstance(given, str) else _MODELS)
         raise InputError(f"{path}: distortion_model: expected one of {names}, got {shown(given)}")
     return _MODELS[given], coefficients
 

@@ -16,11 +16,15 @@ _WITHOUT_LENGTH = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG markers that sta
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image file says of itself: size in pixels, bits a channel, and whether all of it is there."""
+    """What an image file says of itself: size in pixels, bits a channel, and how it is stored.
+
+    ``palette``: pixels are indices of colours. ``whole``: all of the file is there.
+    """
 
     width: int
     height: int
     bits: int
+    palette: bool
     whole: bool
 
 
@@ -28,8 +32,8 @@ def read_header(data: bytes) -> ImageHeader | None:
     """Read the header of a PNG or JPEG; None for anything else, and for a header that makes no sense."""
     try:
         if data.startswith(_PNG) and data[12:16] == b"IHDR":
-            width, height, bits = struct.unpack_from(">IIB", data, 16)
-            header = ImageHeader(width, height, bits, _png_is_whole(data))
+            width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
+            header = ImageHeader(width, height, bits, colour == 3, _png_is_whole(data))
         elif data.startswith(b"\xff\xd8"):
             header = _read_jpeg(data)
         else:
@@ -62,7 +66,7 @@ def _read_jpeg(data: bytes) -> ImageHeader:
         marker, position = data[position], position + 1
         if marker in _SOF:
             bits, height, width = struct.unpack_from(">BHH", data, position + 2)
-            return ImageHeader(width, height, bits, data.rfind(b"\xff\xd9", position) > 0)
+            return ImageHeader(width, height, bits, False, data.rfind(b"\xff\xd9", position) > 0)
         if marker not in _WITHOUT_LENGTH:
             (length,) = struct.unpack_from(">H", data, position)
             position += length

@@ -6,6 +6,7 @@ for it. Turning by EXIF is not done: pixels are the camera's, as stored.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import read_header
+from dvrk_cmaes.io.image_header import ImageHeader, read_header
 
 _LARGEST = 400_000_000  # bytes
 _MOST_PIXELS = 100_000_000
@@ -46,7 +47,7 @@ def read_mask(
     InputError
         Naming the file and what was expected.
     """
-    grey = _read_grey(path, "a mask")
+    grey = _read_grey(path, "a mask", values=label is not None)
     if label is None:
         mask = grey > _THRESHOLD
         missing = f"expected pixels above {_THRESHOLD} on the instrument, got none (the largest value is {grey.max()}"
@@ -69,7 +70,8 @@ def read_ignore(path: str | Path) -> NDArray[np.bool_]:
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read an image as (H, W, 3) uint8, BGR; grey is expanded. InputError if it cannot be."""
-    return _decode(path, _read_file(path, "an image"), "an image", cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    data, _ = _read_file(path, "an image")
+    return _decode(path, data, "an image", cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def match_size(camera: Camera, shape: tuple[int, int]) -> tuple[Camera, str | None]:
@@ -102,8 +104,8 @@ def match_size(camera: Camera, shape: tuple[int, int]) -> tuple[Camera, str | No
     return camera.scaled(width, height), note
 
 
-def _read_file(path: str | Path, what: str) -> bytes:
-    """Read the bytes of a PNG or JPEG of a bearable size."""
+def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
+    """Read the bytes and the header of a PNG or JPEG of a bearable size."""
     expected = f"{what} (PNG or JPEG)"
     data = read_bytes(path, expected=expected, largest=_LARGEST)
     header = read_header(data)
@@ -115,7 +117,7 @@ def _read_file(path: str | Path, what: str) -> bytes:
         )
     if not header.whole:
         raise InputError(f"{path}: expected {expected}, got one that is cut off or damaged")
-    return data
+    return data, header
 
 
 def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.uint8]:
@@ -128,11 +130,12 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.
     return np.asarray(pixels, np.uint8)
 
 
-def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
-    """Read an 8-bit image of one channel, or of equal ones, (H, W)."""
-    data = _read_file(path, what)
-    header = read_header(data)
-    if header is not None and header.bits != 8:
+def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[np.uint8]:
+    """Read an 8-bit image of one channel, or of equal ones, (H, W); ``values``: they must be the file's very own."""
+    data, header = _read_file(path, what)
+    if values and header.palette:
+        raise InputError(f"{path}: label: expected a mask of labels in plain grey, got one with a palette")
+    if header.bits != 8:
         raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits")
     pixels = _decode(path, data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
@@ -148,7 +151,9 @@ def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
 def _component(path: str | Path, mask: NDArray[np.bool_], pick: tuple[float, float]) -> NDArray[np.bool_]:
     """Keep the connected component of a mask at a pixel."""
     height, width = mask.shape
-    u, v = (round(coordinate) for coordinate in pick)
+    if not (math.isfinite(pick[0]) and math.isfinite(pick[1])):
+        raise InputError(f"{path}: pick: expected two finite numbers u,v in pixels, got {pick[0]},{pick[1]}")
+    u, v = round(pick[0]), round(pick[1])
     if not (0 <= u < width and 0 <= v < height):
         raise InputError(f"{path}: pick: expected a pixel of the {width} x {height} mask, got {u},{v}")
     if not mask[v, u]:
