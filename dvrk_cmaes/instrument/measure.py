@@ -41,18 +41,22 @@ def measured(instrument: Instrument, *, radius: float | None = None, axis: Axis 
 
 
 def _shaft(instrument: Instrument, radius: float | None, axis: Axis | None) -> Shaft | None:
-    """Shaft on the first link that has one and whose axis stays put in the root link's frame."""
+    """Shaft on the first link with a cylinder whose axis stays put and at whose end the wrist begins."""
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
     for index, link in enumerate(instrument.links):
         vertices = link.vertices @ poses[index, :3, :3].T + poses[index, :3, 3]
-        cylinder = find_cylinder(vertices, link.faces, axis)
-        if cylinder is not None and _stays(instrument, index, cylinder):
-            if axis is None:
-                cylinder = _pointing_distally(instrument, index, cylinder)
+        found = find_cylinder(vertices, link.faces, axis)
+        if found is None or not _stays(instrument, index, found):
+            continue
+        cylinder = _ending_at_the_wrist(instrument, index, found, turn=axis is None)
+        if cylinder is not None:
             return Shaft(
-                cylinder.point, cylinder.direction, cylinder.radius if radius is None else radius,
-                distal_end=cylinder.high, proximal_end=cylinder.low,
-            )  # fmt: skip
+                point=cylinder.point,
+                direction=cylinder.direction,
+                radius=cylinder.radius if radius is None else radius,
+                distal_end=cylinder.high,
+                proximal_end=cylinder.low,
+            )
     if axis is None and radius is None:
         return None
     if axis is None or radius is None:
@@ -77,15 +81,27 @@ def _stays(instrument: Instrument, index: int, cylinder: Cylinder) -> bool:
     return bool(np.linalg.norm(shifts, axis=-1).max() < 1e-4)
 
 
-def _pointing_distally(instrument: Instrument, index: int, cylinder: Cylinder) -> Cylinder:
-    """Turn a cylinder's direction towards the links below, or the frame's origin if there are none."""
+def _ending_at_the_wrist(instrument: Instrument, index: int, cylinder: Cylinder, *, turn: bool) -> Cylinder | None:
+    """Point a link's cylinder towards the links below it; None if they do not lie beyond one of its ends.
+
+    A wrist pin is a cylinder too, but what hangs on it lies about its middle. An instrument of one link is all
+    shaft, and points towards positive coordinates. Without `turn` the direction is left as it is.
+    """
+    others = [k for k in range(len(instrument.links)) if k != index]
+    if not others:
+        positive = cylinder.direction[np.argmax(np.abs(cylinder.direction))] > 0
+        return cylinder if positive or not turn else _turned(cylinder)
+    above = instrument.link_joints[index]
+    below = [k for k in others if above < 0 or above in instrument.chain.path(instrument.link_joints[k])]
+    if not below:
+        return None
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
-    below = [
-        poses[k, :3, 3] + poses[k, :3, :3] @ link.vertices.mean(axis=0)
-        for k, link in enumerate(instrument.links)
-        if k > index
-    ]
-    goal = np.mean(below, axis=0) if below else poses[index, :3, 3]
-    if goal @ cylinder.direction >= (cylinder.low + cylinder.high) / 2:
-        return cylinder
+    middles = [poses[k, :3, 3] + poses[k, :3, :3] @ instrument.links[k].vertices.mean(axis=0) for k in below]
+    along = float(np.mean(middles, axis=0) @ cylinder.direction)
+    if cylinder.low <= along <= cylinder.high:
+        return None
+    return _turned(cylinder) if turn and along < cylinder.low else cylinder
+
+
+def _turned(cylinder: Cylinder) -> Cylinder:
     return Cylinder(cylinder.point, -cylinder.direction, cylinder.radius, -cylinder.high, -cylinder.low)
