@@ -1,0 +1,126 @@
+"""The patient-side manipulator (PSM) that carries the instrument: from its base to the instrument's root link.
+
+The base frame's origin is the remote centre of motion (RCM), through which the shaft passes in every configuration.
+Yaw, pitch and insertion are the arm's own joints; roll is the tool's, and its frame is the root link (DH frame 4).
+With a pose of the root in the camera this gives ``camera_from_base = camera_from_root @ inverse(base_from_root)``.
+
+Constants are the dVRK's kinematic descriptions (``PSM.json`` of the Classic, ``PSM_Si.json``, and the tools'), with
+right angles exact where the files round them to 1.5708.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dvrk_cmaes.errors import InputError, nearest_first
+
+Arm = Literal["classic", "si"]
+
+OUTER_JOINTS: Final = ("yaw", "pitch", "insertion", "roll")
+"""Joints from the base to the root link, in the order of the chain; insertion in m, the others in rad."""
+
+ROLL_OFFSET: Final = 0.4162
+"""D of the roll joint of the tools 400xxx, m: from the frame of the insertion to the wrist's pitch axis."""
+
+ROLL_OFFSET_LONG: Final = 0.467
+"""D of the roll joint of the tools 420xxx, whose shafts are longer, m."""
+
+INSERTION_OFFSET: Final[Mapping[str, float]] = {"classic": -0.4318, "si": -0.4826}
+"""Added to the insertion by each arm, m."""
+
+
+class DHJoint(NamedTuple):
+    """A row of a table of modified Denavit-Hartenberg parameters: Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
+
+    alpha: float
+    a: float
+    theta: float
+    d: float
+    prismatic: bool = False
+
+
+def dh_table(arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> tuple[DHJoint, ...]:
+    """Rows of yaw, pitch, insertion and roll; a joint's value is added to theta, or to d of the prismatic one.
+
+    Raises
+    ------
+    InputError
+        The arm is not known.
+    """
+    if arm not in INSERTION_OFFSET:
+        near = " or ".join(nearest_first(str(arm), INSERTION_OFFSET))
+        raise InputError(f"arm: expected {near}, got {arm!r}")
+    return (
+        DHJoint(alpha=pi / 2, a=0.0, theta=pi / 2, d=0.0),
+        DHJoint(alpha=-pi / 2, a=0.0, theta=-pi / 2, d=0.0),
+        DHJoint(alpha=pi / 2, a=0.0, theta=0.0, d=INSERTION_OFFSET[arm], prismatic=True),
+        DHJoint(alpha=0.0, a=0.0, theta=0.0, d=roll_offset),
+    )
+
+
+def base_from_root(
+    outer: Mapping[str, ArrayLike] | ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
+) -> NDArray[np.float64]:
+    """Forward kinematics of the arm: pose of the instrument's root link in the PSM's base.
+
+    Parameters
+    ----------
+    outer : (..., 4), or a mapping of the names in ``OUTER_JOINTS`` to arrays (...)
+        Yaw, pitch (rad), insertion (m), roll (rad); a mapping may hold other joints, which are not looked at.
+    arm
+        ``classic`` or ``si``.
+    roll_offset
+        D of the tool's roll joint, m.
+
+    Returns
+    -------
+    (..., 4, 4)
+        ``base_from_root``. The root's origin lies ``insertion + offset of the arm + roll_offset`` beyond the RCM.
+
+    Raises
+    ------
+    InputError
+        An unknown arm, a joint missing from the mapping, or another number of values than four.
+    """
+    rows = dh_table(arm, roll_offset=roll_offset)
+    values = _values(outer)
+    pose = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
+    for k, row in enumerate(rows):
+        pose = pose @ _step(row, values[..., k])
+    return pose
+
+
+def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> NDArray[np.float64]:
+    """Joint values as (..., 4)."""
+    if isinstance(outer, Mapping):
+        missing = [name for name in OUTER_JOINTS if name not in outer]
+        if missing:
+            raise InputError(f"outer joints: expected {', '.join(OUTER_JOINTS)}, got no {', '.join(missing)}")
+        columns = [np.asarray(outer[name], dtype=np.float64) for name in OUTER_JOINTS]
+        return np.stack(np.broadcast_arrays(*columns), axis=-1)
+    values = np.asarray(outer, dtype=np.float64)
+    if values.ndim == 0 or values.shape[-1] != len(OUTER_JOINTS):
+        raise InputError(
+            f"outer joints: expected {len(OUTER_JOINTS)} values ({', '.join(OUTER_JOINTS)}) in the last axis, "
+            f"got an array of shape {values.shape}"
+        )
+    return values
+
+
+def _step(row: DHJoint, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Transform of one row at joint values (...), giving (..., 4, 4)."""
+    theta = np.full_like(value, row.theta) if row.prismatic else row.theta + value
+    d = row.d + value if row.prismatic else np.full_like(value, row.d)
+    c, s = np.cos(theta), np.sin(theta)
+    ca, sa = np.cos(row.alpha), np.sin(row.alpha)
+    out = np.zeros((*value.shape, 4, 4))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 3] = c, -s, row.a
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2], out[..., 1, 3] = s * ca, c * ca, -sa, -sa * d
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2], out[..., 2, 3] = s * sa, c * sa, ca, ca * d
+    out[..., 3, 3] = 1.0
+    return out
