@@ -1,0 +1,73 @@
+"""Rigid transforms as 4 x 4 arrays, batched. Names say the direction: ``a_from_b`` maps points of b into a."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float64 = NDArray[np.float64]
+
+
+def _skew(v: Float64) -> Float64:
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def exp_rotation(rotvec: ArrayLike) -> Float64:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
+    v = np.asarray(rotvec, dtype=np.float64)
+    squared = (v * v).sum(axis=-1)[..., None, None]
+    angle = np.sqrt(squared)
+    small = angle < 1e-6
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1 - squared / 6, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - squared / 24, (1 - np.cos(safe)) / safe**2)
+    k = _skew(v)
+    return np.asarray(np.eye(3) + a * k + b * (k @ k))
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
+    """(..., 4, 4) from rotations (..., 3, 3) and translations (..., 3), m."""
+    r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    shape = np.broadcast_shapes(r.shape[:-2], t.shape[:-1])
+    out = np.zeros((*shape, 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1.0
+    return out
+
+
+def moved(pose: Float64, change: ArrayLike) -> Float64:
+    """Poses (..., 4, 4) after small changes (..., 6) = [tx ty tz rx ry rz] in the moved body's own axes, m and rad."""
+    c = np.asarray(change, dtype=np.float64)
+    return np.asarray(pose @ transform(exp_rotation(c[..., 3:6]), c[..., :3]))
+
+
+def inverse(pose: Float64) -> Float64:
+    """Inverse of rigid transforms (..., 4, 4)."""
+    r = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return transform(r, -(r @ pose[..., :3, 3:])[..., 0])
+
+
+def rotation_angle(a: Float64, b: Float64) -> Float64:
+    """Angle in rad between the rotations of two poses or rotations, (..., 3+, 3+)."""
+    trace = np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3])
+    return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
+
+
+def frame_along(direction: ArrayLike) -> Float64:
+    """Rotations (..., 3, 3) whose z axis is each unit vector (..., 3); the turn about it is arbitrary but fixed."""
+    z = np.asarray(direction, dtype=np.float64)
+    helper = np.where(np.abs(z[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def rotation_about_z(angle: ArrayLike) -> Float64:
+    """Rotations (..., 3, 3) about z by angles (...), rad."""
+    a = np.asarray(angle, dtype=np.float64)
+    zero = np.zeros_like(a)
+    return exp_rotation(np.stack([zero, zero, a], axis=-1))

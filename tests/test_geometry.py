@@ -1,0 +1,116 @@
+"""Rigid transforms form a group, and their exponential, changes and angles agree with SciPy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from dvrk_cmaes.geometry import (
+    exp_rotation,
+    frame_along,
+    inverse,
+    moved,
+    rotation_about_z,
+    rotation_angle,
+    transform,
+)
+
+
+def vectors(largest: float, shape: int | tuple[int, ...] = 3) -> st.SearchStrategy[np.ndarray]:
+    return arrays(np.float64, shape, elements=st.floats(-largest, largest))
+
+
+poses = st.builds(lambda turn, shift: transform(exp_rotation(turn), shift), vectors(3), vectors(1))
+
+
+@given(poses)
+def test_a_pose_is_a_rotation_and_a_translation(pose: np.ndarray) -> None:
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1, abs=1e-12)
+    np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
+
+
+@given(poses, poses, poses)
+def test_products_are_poses_again_and_associate(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    np.testing.assert_allclose((a @ b) @ c, a @ (b @ c), atol=1e-12)
+    np.testing.assert_allclose(inverse(a @ b), inverse(b) @ inverse(a), atol=1e-12)
+
+
+@given(poses)
+def test_the_inverse_undoes_a_pose_from_both_sides(pose: np.ndarray) -> None:
+    np.testing.assert_allclose(pose @ inverse(pose), np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(inverse(pose) @ pose, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(inverse(pose), np.linalg.inv(pose), atol=1e-12)
+
+
+@given(vectors(7))
+def test_the_exponential_of_a_rotation_vector_is_scipy_s(rotvec: np.ndarray) -> None:
+    np.testing.assert_allclose(exp_rotation(rotvec), Rotation.from_rotvec(rotvec).as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 0.9e-6, 1.1e-6, 1e-3])
+def test_the_exponential_keeps_the_smallest_angles(angle: float) -> None:
+    axis = np.array([2.0, -1.0, 2.0]) / 3
+    turned = exp_rotation(angle * axis)
+    np.testing.assert_allclose(turned, Rotation.from_rotvec(angle * axis).as_matrix(), atol=1e-16)
+    half_skew = (turned - turned.T) / 2
+    recovered = np.array([half_skew[2, 1], half_skew[0, 2], half_skew[1, 0]])
+    np.testing.assert_allclose(recovered, np.sin(angle) * axis, rtol=1e-9, atol=0)
+
+
+@given(poses, vectors(0.5, 6))
+def test_a_change_happens_in_the_body_s_own_axes(pose: np.ndarray, change: np.ndarray) -> None:
+    turn = Rotation.from_rotvec(change[3:]).as_matrix()
+    after = moved(pose, change)
+    np.testing.assert_allclose(after[:3, :3], pose[:3, :3] @ turn, atol=1e-12)
+    np.testing.assert_allclose(after[:3, 3], pose[:3, 3] + pose[:3, :3] @ change[:3], atol=1e-12)
+
+
+@given(poses)
+def test_no_change_moves_nothing(pose: np.ndarray) -> None:
+    np.testing.assert_array_equal(moved(pose, np.zeros(6)), pose)
+
+
+@given(poses, st.floats(0, np.pi), vectors(1).filter(lambda v: np.linalg.norm(v) > 0.1), vectors(1))
+def test_the_angle_between_poses_is_that_of_the_turn_between_them(
+    pose: np.ndarray, angle: float, axis: np.ndarray, shift: np.ndarray
+) -> None:
+    other = moved(pose, np.r_[shift, angle * axis / np.linalg.norm(axis)])
+    assert rotation_angle(pose, other) == pytest.approx(angle, abs=1e-7)
+    assert rotation_angle(other[:3, :3], pose[:3, :3]) == pytest.approx(angle, abs=1e-7)
+
+
+@given(vectors(1).filter(lambda v: np.linalg.norm(v) > 0.1))
+def test_a_frame_along_a_direction_is_a_rotation_with_it_as_z(direction: np.ndarray) -> None:
+    z = direction / np.linalg.norm(direction)
+    frame = frame_along(z)
+    np.testing.assert_allclose(frame[:, 2], z, atol=1e-15)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1, abs=1e-12)
+
+
+@given(st.floats(-7, 7))
+def test_a_rotation_about_z_is_scipy_s(angle: float) -> None:
+    np.testing.assert_allclose(rotation_about_z(angle), Rotation.from_rotvec([0, 0, angle]).as_matrix(), atol=1e-12)
+
+
+def test_batches_give_what_each_one_gives() -> None:
+    rng = np.random.default_rng(5)
+    turns, shifts = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))
+    batch = transform(exp_rotation(turns), shifts)
+    changes = rng.normal(size=(5, 6))
+    axes = turns / np.linalg.norm(turns, axis=-1, keepdims=True)
+    for i, j in np.ndindex(4, 5):
+        one = transform(exp_rotation(turns[i, j]), shifts[i, j])
+        np.testing.assert_allclose(batch[i, j], one, atol=1e-15)
+        np.testing.assert_allclose(inverse(batch)[i, j], inverse(one), atol=1e-15)
+        np.testing.assert_allclose(moved(batch, changes)[i, j], moved(one, changes[j]), atol=1e-14)
+        np.testing.assert_allclose(frame_along(axes)[i, j], frame_along(axes[i, j]), atol=1e-15)
+    np.testing.assert_allclose(
+        rotation_angle(batch, batch[0, 0]), [[rotation_angle(b, batch[0, 0]) for b in row] for row in batch], atol=1e-12
+    )
+    assert inverse(np.empty((0, 4, 4))).shape == (0, 4, 4)
