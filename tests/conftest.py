@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.io.camera_file import read_camera
+from dvrk_cmaes.io.images import read_mask
+from dvrk_cmaes.silhouette import Body
 
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
@@ -22,3 +31,40 @@ def shared() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return folder
+
+
+@pytest.fixture(scope="session")
+def bundled_body() -> Body:
+    """The bundled Large Needle Driver, prepared for rendering."""
+    return Body.prepare(load_instrument("lnd"))
+
+
+@pytest.fixture(scope="session")
+def scanned_body(shared: Path) -> Body:
+    """The scanned Large Needle Driver; its shaft is open and not manifold."""
+    return Body.prepare(load_instrument(shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"))
+
+
+@dataclass(frozen=True, eq=False)
+class GoldenFrames:
+    """Frames with known truth: poses (N, 4, 4), joints (N, 3) in the instrument's order, masks (N, H, W)."""
+
+    camera: Camera
+    camera_from_root: np.ndarray
+    joints: np.ndarray
+    masks: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def clean_frames(shared: Path) -> GoldenFrames:
+    """Frames of the scanned needle driver whose masks are exact to a hundredth of a pixel."""
+    folder = shared / "frames" / "made" / "clean"
+    frames = json.loads((folder / "golden.json").read_text())["frames"]
+    names = sorted(frames)
+    joint_names = ("wrist_pitch", "wrist_yaw", "jaw")
+    return GoldenFrames(
+        camera=read_camera(folder / "camera.yaml"),
+        camera_from_root=np.array([frames[name]["T_camera_roll_link"] for name in names]),
+        joints=np.array([[frames[name]["joints"][joint] for joint in joint_names] for name in names]),
+        masks=np.stack([read_mask(folder / "masks" / f"{name}.png") for name in names]),
+    )
