@@ -1,0 +1,72 @@
+"""Writing made frames: as files of a session folder, and as plain numbers for JSON."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from made_frames import Truth
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.io.atomic import write_text
+
+
+def refuse_in_ci(script: str) -> None:
+    """Leave with exit code 2 where CI is set: what tests compare with must not be made by the run that compares."""
+    if os.environ.get("CI", "").lower() not in ("", "0", "false"):
+        print(
+            f"{script}: not run in CI: committed data must not change there (unset CI to make it anew)", file=sys.stderr
+        )
+        sys.exit(2)
+
+
+def rounded(array: NDArray[np.floating], digits: int = 9) -> Any:
+    """Nested lists of numbers, rounded."""
+    return (np.round(np.asarray(array, dtype=np.float64), digits) + 0.0).tolist()
+
+
+def rounded_joints(joints: Mapping[str, float], digits: int = 6) -> dict[str, float]:
+    """Joint values by name, rounded."""
+    return {name: round(float(value), digits) + 0.0 for name, value in joints.items()}
+
+
+def rounded_truth(truth: Truth, name_of_pose: str, name_of_tips: str) -> dict[str, Any]:
+    """Pose, joints and tips in the camera's frame as plain numbers."""
+    return {
+        name_of_pose: rounded(truth.camera_from_root),
+        "joints": rounded_joints({**truth.joints, **truth.outer}, digits=9),
+        name_of_tips: rounded(truth.tips),
+    }
+
+
+def write_camera_info(path: str | Path, camera: Camera, name: str) -> None:
+    """Write a ROS camera_info YAML file of an image that is not rectified."""
+    K = camera.matrix
+    document = {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(K),
+        "distortion_model": camera.model,
+        "distortion_coefficients": _matrix(np.array([camera.distortion or (0.0,) * 5])),
+        "rectification_matrix": _matrix(np.eye(3)),
+        "projection_matrix": _matrix(np.c_[K, np.zeros(3)]),
+    }
+    write_text(path, yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120))
+
+
+def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": values.ravel().tolist()}
+
+
+def write_joints(path: str | Path, readings: Mapping[str, Mapping[str, float]], columns: Sequence[str]) -> None:
+    """Write joints.csv: frame, then a column for each joint."""
+    lines = [",".join(["frame", *columns])]
+    lines += [",".join([frame, *(f"{reading[name]:.6f}" for name in columns)]) for frame, reading in readings.items()]
+    write_text(path, "\n".join(lines) + "\n")

@@ -1,0 +1,118 @@
+"""Images as an endoscope takes them: a dark shaft and a bright steel wrist before moist tissue, lit from the lens.
+
+They are for people to look at below an overlay; no figure is measured on them.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from made_frames import Truth
+from made_masks import signed_distance, smooth_noise
+from made_views import NOTHING, trace_links
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+
+# colours are BGR, 1 is white
+DARK_TISSUE: Final = np.array([0.10, 0.09, 0.34], np.float32)
+PALE_TISSUE: Final = np.array([0.30, 0.33, 0.68], np.float32)
+OCCLUDER_TISSUE: Final = np.array([0.33, 0.38, 0.74], np.float32)
+SHAFT: Final = np.array([0.105, 0.10, 0.10], np.float32)
+STEEL: Final = np.array([0.55, 0.54, 0.52], np.float32)
+SAMPLES: Final = 2  # rays a pixel along each side
+
+
+def draw_image(
+    camera: Camera,
+    truth: Truth,
+    rng: np.random.Generator,
+    *,
+    holes: Bool | None = None,
+    occluder: Bool | None = None,
+) -> NDArray[np.uint8]:
+    """Draw a frame, (H, W, 3) BGR; at ``holes`` the steel glares, an ``occluder`` lies before it (both (H, W))."""
+    shape = (camera.height, camera.width)
+    tissue = _tissue(shape, rng)
+    tool, alpha = _tool(camera, truth)
+    shadow = cv2.GaussianBlur(np.roll(alpha, (9, 5), (0, 1)), (0, 0), 9)
+    image = tissue * (1 - 0.55 * shadow[..., None])
+    image = image * (1 - alpha[..., None]) + tool
+    if holes is not None:
+        glare = cv2.GaussianBlur(holes.astype(np.float32), (0, 0), 1.6)[..., None]
+        image = image * (1 - glare) + glare
+    if occluder is not None:
+        image = _over(image, _lump(occluder, rng), occluder)
+    image *= _vignette(camera)[..., None]
+    image = cv2.GaussianBlur(image, (0, 0), 0.6) + 0.004 * rng.standard_normal(image.shape).astype(np.float32)
+    return np.asarray(np.clip(image * 255 + 0.5, 0, 255), dtype=np.uint8)
+
+
+def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
+    """Shaded instrument times its coverage, (H, W, 3), and the coverage, (H, W)."""
+    fine = camera.scaled(camera.width * SAMPLES, camera.height * SAMPLES)
+    view = trace_links(truth.instrument, fine, truth.camera_from_root, truth.values)
+    seen = (view.link != NOTHING).astype(np.float32)
+    facing = np.abs((view.normal * view.direction).sum(axis=2))  # the light is at the lens
+    steel = (view.link > 0) | (_along_shaft(truth, view.direction, view.depth) > _distal_end(truth))
+    albedo = np.where(steel[..., None], STEEL, SHAFT)
+    # polished steel mirrors a bright room above and a dark one below
+    mirrored = 0.5 - 0.5 * np.tanh(3 * view.normal[..., 1:2] + 0.6 * view.normal[..., :1])
+    diffuse = albedo * (0.25 + 0.75 * facing[..., None]) * np.where(steel[..., None], 0.55 + 0.75 * mirrored, 1.0)
+    gloss = np.where(steel, 0.75 * facing**24, 0.10 * facing**8)[..., None]
+    nearer = np.minimum(0.11 / np.maximum(view.depth, 0.04), 1.25)
+    colour = np.clip((diffuse + gloss) * nearer[..., None], 0, 1) * seen[..., None]
+    size = (camera.width, camera.height)
+    shaded = cv2.resize(colour.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    alpha = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(shaded, np.float32), np.asarray(alpha, np.float32)
+
+
+def _along_shaft(truth: Truth, direction: Float32, depth: Float32) -> Float32:
+    """Coordinate along the shaft of what each pixel sees, m, from the root's origin."""
+    points = direction / direction[..., 2:] * depth[..., None] - truth.camera_from_root[:3, 3]
+    return np.asarray(points @ truth.camera_from_root[:3, 2], np.float32)
+
+
+def _distal_end(truth: Truth) -> float:
+    """Where the dark shaft ends, m along it from the root's origin."""
+    shaft = truth.instrument.shaft
+    return -np.inf if shaft is None else shaft.distal_end
+
+
+def _tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
+    """Folds, grain and moist highlights, (H, W, 3)."""
+    folds = (
+        0.75 * smooth_noise(shape, rng, 260) + 0.35 * smooth_noise(shape, rng, 90) + 0.12 * smooth_noise(shape, rng, 24)
+    )
+    share = (0.5 + 0.5 * np.tanh(0.8 * folds))[..., None]
+    colour = (1 - share) * DARK_TISSUE + share * PALE_TISSUE
+    slope_v, slope_u = np.gradient(cv2.GaussianBlur(folds, (0, 0), 4))
+    light = 1 + 9.0 * (slope_u - slope_v)[..., None]
+    moist = np.clip(smooth_noise(shape, rng, 14) + 0.5 * folds - 2.7, 0, 1)[..., None]
+    return np.asarray(np.clip(0.62 * colour * np.clip(light, 0.6, 1.5) + 0.55 * moist, 0, 1), np.float32)
+
+
+def _lump(region: Bool, rng: np.random.Generator) -> Float32:
+    """Fill a region with rounded tissue, (H, W, 3)."""
+    height = np.sqrt(np.clip(signed_distance(region), 0, 40) / 40)
+    grain = 1 + 0.10 * smooth_noise(region.shape, rng, 12)
+    return np.asarray(OCCLUDER_TISSUE * (0.35 + 0.45 * height * grain)[..., None], np.float32)
+
+
+def _over(below: Float32, above: Float32, region: Bool) -> Float32:
+    """Lay one picture over another within a region, with a soft edge."""
+    alpha = cv2.GaussianBlur(region.astype(np.float32), (0, 0), 0.8)[..., None]
+    return np.asarray(below * (1 - alpha) + above * alpha, np.float32)
+
+
+def _vignette(camera: Camera) -> Float32:
+    """Fall of the light towards the corners, (H, W)."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    radius = np.hypot(u - camera.cx, v - camera.cy) / (0.5 * camera.width)
+    return np.asarray(1.12 - 0.42 * radius**2, np.float32)

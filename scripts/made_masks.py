@@ -1,0 +1,126 @@
+"""Masks as a segmenter makes them: the true outline, seen coarsely, wavering, with bits too many and bits missing.
+
+A network's mask is the zero crossing of a coarse map of logits. Here the logits are the signed distance from the true
+outline plus smooth noise, with lumps added to it and bites and glare taken out, averaged over coarse cells and
+enlarged again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Mistakes:
+    """How badly a mask is segmented; lengths in pixels.
+
+    Parameters
+    ----------
+    cell
+        Side of a logit's cell.
+    wave, wavelength
+        Rms wavering of the outline, and over what length it wavers.
+    lumps
+        How many lumps and bites the outline has, about as many of each.
+    holes
+        How many highlights are missing from the inside.
+    """
+
+    cell: int
+    wave: float
+    wavelength: float
+    lumps: int
+    holes: int
+
+
+SLIGHT: Final = Mistakes(cell=2, wave=0.6, wavelength=36.0, lumps=2, holes=1)
+MEDIUM: Final = Mistakes(cell=3, wave=1.0, wavelength=30.0, lumps=6, holes=2)
+
+
+@dataclass(frozen=True, eq=False)
+class Segmented:
+    """A segmenter's mask, and the highlights that it lost, all (H, W)."""
+
+    mask: Bool
+    holes: Bool
+
+
+def segmented(exact: Bool, rng: np.random.Generator, mistakes: Mistakes, occluder: Bool | None = None) -> Segmented:
+    """Segment a frame whose true mask is known, (H, W); what an occluder covers is not seen."""
+    shape = exact.shape
+    visible = exact if occluder is None else exact & ~occluder
+    logits = signed_distance(visible)
+    logits += mistakes.wave * smooth_noise(shape, rng, mistakes.wavelength)
+    v, u = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    outline = _inner(np.argwhere(visible & (np.abs(logits) < 1.5)), shape)
+    for k, (row, column) in enumerate(rng.permutation(outline)[: mistakes.lumps]):
+        lump = rng.uniform(1.8, 4.2) - np.hypot(u - column, v - row)
+        logits = np.maximum(logits, lump) if k % 2 else np.minimum(logits, -lump)
+    holes = np.zeros(shape, dtype=np.bool_)
+    inside = _inner(np.argwhere(signed_distance(visible) > 8), shape)
+    for row, column in rng.permutation(inside)[: mistakes.holes]:
+        hole = _glare(u - column, v - row, rng)
+        logits = np.minimum(logits, -hole)
+        holes |= hole > 0
+    return Segmented(_through_coarse_cells(logits, mistakes.cell) > 0, holes)
+
+
+def _inner(places: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Those of the places (N, 2) (row, column) that are well inside the image."""
+    return places[np.all((places > 6) & (places < np.array(shape) - 7), axis=1)]
+
+
+def _glare(u: Float32, v: Float32, rng: np.random.Generator) -> Float32:
+    """Signed distance, roughly, of a small ellipse about the origin."""
+    turn, long, short = rng.uniform(0, np.pi), rng.uniform(3.5, 6.5), rng.uniform(2.2, 3.2)
+    along, across = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
+    return np.asarray((1 - np.hypot(along / long, across / short)) * short, dtype=np.float32)
+
+
+def _through_coarse_cells(logits: Float32, cell: int, limit: float = 8.0) -> Float32:
+    """Average over square cells and enlarge again; what is far from the outline is cut to the limit first."""
+    height, width = logits.shape
+    coarse = cv2.resize(
+        np.clip(logits, -limit, limit),
+        (-(-width // cell), -(-height // cell)),
+        interpolation=cv2.INTER_AREA,
+    )
+    return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+
+
+def signed_distance(mask: Bool) -> Float32:
+    """Distance from the outline in pixels, positive inside the mask, (H, W)."""
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(np.where(mask, inside - 0.5, 0.5 - outside), dtype=np.float32)
+
+
+def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator, wavelength: float) -> Float32:
+    """Noise (H, W) of unit variance that varies over about a wavelength, px."""
+    # a blurred white noise on a grid just fine enough for the wavelength
+    step = max(1.0, wavelength / 8)
+    small = (int(shape[0] / step) + 8, int(shape[1] / step) + 8)
+    noise = cv2.GaussianBlur(rng.standard_normal(small).astype(np.float32), (0, 0), wavelength / 4 / step)
+    noise -= noise.mean()
+    large = cv2.resize(noise / noise.std(), None, fx=step, fy=step, interpolation=cv2.INTER_CUBIC)
+    return np.asarray(large[: shape[0], : shape[1]], dtype=np.float32)
+
+
+def lump_of_tissue(
+    shape: tuple[int, ...], rng: np.random.Generator, centre: NDArray[np.floating], radius: float
+) -> Bool:
+    """Make a rounded, uneven region (H, W) about a pixel (u, v): something that lies before the instrument."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    angle, distance = np.arctan2(v - centre[1], u - centre[0]), np.hypot(u - centre[0], v - centre[1])
+    reach = np.ones(shape)
+    for k in (2, 3, 4, 5):
+        reach += rng.uniform(0.01, 0.06) * np.cos(k * angle + rng.uniform(0, 2 * np.pi))
+    return np.asarray(distance < radius * reach)

@@ -1,0 +1,67 @@
+"""What each pixel sees of an instrument: which link, how far away, and how its surface is turned.
+
+One ray a pixel, with nothing clever: pictures are few, and silhouettes are the renderer's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.silhouette import NEAR
+
+NOTHING = -1
+"""Link of a pixel that sees none."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What the pixels (H, W) see; depth and normal are zero where that is nothing."""
+
+    link: NDArray[np.int32]
+    """Index of the link, or ``NOTHING``."""
+    depth: NDArray[np.float32]
+    """z in the camera's frame, m."""
+    normal: NDArray[np.float32]
+    """Outward unit normal in the camera's frame, (H, W, 3)."""
+    direction: NDArray[np.float32]
+    """Unit vector from the eye, (H, W, 3)."""
+
+
+def trace_links(
+    instrument: Instrument, camera: Camera, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
+) -> View:
+    """Trace a ray through every pixel's centre of a pose (4, 4) with joints (J,)."""
+    poses = camera_from_root @ instrument.forward(joints)
+    triangles, owner = [], []
+    for k, (link, pose) in enumerate(zip(instrument.links, poses, strict=True)):
+        corners = link.vertices @ pose[:3, :3].T + pose[:3, 3]
+        triangles.append(corners[link.faces])
+        owner.append(np.full(len(link.faces), k, dtype=np.int32))
+    corners = np.concatenate(triangles)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+
+    v, u = np.mgrid[: camera.height, : camera.width]
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
+    rays = np.c_[camera.normalise(pixels), np.ones(len(pixels))].astype(np.float32)
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
+    found = scene.run(np.ascontiguousarray(NEAR * rays), rays, output=True)
+
+    face = found["primID"]
+    seen = face != NOTHING
+    shape = (camera.height, camera.width)
+    link_of = np.where(seen, np.concatenate(owner)[face], NOTHING).astype(np.int32)
+    return View(
+        link=link_of.reshape(shape),
+        depth=np.where(seen, found["tfar"] + NEAR, 0.0).astype(np.float32).reshape(shape),
+        normal=np.where(seen[:, None], normals[face], 0.0).astype(np.float32).reshape(*shape, 3),
+        direction=(rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*shape, 3),
+    )

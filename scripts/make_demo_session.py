@@ -1,0 +1,76 @@
+"""Make the demo session data/demo: an arm that moves the bundled needle driver, five frames with known truth.
+
+    python scripts/make_demo_session.py
+
+Masks have a segmenter's mistakes and readings are wrong by several degrees, as they would be on a robot. The same seed
+gives the same session. Not run in CI.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from made_files import refuse_in_ci, rounded, rounded_truth, write_camera_info, write_joints
+from made_frames import WRIST_JOINTS, exact_mask, random_session, session_readings, tissue_before_a_jaw
+from made_images import draw_image
+from made_masks import MEDIUM, segmented
+
+from dvrk_cmaes.arm import OUTER_JOINTS
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.silhouette import Body
+
+OUT: Final = Path(__file__).resolve().parents[1] / "data" / "demo"
+CAMERA: Final = Camera(640, 480, fx=1042.6, fy=1042.6, cx=326.3, cy=235.1)
+FRAMES: Final = 5
+OCCLUDED: Final = (2,)  # frames in which tissue lies before a jaw
+SEED: Final = 8
+
+README: Final = """\
+# Demo session
+
+Five frames of the bundled needle driver (`lnd`) on an arm that moves about its remote centre of motion. No patient,
+no robot: everything is drawn, and the truth is known.
+
+- `camera.yaml`: intrinsics, ROS camera_info. `joints.csv`: readings, wrong by several degrees (wrist and roll).
+- `masks/`: as a segmenter makes them: coarse, wavering, highlights missing; in frame 0002 tissue lies before a jaw.
+- `images/`: to look at below an overlay.
+- `golden.json`: the truth: pose of the root link in the camera, joints, jaw tips, and `camera_from_base`.
+
+Made by `python scripts/make_demo_session.py`; change that, not these files. Licence: MIT, as the project.
+"""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write")
+    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the random numbers")
+    arguments = parser.parse_args()
+    refuse_in_ci("make_demo_session.py")
+    out: Path = arguments.out
+    rng = np.random.default_rng(arguments.seed)
+    body = Body.prepare(load_instrument("lnd"))
+    camera_from_base, truths = random_session(body, CAMERA, rng, FRAMES)
+    readings = session_readings(truths, rng)
+    names = [f"{k:04d}" for k in range(FRAMES)]
+    for k, (name, truth) in enumerate(zip(names, truths, strict=True)):
+        occluder = tissue_before_a_jaw(CAMERA, truth, rng) if k in OCCLUDED else None
+        made = segmented(exact_mask(body, CAMERA, truth), rng, MEDIUM, occluder)
+        write_image(out / "masks" / f"{name}.png", made.mask)
+        image = draw_image(CAMERA, truth, rng, holes=made.holes, occluder=occluder)
+        write_image(out / "images" / f"{name}.jpg", image)
+    write_camera_info(out / "camera.yaml", CAMERA, "demo")
+    write_joints(out / "joints.csv", dict(zip(names, readings, strict=True)), (*OUTER_JOINTS, *WRIST_JOINTS))
+    frames = {n: rounded_truth(t, "T_camera_roll_link", "tips_camera_m") for n, t in zip(names, truths, strict=True)}
+    write_json(out / "golden.json", {"camera_from_base": rounded(camera_from_base), "frames": frames})
+    write_text(out / "README.md", README)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
