@@ -7,7 +7,7 @@ image covers [-0.5, width - 0.5] x [-0.5, height - 0.5]. The ray of a pixel is `
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -119,6 +119,10 @@ class Camera:
             self.distortion,
             self.model,
         )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """Return the camera of a window of the image whose first pixel is (left, top), sizes in pixels."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def distort(self, xy: ArrayLike) -> NDArray[Any]:
         """Map undistorted to distorted normalised coordinates, (..., 2) to (..., 2); float32 stays float32.

@@ -7,6 +7,7 @@ between these. Poses go down eight at a time, so that one 64-bit word holds a fa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,8 @@ from dvrk_cmaes.silhouette.topology import MeshTopology
 LANES = 8
 """Poses handled together."""
 
-_STRAIGHT = 6.0  # pixels; a lens bends a shorter segment by about a thousandth of a pixel
-_INSIDE = 2e-3  # m; an eye this near to a link's box may be inside the link
+_BEND = 0.0005  # pixels by which a lens may bend a segment that is drawn straight
+_ROUNDING = 1e-4  # m, added to the distance at which the near plane may cut a link in view
 
 Float32 = NDArray[np.float32]
 
@@ -51,23 +52,48 @@ class Crossings:
     """Pixel column coordinate."""
     change: NDArray[np.int8]
     """By how much the layer count changes from left to right."""
-    cut: NDArray[np.bool_]
-    """(C,) whether the near plane cuts a link of the pose."""
+    link: NDArray[np.intp] | None
+    """Link of each crossing; None where the near plane cuts nothing, so that no one asks."""
     inside: NDArray[np.bool_]
     """(C,) whether the eye may be inside a link of the pose."""
 
     def select(self, keep: NDArray[np.bool_]) -> Crossings:
         """Keep some of the crossings."""
-        return Crossings(self.pose[keep], self.line[keep], self.u[keep], self.change[keep], self.cut, self.inside)
+        link = None if self.link is None else self.link[keep]
+        return Crossings(self.pose[keep], self.line[keep], self.u[keep], self.change[keep], link, self.inside)
 
     def unsettled_lines(self, poses: int, lines: int) -> NDArray[np.bool_] | None:
         """(C, lines) where the layer count cannot be trusted; None where it can everywhere."""
-        if not (self.cut.any() or self.inside.any()):
-            return None
-        total = np.bincount(self.pose * lines + self.line, weights=self.change, minlength=poses * lines)
-        unsettled = total.reshape(poses, lines) != 0
-        unsettled |= self.inside[:, None]
+        unsettled = np.repeat(self.inside[:, None], lines, axis=1)
+        if self.link is not None:
+            # Link by link: what is missing of one can be what another has too much of.
+            links = int(self.link.max(initial=0)) + 1
+            place = (self.pose * links + self.link) * lines + self.line
+            total = np.bincount(place, weights=self.change, minlength=poses * links * lines)
+            unsettled |= (total.reshape(poses, links, lines) != 0).any(axis=1)
         return unsettled if unsettled.any() else None
+
+
+@lru_cache(maxsize=64)
+def _in_view(camera: Camera) -> float:
+    """Distance from the eye, m, within which the near plane can be in view, and rounding."""
+    u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9))
+    widest = np.linalg.norm(camera.normalise(np.stack([u, v], axis=-1)), axis=-1).max()
+    return float(NEAR * np.hypot(1, widest) + _ROUNDING)
+
+
+@lru_cache(maxsize=64)
+def _straight_length(camera: Camera) -> float:
+    """Length in pixels up to which the lens bends a segment by less than ``_BEND`` wherever it is in the image."""
+    u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, 17), np.linspace(-0.5, camera.height - 0.5, 17))
+    middle = camera.normalise(np.stack([u, v], axis=-1))
+    focal = np.array([camera.fx, camera.fy])
+    turn = np.arange(8)[:, None, None, None] * np.pi / 8
+    half = 2.0 * np.concatenate([np.cos(turn), np.sin(turn)], axis=-1) / focal
+    start, end = camera.distort(middle - half) * focal, camera.distort(middle + half) * focal
+    way, off = end - start, camera.distort(middle) * focal - (start + end) / 2
+    bend = np.abs(way[..., 0] * off[..., 1] - way[..., 1] * off[..., 0]) / np.linalg.norm(way, axis=-1)
+    return float(4.0 * np.sqrt(_BEND / max(bend.max(), 1e-9)))
 
 
 def _outline_edges(topology: MeshTopology, eye: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -185,7 +211,8 @@ def _bend(projection: _Projection, points: _Points, segments: _Segments) -> tupl
     assert points.xy is not None
     start, end = points.xy[segments.start].astype(np.float64), points.xy[segments.end].astype(np.float64)
     focal = np.array([projection.camera.fx, projection.camera.fy])
-    long = np.flatnonzero((np.abs(end - start) * focal).max(axis=1) > _STRAIGHT)
+    straight = _straight_length(projection.camera)
+    long = np.flatnonzero(np.linalg.norm((end - start) * focal, axis=1) > straight)
     start, end = start[long], end[long]
     # The part of each within the square around the circle where the lens model is used as written.
     reach = projection.camera.lens_radius
@@ -194,7 +221,7 @@ def _bend(projection: _Projection, points: _Points, segments: _Segments) -> tupl
     t = np.sort(np.stack([(-reach - start) / safe, (reach - start) / safe]), axis=0)
     enter, leave = np.clip(t[0].max(axis=1), 0, 1), np.clip(t[1].min(axis=1), 0, 1)
     leave = np.maximum(leave, enter)
-    pieces = np.ceil(np.abs(way * focal).max(axis=1) * (leave - enter) / _STRAIGHT).astype(np.int64)
+    pieces = np.ceil(np.linalg.norm(way * focal, axis=1) * (leave - enter) / straight).astype(np.int64)
     # Inner corners of segment i: at enter, the divisions, at leave; pieces + 1 of them.
     corners = pieces + 1
     owner = np.repeat(np.arange(len(long)), corners)
@@ -226,7 +253,8 @@ def find_crossings(
     poses = len(camera_from_link)
     eye = -np.einsum("clji,clj->cli", camera_from_link[..., :3, :3], camera_from_link[..., :3, 3])
     looks, outline = _outline_edges(topology, eye)
-    inside = ((eye > topology.boxes[:, 0] - _INSIDE) & (eye < topology.boxes[:, 1] + _INSIDE)).all(axis=2).any(axis=1)
+    margin = _in_view(camera)
+    inside = ((eye > topology.boxes[:, 0] - margin) & (eye < topology.boxes[:, 1] + margin)).all(axis=2).any(axis=1)
 
     projection = _Projection(camera, grid)
     homogeneous, cut = _project(topology, projection, camera_from_link)
@@ -267,6 +295,6 @@ def find_crossings(
         line=first[segment] + step,
         u=(u_first[segment] + step * slope[segment]).astype(np.float32),
         change=change[segment],
-        cut=np.asarray(cut.any(axis=1)),
+        link=(np.searchsorted(topology.edge_start, segments.edge, side="right") - 1)[segment] if cut.any() else None,
         inside=inside,
     )

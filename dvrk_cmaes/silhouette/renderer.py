@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 from typing import TypeVar
 
 import numpy as np
@@ -63,7 +64,7 @@ class PixelSums:
 
 
 class Renderer:
-    """Silhouettes of one instrument in one camera."""
+    """Silhouettes of one instrument in one camera; safe to use from several threads."""
 
     def __init__(self, body: Body, camera: Camera, *, threads: int = 2) -> None:
         self.body = body
@@ -73,6 +74,7 @@ class Renderer:
         """Rays traced so far."""
         self.poses = 0
         """Poses rendered so far."""
+        self._counting = Lock()
 
     def at(self, width: int, height: int) -> Renderer:
         """Return a renderer of the same body in the same camera at another image size."""
@@ -91,7 +93,7 @@ class Renderer:
     ) -> list[T]:
         """Apply ``use`` to the spans of each group of poses and its size, in threads."""
         links = self.body.camera_from_links(camera_from_root, joints)
-        groups = [links[i : i + LANES] for i in range(0, len(links), LANES)]
+        groups = [links[i : i + LANES] for i in range(0, max(len(links), 1), LANES)]
 
         def work(group: NDArray[np.float64]) -> tuple[T, int]:
             ends = renderer.ends(group)
@@ -102,8 +104,9 @@ class Renderer:
         else:
             with ThreadPoolExecutor(self.threads) as pool:
                 done = list(pool.map(work, groups))
-        self.poses += len(links)
-        self.rays += sum(rays for _, rays in done)
+        with self._counting:
+            self.poses += len(links)
+            self.rays += sum(rays for _, rays in done)
         return [result for result, _ in done]
 
     def sums(
@@ -179,8 +182,10 @@ class Renderer:
         directions = np.c_[self.camera.normalise(pixels), np.ones(len(pixels))]
         links = self.body.camera_from_links(camera_from_root, joints)
         pose = np.zeros(len(pixels), dtype=np.intp)
-        found = [self.body.scenes.covered(one[None], pose, directions).reshape(height, width) for one in links]
-        return np.stack(found)
+        found = np.empty((len(links), height, width), dtype=np.bool_)
+        for one, image in zip(links, found, strict=True):
+            image[:] = self.body.scenes.covered(one[None], pose, directions).reshape(height, width)
+        return found
 
 
 __all__ = ["NEAR", "Body", "PixelSums", "Renderer"]

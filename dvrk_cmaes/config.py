@@ -1,0 +1,87 @@
+"""All settings of an estimate, one tree of frozen dataclasses; the resolved tree is written into every result."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from dvrk_cmaes.hypotheses import LookAtRange
+from dvrk_cmaes.losses import LossWeights
+from dvrk_cmaes.refine.outline import OutlineConfig
+
+
+@dataclass(frozen=True)
+class ReadingSpread:
+    """Standard deviations of joint readings, in degrees: how far a cable-driven joint may be off."""
+
+    wrist_pitch_deg: float = 10.0
+    wrist_yaw_deg: float = 10.0
+    jaw_deg: float = 15.0
+    other_deg: float = 10.0
+
+    def of(self, joint: str) -> float:
+        """Return the standard deviation of one joint's reading, in degrees."""
+        return float(getattr(self, f"{joint}_deg", self.other_deg))
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """The global search.
+
+    ``samples`` LookAt candidates are scored on images ``width_px`` wide; the ``starts`` best that differ are each
+    searched by ``method`` with ``evaluations`` of the loss. Of the candidates, ``free_share`` ignore the shaft's edges.
+    """
+
+    method: str = "cmaes"
+    samples: int = 512
+    starts: int = 6
+    evaluations: int = 160
+    width_px: int = 160
+    use_edges: bool = True
+    free_share: float = 0.15
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """The local refinement: ``method`` and, for all but Gauss-Newton, its ``evaluations`` of the loss.
+
+    ``half_size_modes`` modes are refined at half the image size and ``modes`` of these at full size.
+    """
+
+    method: str = "gauss-newton"
+    evaluations: int = 400
+    half_size_modes: int = 3
+    modes: int = 2
+    outline: OutlineConfig = field(default_factory=OutlineConfig)
+
+
+@dataclass(frozen=True)
+class TrustConfig:
+    """Thresholds beyond which a result is doubtful."""
+
+    least_iou: float = 0.85
+    largest_contour_px: float = 4.0
+    least_score_gap: float = 3.0
+    largest_reading_sigmas: float = 3.0
+    unobservable_share: float = 0.9
+
+
+@dataclass(frozen=True)
+class EstimateConfig:
+    """Settings of `estimate`; ``field`` is the distance field's method, ``decay`` (px) its length."""
+
+    search: SearchConfig = field(default_factory=SearchConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    weights: LossWeights = field(default_factory=LossWeights)
+    readings: ReadingSpread = field(default_factory=ReadingSpread)
+    lookat: LookAtRange = field(default_factory=LookAtRange)
+    trust: TrustConfig = field(default_factory=TrustConfig)
+    distance_field: str = "fmm"
+    decay_px: float = 30.0
+    threads: int = 2
+    seed: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the whole tree as plain dictionaries."""
+        return dataclasses.asdict(self)

@@ -1,0 +1,190 @@
+"""The one function that wires the stages: from a mask, a camera and joint readings to a pose with its trust."""
+
+from __future__ import annotations
+
+import threading
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dvrk_cmaes import __version__
+from dvrk_cmaes.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.evidence import gather_evidence
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.global_search import find_candidates
+from dvrk_cmaes.instrument import Instrument, load_instrument
+from dvrk_cmaes.local_search import LocalSearch, is_twin
+from dvrk_cmaes.objective import Objective, Readings
+from dvrk_cmaes.quality import judge, measure_quality
+from dvrk_cmaes.result import Alternative, Result
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+_bodies: weakref.WeakKeyDictionary[Instrument, Body] = weakref.WeakKeyDictionary()
+_named: dict[str, Instrument] = {}
+_lock = threading.Lock()
+
+
+def prepare(instrument: Instrument | str) -> Body:
+    """Prepare an instrument, or a bundled one or a URDF by its name, for rendering; done once for each."""
+    with _lock:
+        if isinstance(instrument, str):
+            if instrument not in _named:
+                _named[instrument] = load_instrument(instrument)
+            instrument = _named[instrument]
+        if instrument not in _bodies:
+            _bodies[instrument] = Body.prepare(instrument)
+        return _bodies[instrument]
+
+
+def _split_readings(
+    instrument: Instrument, joints: Mapping[str, float], config: EstimateConfig
+) -> tuple[Readings, list[str], list[str]]:
+    """Sort readings: those of the joints that are sought, what is unknown, warnings about values outside limits."""
+    known = (*instrument.joint_names, *OUTER_JOINTS)
+    for name, value in joints.items():
+        if name not in known and name not in ("jaw",):
+            raise InputError(
+                f"joints: unknown joint {name!r}; expected one of: {', '.join(nearest_first(name, known))}"
+            )
+        if not np.isfinite(value):
+            raise InputError(f"joints: {name}: expected a finite number, got {value}")
+    values = np.array([joints.get(name, np.nan) for name in instrument.joint_names], dtype=np.float64)
+    spread = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])
+    unused = [f"reading of {n}: not given" for n, v in zip(instrument.joint_names, values, strict=True) if np.isnan(v)]
+    warnings = [
+        f"reading of {name}: {np.degrees(value):.1f} deg is outside its limits, "
+        f"{np.degrees(low):.1f} to {np.degrees(high):.1f} deg"
+        for name, value, (low, high) in zip(instrument.joint_names, values, instrument.limits, strict=True)
+        if value < low - 1e-6 or value > high + 1e-6
+    ]
+    return Readings(values, spread), unused, warnings
+
+
+def _reading_distance(readings: Readings, joints: Float64) -> float | None:
+    """Root mean square distance of joints from those read, degrees."""
+    known = ~np.isnan(readings.values)
+    if not known.any():
+        return None
+    return float(np.degrees(np.sqrt(np.mean((joints - readings.values)[known] ** 2))))
+
+
+def estimate(
+    mask: NDArray[np.bool_],
+    camera: Camera,
+    joints: Mapping[str, float] | None = None,
+    instrument: Instrument | Body | str = "lnd",
+    *,
+    ignore: NDArray[np.bool_] | None = None,
+    keypoints: ArrayLike | None = None,
+    arm: Arm = "classic",
+    frame: str = "",
+    config: EstimateConfig | None = None,
+    warnings: Sequence[str] = (),
+) -> Result:
+    """Estimate the pose of the instrument in the camera and its true joint values from one mask.
+
+    Safe to call from several threads; touches no files but those of an instrument given by name.
+
+    Parameters
+    ----------
+    mask
+        (H, W) bool, True on the instrument, of the camera's size.
+    camera
+        Intrinsics and distortion.
+    joints
+        Readings by name, rad (insertion in m): evidence with a spread, not the truth. Any may be missing. The outer
+        arm's yaw, pitch, insertion and roll, if all are given, yield ``camera_from_base``.
+    instrument
+        A bundled instrument's name, a URDF's path, a loaded `Instrument`, or a prepared `Body`.
+    ignore
+        (H, W) bool, pixels that count neither way.
+    keypoints
+        (2, 2) px, the jaw tips in either order.
+    arm
+        ``classic`` or ``si``: the kinematics of the outer arm.
+    frame, warnings
+        Written into the result.
+    config
+        All settings; the defaults suit a 640 x 480 endoscope.
+
+    Returns
+    -------
+    Result
+        Pose, joints, quality, covariance, alternatives; ``doubtful`` with reasons where the evidence does not suffice.
+
+    Raises
+    ------
+    InputError
+        Wrong sizes, an empty or full mask, an unknown joint, arm, search or refinement, values that are not finite.
+    """
+    settings = EstimateConfig() if config is None else config
+    body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    started = time.perf_counter()
+    model = body.instrument
+    given = dict(joints or {})
+    readings, unused, outside = _split_readings(model, given, settings)
+    outer = [given.get(name) for name in OUTER_JOINTS]
+    tips = None if keypoints is None else np.asarray(keypoints, dtype=np.float64).reshape(2, 2)
+    mask = np.asarray(mask, dtype=np.bool_)
+    ignored = None if ignore is None else np.asarray(ignore, dtype=np.bool_)
+    evidence = gather_evidence(mask, camera, model, ignore=ignored, keypoints=tips, seed=settings.seed)
+
+    renderer = Renderer(body, camera, threads=settings.threads)
+    candidates, search = find_candidates(renderer, evidence, readings, settings)
+    local = LocalSearch(renderer, evidence, readings, settings)
+    modes = local.refine(candidates)
+    best = modes[0]
+
+    objective = Objective(
+        renderer, evidence, readings, settings.weights, decay=settings.decay_px, field=settings.distance_field
+    )
+    qualities = [measure_quality(objective, mode) for mode in modes]
+    reasons = judge(best, modes, qualities[0], evidence, readings, model, settings.trust)
+    covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
+    names = model.joint_names
+
+    def alternative(i: int) -> Alternative:
+        mode = modes[i]
+        return Alternative(
+            camera_from_root=mode.camera_from_root,
+            joints=dict(zip(names, mode.joints.tolist(), strict=True)),
+            loss=qualities[i].loss,
+            iou=qualities[i].iou,
+            relation="mirror twin" if model.has_twin and is_twin(model, best, mode) else "other mode",
+            reading_distance_deg=_reading_distance(readings, mode.joints),
+        )
+
+    base = None
+    if all(value is not None for value in outer):
+        reached = base_from_root(np.array(outer, dtype=np.float64), arm=arm)
+        base = np.asarray(best.camera_from_root @ inverse(reached))
+    return Result(
+        frame=frame,
+        status="doubtful" if reasons else "ok",
+        reasons=tuple(reasons),
+        instrument=model.name,
+        root_link=model.root_link,
+        camera_from_root=best.camera_from_root,
+        joints=dict(zip(names, best.joints.tolist(), strict=True)),
+        readings=given,
+        warnings=(*warnings, *outside),
+        unused=(*evidence.unused, *unused),
+        camera_from_base=base,
+        quality=qualities[0],
+        covariance=covariance,
+        alternatives=tuple(alternative(i) for i in range(1, len(modes))),
+        seconds=time.perf_counter() - started,
+        evaluations=search.evaluations + local.silhouettes + objective.evaluations,
+        rays=search.renderer.rays + local.rays + renderer.rays,
+        seed=settings.seed,
+        version=__version__,
+        config=settings.as_dict(),
+    )

@@ -1,0 +1,96 @@
+"""What one frame says about the pose: the mask and what can be found on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges
+from dvrk_cmaes.tips import find_tips
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything that one frame says.
+
+    mask : (H, W) bool, the instrument.
+    weight : (H, W) float32, 0 where a pixel counts neither way, 1 elsewhere.
+    contour : the mask's outline between pixels.
+    shaft_edges : pairs of lines that may be the shaft's two edges, the likeliest first; none where not found.
+    tips : (2, 2) px, the jaw tips in either order, None where they were neither given nor found.
+    tips_given : whether the tips are the user's.
+    unused : what was left out and why, in words.
+    """
+
+    camera: Camera
+    mask: NDArray[np.bool_]
+    weight: NDArray[np.float32]
+    contour: Contour
+    shaft_edges: tuple[ShaftEdges, ...]
+    tips: Float64 | None
+    tips_given: bool
+    unused: tuple[str, ...] = field(default=())
+
+
+def gather_evidence(
+    mask: NDArray[np.bool_],
+    camera: Camera,
+    instrument: Instrument,
+    *,
+    ignore: NDArray[np.bool_] | None = None,
+    keypoints: Float64 | None = None,
+    seed: int = 0,
+) -> Evidence:
+    """Collect the evidence of one frame.
+
+    ``mask`` and ``ignore`` are (H, W) of the camera's size; ``keypoints`` (2, 2) are jaw tips in pixels, in either
+    order. Raises `InputError` where the mask is of another size, empty or full.
+    """
+    if mask.shape != (camera.height, camera.width):
+        raise InputError(
+            f"mask: expected {camera.width} x {camera.height} pixels as the camera has, got "
+            f"{mask.shape[1]} x {mask.shape[0]}"
+        )
+    counted = mask if ignore is None else mask & ~ignore
+    if not counted.any():
+        raise InputError("mask: expected some instrument, got no pixel that counts")
+    if counted.all():
+        raise InputError("mask: expected some background, got instrument everywhere")
+    weight = np.ones(mask.shape, dtype=np.float32)
+    if ignore is not None:
+        weight[ignore] = 0.0
+    contour = find_contour(mask, camera, ignore)
+    unused: list[str] = []
+    edges: tuple[ShaftEdges, ...] = ()
+    if instrument.shaft is None:
+        unused.append("shaft edges: the instrument has no straight shaft below its root link")
+    else:
+        found = find_shaft_edges(mask, contour, camera, instrument.shaft.radius, seed=seed)
+        if isinstance(found, str):
+            unused.append(f"shaft edges: {found}")
+        else:
+            edges = found
+    tips = keypoints
+    if not instrument.jaw_tips:
+        tips = None
+        unused.append("jaw tips: the instrument has no pair of jaws")
+    elif keypoints is None:
+        located = find_tips(mask, contour, edges[0] if edges else None, camera, ignore)
+        if isinstance(located, str):
+            unused.append(f"jaw tips: {located}")
+        else:
+            tips = located
+    return Evidence(camera, mask, weight, contour, edges, tips, keypoints is not None, tuple(unused))
+
+
+def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """Average an image (H, W) down to another size."""
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)

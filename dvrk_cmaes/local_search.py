@@ -1,0 +1,108 @@
+"""From the global search's candidates to a few refined modes, coarse to fine, the mirror twin among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence import Evidence
+from dvrk_cmaes.geometry import moved, rotation_angle
+from dvrk_cmaes.global_search import Candidate, image_size, scale_of_change
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.modes import HasPose, best_of_each
+from dvrk_cmaes.objective import Objective, Readings
+from dvrk_cmaes.refine.direct import refine_direct
+from dvrk_cmaes.refine.outline import OutlineFit, OutlineRefiner
+from dvrk_cmaes.silhouette import Renderer
+
+Float64 = NDArray[np.float64]
+
+_TWIN_ANGLE = np.deg2rad(40)
+
+
+def is_twin(instrument: Instrument, a: HasPose, b: HasPose) -> bool:
+    """Whether two modes are each other's mirror twins."""
+    pose, _ = instrument.twin(a.camera_from_root, a.joints)
+    return bool(rotation_angle(pose, b.camera_from_root) < _TWIN_ANGLE)
+
+
+class LocalSearch:
+    """Refines modes of one frame and counts what that costs."""
+
+    def __init__(self, renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig) -> None:
+        self._renderer = renderer
+        self._evidence = evidence
+        self._readings = readings
+        self._config = config
+        self.silhouettes = 0
+        self.rays = 0
+
+    def _refiner(self, shrink: int) -> OutlineRefiner:
+        return OutlineRefiner(
+            self._renderer, self._evidence, self._readings, self._config.refine.outline, shrink=shrink
+        )
+
+    def _refine(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+        before = refiner.silhouettes, refiner.rays
+        fits = [refiner.refine(mode.camera_from_root, mode.joints) for mode in modes]
+        self.silhouettes += refiner.silhouettes - before[0]
+        self.rays += refiner.rays - before[1]
+        return fits
+
+    def _twin(self, mode: HasPose) -> Candidate:
+        return Candidate(*self._renderer.body.instrument.twin(mode.camera_from_root, mode.joints), mode.score)
+
+    def refine(self, candidates: Sequence[Candidate]) -> list[OutlineFit]:
+        """Refine candidates through growing image sizes; the modes that are left, the best first.
+
+        The best mode's mirror twin, where the instrument has one, is among them.
+        """
+        config, instrument = self._config, self._renderer.body.instrument
+        full_width = self._evidence.camera.width
+        coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
+        modes = self._refine(coarse, candidates)
+        if instrument.has_twin:
+            modes += self._refine(coarse, [self._twin(min(modes, key=lambda m: m.score))])
+        modes = best_of_each(modes, most=config.refine.half_size_modes)
+        if full_width >= 320:
+            modes = self._refine(self._refiner(2), modes)
+            modes = best_of_each(modes)
+        finest = self._refiner(1)
+        final = self._finest(finest, modes[: config.refine.modes])
+        final.sort(key=lambda m: m.score)
+        best = final[0]
+        if instrument.has_twin and not any(is_twin(instrument, best, other) for other in final[1:]):
+            final += self._finest(finest, [self._twin(best)])
+        return best_of_each(final)
+
+    def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+        """Refine at full size by the chosen method."""
+        config = self._config
+        if config.refine.method == "gauss-newton":
+            return self._refine(refiner, modes)
+        objective = Objective(
+            self._renderer,
+            self._evidence,
+            self._readings,
+            config.weights,
+            decay=config.decay_px,
+            field=config.distance_field,
+        )
+        scale = 0.3 * scale_of_change(self._readings)
+        fits = []
+        for mode in modes:
+
+            def loss(change: Float64, mode: HasPose = mode) -> Float64:
+                step = change * scale
+                return objective(moved(mode.camera_from_root, step[:, :6]), mode.joints + step[:, 6:])
+
+            change, _, count = refine_direct(
+                config.refine.method, loss, len(scale), config.refine.evaluations, config.seed
+            )
+            step = change * scale
+            fits.append(refiner.assess(moved(mode.camera_from_root, step[:6]), mode.joints + step[6:]))
+            self.silhouettes += count
+        return fits

@@ -1,0 +1,242 @@
+"""Local refinement on the whole outline, below a pixel: damped Gauss-Newton with central differences.
+
+The residuals are the differences of antialiased coverage and mask, both slightly blurred, so that they answer smoothly
+to a step of a fraction of a pixel. Large ones count little (Cauchy), so that a wrong stretch of outline does not drag
+the pose. Readings, and jaw tips that a user has given, are further residuals with their own spread.
+
+What a residual of coverage is worth against a reading follows from the outline itself: shifting a stretch of outline
+of length s by e changes the sum of squares of an edge blurred with sigma by s e^2 / (2 sqrt(pi) sigma), so the sum of
+squares left over says how far the outline is off, and ``correlation`` px of outline make one independent measurement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence import Evidence, shrunk
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.objective import Readings
+from dvrk_cmaes.silhouette import Renderer
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OutlineConfig:
+    """How the outline is fitted.
+
+    ``blur`` px of the level's image; ``cauchy`` is the coverage difference beyond which a residual counts less;
+    ``correlation`` px of outline make one measurement; ``noise_floor`` px, the least error an outline is given;
+    ``keypoint_sigma`` px of given tips. ``steps`` are those of the differences: along the root's axes, m, about them,
+    rad, and of the joints, rad.
+    """
+
+    iterations: int = 12
+    blur: float = 1.2
+    lines_per_pixel: int = 2
+    cauchy: float = 0.25
+    correlation: float = 8.0
+    noise_floor: float = 0.3
+    keypoint_sigma: float = 2.0
+    translation_step: float = 1e-4
+    swing_step: float = 2e-3
+    turn_step: float = 1e-2
+    joint_step: float = 1e-2
+    tolerance: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineFit:
+    """A refined pose and what the outline says of it.
+
+    ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints], readings included, ``outline_only``
+    without them; ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame.
+    """
+
+    camera_from_root: Float64
+    joints: Float64
+    score: float
+    residual: float
+    information: Float64
+    outline_only: Float64
+    iterations: int
+
+
+def _box(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
+    """Left, top, width, height of a mask's bounding box with a margin, within the image."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, mask.shape[0])
+    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, mask.shape[1])
+    return int(left), int(top), int(right - left), int(bottom - top)
+
+
+class OutlineRefiner:
+    """Refines poses against one frame's mask at one image size (1 / ``shrink`` of the full one)."""
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        evidence: Evidence,
+        readings: Readings,
+        config: OutlineConfig,
+        *,
+        shrink: int = 1,
+    ) -> None:
+        camera = evidence.camera
+        self._full = camera
+        if shrink > 1:
+            camera = camera.scaled(max(camera.width // shrink, 8), max(camera.height // shrink, 8))
+        size = (camera.width, camera.height)
+        mask, weight = evidence.mask.astype(np.float32), evidence.weight
+        if shrink > 1:
+            mask, weight = shrunk(mask, *size), shrunk(weight, *size)
+        self._left, self._top, width, height = _box(mask > 0, 48 // shrink + 8)
+        window = np.s_[self._top : self._top + height, self._left : self._left + width]
+        self._camera: Camera = camera.cropped(self._left, self._top, width, height)
+        self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
+        self._config = config
+        self._weight = np.ascontiguousarray(weight[window])
+        self._target = self._blurred(np.ascontiguousarray(mask[window]))
+        self._readings = readings
+        self._evidence = evidence
+        self._shrink = shrink
+        self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
+        joints = len(readings.values)
+        c = config
+        self.steps = np.array(
+            [c.translation_step] * 3 + [c.swing_step] * 2 + [c.turn_step] + [c.joint_step] * joints
+        ) * np.array([shrink] * 3 + [shrink] * 2 + [min(shrink, 3)] + [min(shrink, 3)] * joints)
+        known = ~np.isnan(readings.values)
+        self._prior = np.where(known, 1 / readings.spread**2, 1e-2)
+        self._centre = np.where(known, readings.values, 0.0)
+
+    @property
+    def silhouettes(self) -> int:
+        """Number of silhouettes drawn so far."""
+        return self._renderer.poses
+
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+        return self._renderer.rays
+
+    def _blurred(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), self._config.blur, borderType=cv2.BORDER_REPLICATE))
+
+    def _images(self, poses: Float64, joints: Float64) -> NDArray[np.float32]:
+        """Blurred coverage of C poses, (C, N), flat."""
+        coverage = self._renderer.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
+        return np.stack([self._blurred(image).ravel() for image in coverage])
+
+    def _keypoint_residuals(self, poses: Float64, joints: Float64) -> Float64:
+        """Given tips against projected ones in the better pairing, in units of their spread, (C, 4)."""
+        points = self._renderer.body.instrument.tips(joints) @ np.swapaxes(poses[:, :3, :3], 1, 2)
+        points = points + poses[:, None, :3, 3]
+        points[..., 2] = np.maximum(points[..., 2], 1e-3)
+        tips = self._evidence.tips
+        assert tips is not None
+        seen = self._full.project(points)
+        straight, crossed = seen - tips, seen - tips[::-1]
+        better = (straight**2).sum(axis=(1, 2)) <= (crossed**2).sum(axis=(1, 2))
+        chosen = np.where(better[0], straight, crossed)
+        return np.asarray(chosen.reshape(len(poses), 4) / self._config.keypoint_sigma)
+
+    def _loss(self, image: NDArray[np.float32]) -> float:
+        """Cauchy's loss of a blurred image (N,): a sum of squares while all is small."""
+        r = (image - self._target.ravel()) / self._config.cauchy
+        return float(self._config.cauchy**2 * (self._weight.ravel() * np.log1p(r * r)).sum(dtype=np.float64))
+
+    def _scale(self, loss: float) -> float:
+        """Measurements per unit of loss: turns sums of squares of coverage into those of standard deviations."""
+        c = self._config
+        floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
+        return float(self._length / c.correlation * self._shrink / max(loss, floor))
+
+    def _prior_cost(self, joints: Float64) -> float:
+        return float((self._prior * (joints - self._centre) ** 2).sum())
+
+    def _keypoint_cost(self, pose: Float64, joints: Float64) -> float:
+        if not self._evidence.tips_given or self._evidence.tips is None:
+            return 0.0
+        return float((self._keypoint_residuals(pose[None], joints[None]) ** 2).sum())
+
+    def score(self, loss: float, pose: Float64, joints: Float64) -> float:
+        """Negative log-likelihood up to a constant: the outline's, its error unknown, plus readings and given tips."""
+        count = self._length * self._shrink / self._config.correlation
+        floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
+        return 0.5 * count * float(np.log(max(loss, floor))) + 0.5 * (
+            self._prior_cost(joints) + self._keypoint_cost(pose, joints)
+        )
+
+    def _normal_equations(self, pose: Float64, joints: Float64, image: NDArray[np.float32]) -> tuple[Float64, Float64]:
+        """Outline's information (D, D) and gradient (D,), in sums of squares of coverage, by central differences."""
+        count = len(self.steps)
+        change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
+        images = self._images(moved(pose, change[:, :6]), joints + change[:, 6:])
+        jacobian = (images[:count] - images[count:]) / (2 * self.steps[:, None]).astype(np.float32)
+        r = image - self._target.ravel()
+        weight = self._weight.ravel() / (1 + (r / self._config.cauchy) ** 2)
+        weighted = jacobian * weight
+        return (weighted @ jacobian.T).astype(np.float64), (weighted @ r).astype(np.float64)
+
+    def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
+        """Score one pose (4, 4) and its joints (J,) as they are."""
+        image = self._images(pose[None], joints[None])[0]
+        loss = self._loss(image)
+        outline, _ = self._normal_equations(pose, joints, image)
+        outline = self._scale(loss) * outline
+        information = outline.copy()
+        information[6:, 6:] += np.diag(self._prior)
+        return OutlineFit(pose, joints, self.score(loss, pose, joints), loss, information, outline, 0)
+
+    def refine(self, pose: Float64, joints: Float64, *, iterations: int | None = None) -> OutlineFit:
+        """Refine one pose (4, 4) and its joints (J,)."""
+        config = self._config
+        damping = 1e-2
+        image = self._images(pose[None], joints[None])[0]
+        loss = self._loss(image)
+        done = 0
+        information = outline = np.eye(len(self.steps))
+        while done < (iterations or config.iterations):
+            done += 1
+            outline, gradient = self._normal_equations(pose, joints, image)
+            scale = self._scale(loss)
+            information = scale * outline
+            slope = scale * gradient
+            information[6:, 6:] += np.diag(self._prior)
+            slope[6:] += self._prior * (joints - self._centre)
+            if self._evidence.tips_given and self._evidence.tips is not None:
+                count = len(self.steps)
+                change = np.concatenate([np.zeros((1, count)), np.diag(self.steps), -np.diag(self.steps)])
+                r = self._keypoint_residuals(moved(pose, change[:, :6]), joints + change[:, 6:])
+                jacobian = (r[1 : count + 1] - r[count + 1 :]) / (2 * self.steps[:, None])
+                information += jacobian @ jacobian.T
+                slope += jacobian @ r[0]
+            cost = scale * loss + self._prior_cost(joints) + self._keypoint_cost(pose, joints)
+            step, accepted = np.zeros(len(slope)), False
+            for _ in range(4):
+                damped = information + damping * np.diag(np.diag(information))
+                step = np.asarray(-np.linalg.solve(damped, slope), dtype=np.float64)
+                new_pose, new_joints = moved(pose, step[:6]), joints + step[6:]
+                new_image = self._images(new_pose[None], new_joints[None])[0]
+                new_loss = self._loss(new_image)
+                new_cost = scale * new_loss + self._prior_cost(new_joints) + self._keypoint_cost(new_pose, new_joints)
+                if new_cost < cost:
+                    accepted = True
+                    break
+                damping *= 8
+            if not accepted:
+                break
+            pose, joints, image, loss = new_pose, new_joints, new_image, new_loss
+            damping = max(damping / 6, 1e-4)
+            # Finished when the step is small against what the data can tell.
+            if step @ information @ step < config.tolerance**2 * len(step) or cost - new_cost < 1e-3:
+                break
+        return OutlineFit(
+            pose, joints, self.score(loss, pose, joints), loss, information, self._scale(loss) * outline, done
+        )

@@ -1,0 +1,167 @@
+"""What an estimate returns: a typed object, and its JSON in the documented schema."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Status = Literal["ok", "doubtful", "failed"]
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another pose that explains the frame.
+
+    ``reading_distance_deg`` is the root mean square over the joints read, None without readings.
+    """
+
+    camera_from_root: Float64
+    joints: dict[str, float]
+    loss: float
+    iou: float
+    relation: Literal["mirror twin", "other mode"]
+    reading_distance_deg: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the alternative in the result's schema."""
+        return {
+            "camera_from_root": _numbers(self.camera_from_root),
+            "joints": _values(self.joints),
+            "loss": _number(self.loss),
+            "iou": _number(self.iou),
+            "relation": self.relation,
+            "reading_distance_deg": None if self.reading_distance_deg is None else _number(self.reading_distance_deg),
+        }
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well the silhouette explains the mask; contour distances in px of the full image."""
+
+    iou: float
+    loss: float
+    terms: dict[str, float]
+    contour_px_median: float
+    contour_px_95: float
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Pose and joints of the instrument in one frame, and how far they can be trusted.
+
+    camera_from_root : (4, 4), maps points of the root link into the camera's frame, m; None where the frame failed.
+    joints : corrected joint values, rad. readings : those given, rad or m.
+    covariance : of [tx ty tz rx ry rz] in the root link's axes (m, rad), then the joints (rad).
+    std_translation_mm, std_rotation_deg : (3,) each, in the same axes.
+    camera_from_base : (4, 4) where the outer arm's readings were given.
+    seconds : from arrays in memory to result.
+    """
+
+    frame: str
+    status: Status
+    reasons: tuple[str, ...]
+    instrument: str
+    root_link: str
+    camera_from_root: Float64 | None
+    joints: dict[str, float]
+    readings: dict[str, float]
+    warnings: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+    camera_from_base: Float64 | None = None
+    source: Literal["frame", "session"] = "frame"
+    change: dict[str, Any] | None = None
+    quality: Quality | None = None
+    covariance: Float64 | None = None
+    alternatives: tuple[Alternative, ...] = ()
+    seconds: float = 0.0
+    evaluations: int = 0
+    rays: int = 0
+    seed: int = 0
+    version: str = ""
+    config: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def std_translation_mm(self) -> Float64 | None:
+        """Standard deviations along the root's axes, (3,) mm."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance)[:3]) * 1e3
+
+    @property
+    def std_rotation_deg(self) -> Float64 | None:
+        """Standard deviations about the root's axes, (3,) degrees."""
+        return None if self.covariance is None else np.degrees(np.sqrt(np.diag(self.covariance)[3:6]))
+
+    @property
+    def std_joints_deg(self) -> dict[str, float] | None:
+        """Standard deviations of the joints, degrees."""
+        if self.covariance is None:
+            return None
+        sigma = np.degrees(np.sqrt(np.diag(self.covariance)[6:]))
+        return dict(zip(self.joints, sigma.tolist(), strict=True))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result in the documented schema, ready for JSON."""
+        std = None
+        if self.std_translation_mm is not None and self.std_rotation_deg is not None:
+            std = {
+                "translation_mm": _numbers(self.std_translation_mm),
+                "rotation_deg": _numbers(self.std_rotation_deg),
+                "joints_deg": _values(self.std_joints_deg or {}),
+            }
+        covariance = None
+        if self.covariance is not None:
+            axes = ["tx", "ty", "tz", "rx", "ry", "rz", *self.joints]
+            covariance = {"axes": axes, "matrix": [[float(f"{v:.6e}") for v in row] for row in self.covariance]}
+        quality = None
+        if self.quality is not None:
+            quality = {
+                "iou": _number(self.quality.iou),
+                "loss": _number(self.quality.loss),
+                "terms": _values(self.quality.terms),
+                "contour_px_median": _number(self.quality.contour_px_median),
+                "contour_px_95": _number(self.quality.contour_px_95),
+            }
+        return {
+            "schema": SCHEMA,
+            "frame": self.frame,
+            "status": self.status,
+            "reasons": list(self.reasons),
+            "instrument": self.instrument,
+            "root_link": self.root_link,
+            "camera_from_root": None if self.camera_from_root is None else _numbers(self.camera_from_root),
+            "joints": _values(self.joints),
+            "readings": _values(self.readings),
+            "warnings": list(self.warnings),
+            "unused": list(self.unused),
+            "camera_from_base": None if self.camera_from_base is None else _numbers(self.camera_from_base),
+            "source": self.source,
+            "change": self.change,
+            "quality": quality,
+            "std": std,
+            "covariance": covariance,
+            "alternatives": [a.to_dict() for a in self.alternatives],
+            "seconds": round(self.seconds, 4),
+            "evaluations": self.evaluations,
+            "rays": self.rays,
+            "seed": self.seed,
+            "version": self.version,
+            "config": self.config,
+        }
+
+
+def _number(value: float) -> float:
+    """Round to nine decimals: a nanometre, far below any error, and the same on every run."""
+    return round(float(value), 9)
+
+
+def _numbers(array: Float64) -> Any:
+    return np.round(np.asarray(array, dtype=np.float64), 9).tolist()
+
+
+def _values(values: dict[str, float]) -> dict[str, float]:
+    return {name: _number(value) for name, value in values.items()}
