@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.silhouette import Body, Renderer
 
 FOLDER = bundled_path("instruments", "lnd")
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "make_instrument.py"
@@ -151,3 +152,12 @@ def test_the_script_writes_the_same_bytes_again_and_leaves_nothing_beside_them(t
     made = {p.relative_to(tmp_path): p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     assert made == {p: (FOLDER / p).read_bytes() for p in made}
     assert {p.as_posix() for p in made} == {"lnd.urdf", *(f"meshes/{link}.ply" for link in LINKS)}
+
+
+@pytest.mark.shared
+def test_it_looks_like_the_scanned_needle_driver(bundled_body: Body, scanned_body: Body, clean_frames) -> None:
+    poses, joints = clean_frames.camera_from_root, clean_frames.joints
+    made, real = (Renderer(body, clean_frames.camera).masks(poses, joints) for body in (bundled_body, scanned_body))
+    overlap = (made & real).sum(axis=(1, 2)) / (made | real).sum(axis=(1, 2))
+    assert overlap.mean() >= 0.93
+    assert overlap.min() >= 0.9
