@@ -47,7 +47,7 @@ class LocalSearch:
 
     def _refine(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         before = refiner.silhouettes, refiner.rays
-        fits = [refiner.refine(mode.camera_from_root, mode.joints) for mode in modes]
+        fits = refiner.refine_all(np.stack([m.camera_from_root for m in modes]), np.stack([m.joints for m in modes]))
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
         return fits

@@ -27,18 +27,22 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class LineGrid:
-    """Horizontal lines through an image: ``per_pixel`` evenly spaced ones in each row of pixels."""
+    """Lines through an image: ``per_pixel`` evenly spaced ones in each of ``pixels`` rows, or columns if ``vertical``.
 
-    rows: int
+    Along vertical lines, u and v change places everywhere: positions are pixel rows and lines count columns.
+    """
+
+    pixels: int
     per_pixel: int = 1
+    vertical: bool = False
 
     @property
     def lines(self) -> int:
         """Number of lines."""
-        return self.rows * self.per_pixel
+        return self.pixels * self.per_pixel
 
     def line_to_v(self, line: NDArray[np.int32] | NDArray[np.int64]) -> NDArray[np.float64]:
-        """Pixel row coordinate v of lines."""
+        """Pixel row coordinate v of lines, column coordinate u of vertical ones."""
         return np.asarray((line + 0.5) / self.per_pixel - 0.5)
 
 
@@ -56,6 +60,12 @@ class Crossings:
     """Link of each crossing; None where the near plane cuts nothing, so that no one asks."""
     inside: NDArray[np.bool_]
     """(C,) whether the eye may be inside a link of the pose."""
+    edge: NDArray[np.int64] | None = None
+    """Outline edge of each crossing, where asked for."""
+    slope: Float32 | None = None
+    """Change of the position from a line to the next, where asked for."""
+    depth: Float32 | None = None
+    """Depth z of the edge at the crossing, m, where asked for."""
 
     def select(self, keep: NDArray[np.bool_]) -> Crossings:
         """Keep some of the crossings."""
@@ -122,12 +132,17 @@ class _Points:
     """The first line at or below the point, within the image."""
     xy: Float32 | None = None
     """(N, 2) undistorted normalised coordinates, where lines bend."""
+    inverse_depth: Float32 | None = None
+    """1 / z, where asked for."""
 
     def and_more(self, more: _Points) -> _Points:
         """Append points."""
         xy = None if self.xy is None or more.xy is None else np.concatenate([self.xy, more.xy])
         u, v = np.concatenate([self.u, more.u]), np.concatenate([self.v, more.v])
-        return _Points(u, v, np.concatenate([self.line, more.line]), xy)
+        inverse = None
+        if self.inverse_depth is not None and more.inverse_depth is not None:
+            inverse = np.concatenate([self.inverse_depth, more.inverse_depth])
+        return _Points(u, v, np.concatenate([self.line, more.line]), xy, inverse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,26 +166,28 @@ class _Projection:
         n = grid.per_pixel
         self.camera = camera
         self.lines = grid.lines
-        self.image_from_camera = np.array(
-            [[camera.fx, 0, camera.cx], [0, camera.fy * n, (camera.cy + 0.5) * n - 0.5], [0, 0, 1]]
-        )
+        if grid.vertical:
+            rows = [[0, camera.fy, camera.cy], [camera.fx * n, 0, (camera.cx + 0.5) * n - 0.5]]
+        else:
+            rows = [[camera.fx, 0, camera.cx], [0, camera.fy * n, (camera.cy + 0.5) * n - 0.5]]
+        self.image_from_camera = np.array([*rows, [0, 0, 1]], dtype=np.float64)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
         """(3, 3): what the camera's frame is multiplied with before the division by depth."""
         return self.image_from_camera if self.camera.is_pinhole else np.eye(3)
 
-    def points(self, x: Float32, y: Float32) -> _Points:
+    def points(self, x: Float32, y: Float32, inverse_depth: Float32 | None = None) -> _Points:
         """Image points from coordinates after the division by depth, each (N,)."""
         xy = None
         if not self.camera.is_pinhole:
             xy = np.stack([x, y], axis=-1)
             distorted = self.camera.distort(xy)
             m = self.image_from_camera.astype(np.float32)
-            x, y = distorted[:, 0] * m[0, 0] + m[0, 2], distorted[:, 1] * m[1, 1] + m[1, 2]
+            x, y = (distorted @ m[:2, :2].T + m[:2, 2]).T
         first = np.ceil(y)
         np.clip(first, 0, self.lines, out=first)
-        return _Points(x, y, first.astype(np.int32), xy)
+        return _Points(x, y, first.astype(np.int32), xy, inverse_depth)
 
 
 def _project(
@@ -203,7 +220,9 @@ def _clip_near(
     start[cut] = np.where(start_behind[cut], added, start[cut])
     end[cut] = np.where(end_behind[cut], added, end[cut])
     moved = _Segments(segments.pose, segments.edge, start, end)
-    return points.and_more(projection.points(at[:, 0], at[:, 1])), moved.select(~(start_behind & end_behind))
+    inverse_depth = np.full(len(cut), 1 / NEAR, dtype=np.float32)
+    more = projection.points(at[:, 0], at[:, 1], inverse_depth)
+    return points.and_more(more), moved.select(~(start_behind & end_behind))
 
 
 def _bend(projection: _Projection, points: _Points, segments: _Segments) -> tuple[_Points, _Segments]:
@@ -229,6 +248,10 @@ def _bend(projection: _Projection, points: _Points, segments: _Segments) -> tupl
     rank = np.arange(len(owner)) - offset[owner]
     share = enter[owner] + (leave - enter)[owner] * rank / np.maximum(pieces[owner], 1)
     at = (start[owner] + share[:, None] * way[owner]).astype(np.float32)
+    inverse = points.inverse_depth
+    if inverse is not None:  # linear along a straight line in the image
+        ends = inverse[segments.start[long]][owner], inverse[segments.end[long]][owner]
+        inverse = (ends[0] + share * (ends[1] - ends[0])).astype(np.float32)
     added = np.arange(len(owner)) + len(points.u)
     # Chain: start, corners, end; corners + 1 parts.
     parts = np.ones(len(segments.pose), dtype=np.int64)
@@ -241,15 +264,23 @@ def _bend(projection: _Projection, points: _Points, segments: _Segments) -> tupl
     new_end[corner_slot] = added
     new_start[corner_slot + 1] = added
     return (
-        points.and_more(projection.points(at[:, 0], at[:, 1])),
+        points.and_more(projection.points(at[:, 0], at[:, 1], inverse)),
         _Segments(segments.pose[which], segments.edge[which], new_start, new_end),
     )
 
 
 def find_crossings(
-    topology: MeshTopology, camera: Camera, grid: LineGrid, camera_from_link: NDArray[np.float64]
+    topology: MeshTopology,
+    camera: Camera,
+    grid: LineGrid,
+    camera_from_link: NDArray[np.float64],
+    *,
+    detail: bool = False,
 ) -> Crossings:
-    """Crossings of all lines with the outline edges of up to ``LANES`` poses, (C, L, 4, 4)."""
+    """Crossings of all lines with the outline edges of up to ``LANES`` poses, (C, L, 4, 4).
+
+    With ``detail``, also which edge each crossing is on, how steep it is and how far away.
+    """
     poses = len(camera_from_link)
     eye = -np.einsum("clji,clj->cli", camera_from_link[..., :3, :3], camera_from_link[..., :3, 3])
     looks, outline = _outline_edges(topology, eye)
@@ -263,7 +294,8 @@ def find_crossings(
         depth = np.where(depth < NEAR, np.float32(1), depth)
     x: Float32 = homogeneous[:, 0] / depth
     y: Float32 = homogeneous[:, 1] / depth
-    points = projection.points(x.ravel(), y.ravel())
+    inverse_depth: Float32 | None = (1 / depth).ravel() if detail else None
+    points = projection.points(x.ravel(), y.ravel(), inverse_depth)
 
     pose = np.repeat(np.arange(poses, dtype=np.int32), outline.sum(axis=1))
     edge = np.flatnonzero(outline) - pose * np.int64(outline.shape[1])
@@ -280,7 +312,9 @@ def find_crossings(
     ub, vb = points.u[segments.end], points.v[segments.end]
     front = looks.ravel()[topology.face_left[segments.edge] * np.int64(LANES) + segments.pose]
     weight = topology.weight[segments.edge]
-    change = np.where((line_b > line_a) == front, weight, -weight)
+    # Rows and columns changing places turns the image over, and left and right of an edge with it.
+    down = line_b > line_a if not grid.vertical else line_b < line_a
+    change = np.where(down == front, weight, -weight)
     count = np.abs(line_b - line_a)
     first = np.minimum(line_a, line_b)
     slope = (ub - ua) / (vb - va)
@@ -290,6 +324,14 @@ def find_crossings(
 
     segment = np.repeat(np.arange(len(count)), count)
     step = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)).astype(np.int32)
+    edges: NDArray[np.int64] | None = None
+    slopes: Float32 | None = None
+    depths: Float32 | None = None
+    if points.inverse_depth is not None:
+        share = ((first - va) / (vb - va))[segment] + step * (1 / (vb - va))[segment]
+        start, end = points.inverse_depth[segments.start][segment], points.inverse_depth[segments.end][segment]
+        depths = (1 / (start + np.clip(share, 0, 1) * (end - start))).astype(np.float32)
+        edges, slopes = segments.edge[segment], slope[segment].astype(np.float32)
     return Crossings(
         pose=segments.pose[segment],
         line=first[segment] + step,
@@ -297,4 +339,7 @@ def find_crossings(
         change=change[segment],
         link=(np.searchsorted(topology.edge_start, segments.edge, side="right") - 1)[segment] if cut.any() else None,
         inside=inside,
+        edge=edges,
+        slope=slopes,
+        depth=depths,
     )

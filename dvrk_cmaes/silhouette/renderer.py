@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette.crossings import LANES, LineGrid
+from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.spans import SpanEnds, SpanRenderer
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
@@ -161,6 +162,21 @@ class Renderer:
             return (table / lines_per_pixel).astype(np.float32)
 
         return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
+
+    def outlines(
+        self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 1
+    ) -> OutlinePoints:
+        """Points on the outlines of C poses, and where they lie on the instrument."""
+        links = self.body.camera_from_links(camera_from_root, joints)
+        groups = [
+            outline_points(self.body.topology, self.camera, links[i : i + LANES], per_pixel=lines_per_pixel)
+            for i in range(0, len(links), LANES)
+        ]
+        if len(groups) == 1:
+            return groups[0]
+        pose = np.concatenate([group.pose + LANES * i for i, group in enumerate(groups)])
+        rest = [np.concatenate([getattr(g, name) for g in groups]) for name in ("pixels", "normals", "link", "points")]
+        return OutlinePoints(pose, *rest)
 
     def masks(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Silhouettes to the pixel of C poses: whether each pixel's centre is covered, (C, H, W)."""
