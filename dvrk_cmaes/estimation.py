@@ -14,6 +14,7 @@ from dvrk_cmaes import __version__
 from dvrk_cmaes.arm import OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config_check import check_config
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.evidence import gather_evidence
 from dvrk_cmaes.geometry import inverse
@@ -123,9 +124,11 @@ def estimate(
     Raises
     ------
     InputError
-        Wrong sizes, an empty or full mask, an unknown joint, arm, search or refinement, values that are not finite.
+        Wrong sizes, an empty or full mask, an unknown joint, arm, search or refinement, values that are not finite,
+        settings that make no sense.
     """
     settings = EstimateConfig() if config is None else config
+    check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
     started = time.perf_counter()
     model = body.instrument

@@ -52,6 +52,11 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def json_text(obj: Any) -> str:
+    """Write out an object of plain values as JSON, the same way everywhere; ValueError for what is not finite."""
+    return json.dumps(obj, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
 def write_json(path: str | Path, obj: Any) -> None:
     """Write an object of plain values as JSON; errors as in ``write_bytes``.
 
@@ -60,7 +65,7 @@ def write_json(path: str | Path, obj: Any) -> None:
     ValueError
         A number is not finite, which JSON cannot say.
     """
-    write_text(path, json.dumps(obj, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    write_text(path, json_text(obj))
 
 
 def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> None:

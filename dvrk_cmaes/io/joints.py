@@ -52,11 +52,29 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
         Naming the file and the frame or the joint, and what was expected.
     """
     names = (*WRIST_JOINTS, *OUTER_JOINTS, *known)
-    if isinstance(text_or_path, str) and "=" in text_or_path and not os.path.exists(text_or_path):
-        return _written_out(text_or_path, names)
+    if is_written_out(text_or_path):
+        return _written_out(str(text_or_path), names)
     path = str(text_or_path)
     rows = _rows(path, names)
-    row = rows[_chosen(path, frame, list(rows))]
+    return _row_readings(path, rows[_chosen(path, frame, list(rows))])
+
+
+def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str, dict[str, float]]:
+    """Read the joint readings of all frames of a joints.csv, by frame in the order of its rows.
+
+    ``known`` and the errors are those of ``read_joints``.
+    """
+    rows = _rows(str(path), (*WRIST_JOINTS, *OUTER_JOINTS, *known))
+    return {frame: _row_readings(str(path), row) for frame, row in rows.items()}
+
+
+def is_written_out(text_or_path: str | Path) -> bool:
+    """Whether readings are written out as ``name=value,...`` rather than named by a path."""
+    return isinstance(text_or_path, str) and "=" in text_or_path and not os.path.exists(text_or_path)
+
+
+def _row_readings(path: str, row: dict[str, str]) -> dict[str, float]:
+    """Values of the cells of a row that are not blank."""
     return {
         name: _reading(f"{path}: frame {row['frame']}", name, cell)
         for name, cell in row.items()

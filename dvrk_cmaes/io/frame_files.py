@@ -1,0 +1,81 @@
+"""The files of one frame, and what is in them: mask, readings, and if there are any, image and ignored pixels.
+
+`FrameFiles` says where things lie; `read_frame` reads them and checks that they belong together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.images import match_size, read_ignore, read_image, read_mask
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFiles:
+    """Where the parts of a frame lie.
+
+    ``readings`` are by joint, rad or m; ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and
+    ``pick`` say which part of the mask is the instrument, as in ``read_mask``.
+    """
+
+    name: str
+    mask: Path
+    readings: Mapping[str, float] = field(default_factory=dict)
+    image: Path | None = None
+    ignore: Path | None = None
+    keypoints: NDArray[np.float64] | None = None
+    label: int | None = None
+    pick: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameData:
+    """A frame in memory.
+
+    ``mask`` and ``ignore`` are (H, W) bool, ``image`` (H', W', 3) uint8 BGR of the mask's aspect; ``camera`` has the
+    mask's size. ``notes`` say in words what was done to make the parts fit.
+    """
+
+    mask: NDArray[np.bool_]
+    camera: Camera
+    ignore: NDArray[np.bool_] | None
+    image: NDArray[np.uint8] | None
+    notes: tuple[str, ...]
+
+
+def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
+    """Read a frame taken by a camera, whose intrinsics are rescaled where the mask is of another size.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read, or of a size that does not fit the others: names the file.
+    """
+    mask = read_mask(files.mask, label=files.label, pick=files.pick)
+    try:
+        fitted, note = match_size(camera, (mask.shape[0], mask.shape[1]))
+    except InputError as error:
+        raise InputError(f"{files.mask}: {error}") from None
+    ignore = None if files.ignore is None else read_ignore(files.ignore)
+    if ignore is not None and ignore.shape != mask.shape:
+        raise InputError(
+            f"{files.ignore}: expected the mask's size {_size(mask.shape)}, got {_size(ignore.shape)} (width x height)"
+        )
+    image = None if files.image is None else read_image(files.image)
+    if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
+        raise InputError(
+            f"{files.image}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
+            f"got {_size(image.shape)}"
+        )
+    return FrameData(mask, fitted, ignore, image, () if note is None else (note,))
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]}"

@@ -1,0 +1,93 @@
+"""A session folder: frames of one camera with their masks, readings, and what else there is.
+
+camera.yaml, joints.csv, masks/<frame>.png
+optional: images/<frame>.png|jpg, ignore/<frame>.png, keypoints.csv, golden.json
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.camera_file import read_camera
+from dvrk_cmaes.io.frame_files import FrameFiles
+from dvrk_cmaes.io.golden_file import SessionTruth, read_golden
+from dvrk_cmaes.io.joints import read_joint_table
+from dvrk_cmaes.io.keypoints import read_keypoints
+
+_MASKS = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A session: its camera, its frames in the order of their names, and the truth where it is known."""
+
+    folder: Path
+    camera: Camera
+    frames: tuple[FrameFiles, ...]
+    truth: SessionTruth
+
+
+def read_session(folder: str | Path, *, rectified: bool = False, known: Iterable[str] = ()) -> Session:
+    """Find the frames of a session folder and read all of it but the pictures.
+
+    A frame is a file in ``masks``; one without a row in joints.csv has no readings.
+
+    Parameters
+    ----------
+    folder
+        The session.
+    rectified
+        Whether the images are rectified, as in ``read_camera``.
+    known
+        Names of the instrument's own joints, as in ``read_joints``.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or wrong, naming it; no frames; a name twice.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
+    masks = _pictures(root / "masks")
+    if not masks:
+        raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
+    images, ignore = _pictures(root / "images"), _pictures(root / "ignore")
+    readings = read_joint_table(root / "joints.csv", known=known)
+    tips = read_keypoints(root / "keypoints.csv") if (root / "keypoints.csv").exists() else {}
+    frames = tuple(
+        FrameFiles(
+            name=name,
+            mask=masks[name],
+            readings=readings.get(name, {}),
+            image=images.get(name),
+            ignore=ignore.get(name),
+            keypoints=tips.get(name),
+        )
+        for name in sorted(masks)
+    )
+    golden = root / "golden.json"
+    return Session(
+        folder=root,
+        camera=read_camera(root / "camera.yaml", rectified=rectified),
+        frames=frames,
+        truth=read_golden(golden) if golden.exists() else SessionTruth(),
+    )
+
+
+def _pictures(folder: Path) -> Mapping[str, Path]:
+    """PNG and JPEG files of a folder by the frame that they are named after; none where there is no folder."""
+    if not folder.is_dir():
+        return {}
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in _MASKS or path.name.startswith("."):
+            continue
+        if path.stem in found:
+            raise InputError(f"{path}: expected one file for frame {path.stem}, got {found[path.stem].name} too")
+        found[path.stem] = path
+    return found
