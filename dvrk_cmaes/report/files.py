@@ -1,0 +1,53 @@
+"""Where the results of a frame go: ``OUT/frames/<frame>.json`` and ``OUT/overlays/<frame>.jpg``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.shown import shown
+from dvrk_cmaes.result import Result
+
+
+def result_path(out: Path, frame: str) -> Path:
+    """Path of a frame's result."""
+    return out / "frames" / f"{frame}.json"
+
+
+def overlay_path(out: Path, frame: str) -> Path:
+    """Path of a frame's overlay."""
+    return out / "overlays" / f"{frame}.jpg"
+
+
+def check_output(out: Path, frame: str) -> None:
+    """Refuse, before any work is done, a frame's name or a folder that its files cannot be written to.
+
+    Raises
+    ------
+    InputError
+        A name that is not one of a file, a file where the folder should be, or a folder that may not be written to.
+    """
+    if not frame or "/" in frame or os.sep in frame or frame.startswith(".") or not frame.isprintable():
+        raise InputError(f"frame: expected a name that can be a file's (no slash, no leading dot), got {shown(frame)}")
+    for folder in (result_path(out, frame).parent, overlay_path(out, frame).parent):
+        there = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
+        if not there.is_dir():
+            raise InputError(f"{out}: expected a folder to write to, but {there} is a file")
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise InputError(f"{out}: expected a folder to write to, but {there} may not be written to")
+
+
+def write_frame(out: Path, result: Result, overlay: NDArray[np.uint8]) -> tuple[Path, Path]:
+    """Write a result and its overlay (H, W, 3) BGR, each whole or not at all; the result last, so it says all is there.
+
+    Returns their paths, the result's first. Raises as ``dvrk_cmaes.io.atomic.write_bytes``.
+    """
+    paths = result_path(out, result.frame), overlay_path(out, result.frame)
+    write_image(paths[1], overlay)
+    write_json(paths[0], result.to_dict())
+    return paths
