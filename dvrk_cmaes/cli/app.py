@@ -1,0 +1,53 @@
+"""The commands, and how every ending becomes one line and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
+
+from dvrk_cmaes import __version__
+from dvrk_cmaes.cli.demo import demo
+from dvrk_cmaes.cli.estimate import estimate
+from dvrk_cmaes.cli.terminal import complain
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+
+_INTERRUPTED = 130  # as shells have it: 128 + SIGINT
+
+app = App(
+    name="dvrk-cmaes",
+    help="""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
+
+Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.""",
+    version=__version__,
+)
+app.command(estimate)
+app.command(demo)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line (``sys.argv`` by default) and return its exit code; never raises on wrong input."""
+    tokens = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+        return int(code or 0)
+    except CycloptsError as error:
+        error.verbose = False
+        command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
+        complain(f"{error} (see {command} --help)")
+        return InputError.exit_code
+    except DvrkCmaesError as error:
+        complain(str(error))
+        return error.exit_code
+    except MemoryError:
+        complain("out of memory: try a smaller image, or fewer --threads")
+        return DvrkCmaesError.exit_code
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return _INTERRUPTED
+    except BrokenPipeError:  # Whoever read our output has had enough, as in ``| head``.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DvrkCmaesError.exit_code

@@ -1,0 +1,128 @@
+"""``dvrk-cmaes estimate``: one mask to one pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from dvrk_cmaes.cli.describe import describe
+from dvrk_cmaes.cli.options import (
+    DEFAULT_INSTRUMENT,
+    DEFAULT_METHOD,
+    FRAME,
+    OUTPUT,
+    Flag,
+    InstrumentOptions,
+    MethodOptions,
+    parse_pixel,
+)
+from dvrk_cmaes.cli.terminal import note, show
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
+NO_READINGS = "none"
+
+_Hyphens = Parameter(allow_leading_hyphen=True)
+
+
+def estimate(
+    *,
+    mask: Annotated[Path, Parameter(group=FRAME)],
+    camera: Annotated[Path, Parameter(group=FRAME)],
+    joints: Annotated[str, Parameter(group=FRAME)],
+    frame: Annotated[str | None, Parameter(group=FRAME)] = None,
+    image: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    ignore: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
+    label: Annotated[int | None, Parameter(group=FRAME)] = None,
+    pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
+    rectified: Annotated[Flag, Parameter(group=FRAME)] = False,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Estimate the pose of an instrument in the camera, and its true joint angles, from one mask.
+
+    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
+
+    Example:
+
+    `dvrk-cmaes estimate --mask masks/0026.png --camera camera.yaml --joints joints.csv --image images/0026.png --out x`
+
+    Parameters
+    ----------
+    mask
+        The instrument's mask: 8-bit PNG or JPEG, above 127 is instrument.
+    camera
+        Intrinsics and lens distortion: ROS camera_info YAML.
+    joints
+        Readings: a joints.csv, or wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m), or none.
+    frame
+        The frame's row in joints.csv and its name in the output; the mask's name unless given.
+    image
+        The image, to draw the overlay on.
+    ignore
+        Pixels that count neither way (an occluder, another tool): 8-bit, above 127.
+    keypoints
+        The jaw tips in either order, u1,v1,u2,v2 in pixels.
+    label
+        The mask is one of labels: the instrument is where it has this value.
+    pick
+        Of several things in the mask, the one at the pixel u,v.
+    rectified
+        The images are rectified: use the camera's projection matrix, without distortion.
+    instrument
+        Which instrument.
+    method
+        How to search.
+    out
+        Folder to write frames/FRAME.json and overlays/FRAME.jpg to.
+    json
+        Print the result as JSON, and nothing else, on stdout.
+    """
+    if label is not None and pick is not None:
+        raise InputError("--label, --pick: expected one of the two, got both")
+    if label is not None and not 0 <= label <= 255:
+        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    from dvrk_cmaes.frame_run import run_frame
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.camera_file import read_camera
+    from dvrk_cmaes.io.frame_files import FrameFiles
+    from dvrk_cmaes.io.keypoints import parse_keypoints
+
+    settings = method.resolve()
+    lens = read_camera(camera, rectified=rectified)
+    tips = None if keypoints is None else parse_keypoints(keypoints)
+    picked = None if pick is None else parse_pixel("pick", pick)
+    body = instrument.load()
+    name, readings = _readings(joints, frame, mask.stem, body.instrument.joint_names)
+    files = FrameFiles(name, mask, readings, image, ignore, tips, label, picked)
+    run = run_frame(files, lens, body, arm=instrument.arm, config=settings, out=out)
+    for text in run.notes:
+        note(text)
+    if json:
+        print(json_text(run.result.to_dict()), end="")
+    else:
+        show(describe(run.result, run.written))
+    return EXIT_CODES[run.result.status]
+
+
+def _readings(joints: str, frame: str | None, stem: str, known: Sequence[str]) -> tuple[str, dict[str, float]]:
+    """Name of the frame, and its readings; of a table with one row only, that row, whatever its frame is called."""
+    from dvrk_cmaes.io.joints import is_written_out, read_joint_table, read_joints
+
+    name = stem if frame is None else frame
+    if joints == NO_READINGS:
+        return name, {}
+    if is_written_out(joints):
+        return name, read_joints(joints, known=known)
+    table = read_joint_table(joints, known=known)
+    if frame is None and stem not in table and len(table) == 1:
+        return name, next(iter(table.values()))
+    return name, table[name] if name in table else read_joints(joints, frame=name, known=known)

@@ -1,0 +1,150 @@
+"""Options that several commands share, and what they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.silhouette import Body
+
+FRAME = Group.create_ordered("Frame")
+INSTRUMENT = Group.create_ordered("Instrument")
+METHOD = Group.create_ordered("Method")
+OUTPUT = Group.create_ordered("Output")
+
+Flag = Annotated[bool, Parameter(negative=())]
+
+
+@Parameter(name="*", group=INSTRUMENT)
+@dataclass(frozen=True, kw_only=True)
+class InstrumentOptions:
+    """Which instrument is sought, and the arm that carries it.
+
+    Parameters
+    ----------
+    instrument
+        A bundled instrument (lnd, a Large Needle Driver), or the path of a URDF.
+    package_path
+        NAME=DIR: where the ROS package NAME of package:// paths lies. May be given several times.
+    root_link
+        The URDF's link whose pose is sought, with the shaft on it or below it; roll_link unless given.
+    shaft_radius
+        Radius of the shaft in metres, instead of the one measured on its mesh.
+    arm
+        The arm's kinematics, for camera_from_base.
+    """
+
+    instrument: str = "lnd"
+    package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
+    root_link: str | None = None
+    shaft_radius: float | None = None
+    arm: Literal["classic", "si"] = "classic"
+
+    def load(self) -> Body:
+        """Load the instrument and prepare it for rendering."""
+        from dvrk_cmaes.instrument import load_instrument
+        from dvrk_cmaes.silhouette import Body
+
+        return Body.prepare(
+            load_instrument(
+                self.instrument,
+                package_paths=dict(_package(text) for text in self.package_path),
+                root_link=self.root_link,
+                shaft_radius=self.shaft_radius,
+            )
+        )
+
+
+@Parameter(name="*", group=METHOD)
+@dataclass(frozen=True, kw_only=True)
+class MethodOptions:
+    """How the pose is sought. A flag wins over the settings file, the file over the defaults.
+
+    Parameters
+    ----------
+    search
+        The global search: cmaes, crs2, esch, isres, direct-l.
+    refine
+        The local refinement: gauss-newton, coordinate-descent, bobyqa, sbplx.
+    seed
+        Seed of all random numbers; the same seed gives the same answer.
+    threads
+        How many threads to use; the answer does not depend on it.
+    config
+        A TOML file of settings, named as in a result's `config`.
+    """
+
+    search: str | None = None
+    refine: str | None = None
+    seed: int | None = None
+    threads: int | None = None
+    config: Path | None = None
+
+    def resolve(self) -> EstimateConfig:
+        """Defaults, overridden by the settings file, overridden by the flags; checked."""
+        from dvrk_cmaes.config import EstimateConfig
+        from dvrk_cmaes.config_check import check_config
+        from dvrk_cmaes.config_file import read_config
+        from dvrk_cmaes.refine import METHODS as REFINEMENTS
+        from dvrk_cmaes.search import METHODS as SEARCHES
+
+        settings = EstimateConfig()
+        if self.config is not None:
+            settings = read_config(self.config, settings)
+            try:
+                check_config(settings)
+            except InputError as error:
+                raise InputError(f"{self.config}: {str(error).removeprefix('config: ')}") from None
+        if self.search is not None:
+            _check_name("search", self.search, SEARCHES)
+            settings = replace(settings, search=replace(settings.search, method=self.search))
+        if self.refine is not None:
+            _check_name("refine", self.refine, REFINEMENTS)
+            settings = replace(settings, refine=replace(settings.refine, method=self.refine))
+        if self.seed is not None:
+            if self.seed < 0:
+                raise InputError(f"--seed: expected a whole number of at least 0, got {self.seed}")
+            settings = replace(settings, seed=self.seed)
+        if self.threads is not None:
+            if self.threads < 1:
+                raise InputError(f"--threads: expected a whole number of at least 1, got {self.threads}")
+            settings = replace(settings, threads=self.threads)
+        return settings
+
+
+DEFAULT_INSTRUMENT = InstrumentOptions()
+DEFAULT_METHOD = MethodOptions()
+
+
+def _check_name(option: str, name: str, known: Iterable[str]) -> None:
+    from dvrk_cmaes.errors import nearest_first
+
+    if name not in known:
+        raise InputError(f"--{option}: expected one of {', '.join(nearest_first(name, known))}, got {name!r}")
+
+
+def _package(text: str) -> tuple[str, Path]:
+    """Split NAME=DIR."""
+    name, equals, folder = text.partition("=")
+    if not (name and equals and folder):
+        raise InputError(f"--package-path: expected NAME=DIR, got {text!r}")
+    if not Path(folder).is_dir():
+        raise InputError(f"--package-path: {name}: no such folder: {folder}")
+    return name, Path(folder)
+
+
+def parse_pixel(option: str, text: str) -> tuple[float, float]:
+    """Parse ``u,v``, a pixel."""
+    try:
+        u, v = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--{option}: expected a pixel u,v, got {text!r}") from None
+    return u, v

@@ -1,0 +1,40 @@
+"""Writing for people: plain lines, with styles where the output is a terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import NamedTuple
+
+STATUS_STYLES = {"ok": "bold green", "doubtful": "bold yellow", "failed": "bold red"}
+
+
+class Line(NamedTuple):
+    """A line of output and its style on a terminal."""
+
+    text: str
+    style: str = ""
+
+
+def complain(message: str) -> None:
+    """Say on stderr, in one line, what is wrong."""
+    print("dvrk-cmaes:", " ".join(message.split()), file=sys.stderr)
+
+
+def note(message: str) -> None:
+    """Say something on stderr that is not an error."""
+    print("dvrk-cmaes: note:", message, file=sys.stderr)
+
+
+def show(lines: Iterable[Line]) -> None:
+    """Print lines on stdout, with their styles if that is a terminal."""
+    if not sys.stdout.isatty():
+        for line in lines:
+            print(line.text)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    for line in lines:
+        console.print(Text(line.text, style=line.style), soft_wrap=True)

@@ -1,0 +1,58 @@
+"""One frame from its files to its files: read, estimate, draw, write. What every command does with a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dvrk_cmaes.arm import Arm
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
+from dvrk_cmaes.report.files import check_output, write_frame
+from dvrk_cmaes.report.overlay import draw_overlay
+from dvrk_cmaes.result import Result
+from dvrk_cmaes.silhouette import Body
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRun:
+    """A frame's result, what was done to make its files fit, and the files written: JSON and overlay, if any."""
+
+    result: Result
+    notes: tuple[str, ...]
+    written: tuple[Path, ...]
+
+
+def run_frame(
+    files: FrameFiles, camera: Camera, body: Body, *, arm: Arm, config: EstimateConfig, out: Path | None
+) -> FrameRun:
+    """Estimate a frame's pose from its files; with ``out``, write its result and overlay there.
+
+    Raises
+    ------
+    InputError
+        A file that is missing, wrong or does not fit; a folder that cannot be written to. Nothing is written then.
+    """
+    if out is not None:
+        check_output(out, files.name)
+    data = read_frame(files, camera)
+    result = estimate(
+        data.mask,
+        data.camera,
+        files.readings,
+        body,
+        ignore=data.ignore,
+        keypoints=files.keypoints,
+        arm=arm,
+        frame=files.name,
+        config=config,
+        warnings=data.notes,
+    )
+    if out is None:
+        return FrameRun(result, data.notes, ())
+    overlay = draw_overlay(
+        result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
+    )
+    return FrameRun(result, data.notes, write_frame(out, result, overlay))
