@@ -29,6 +29,11 @@ def is_twin(instrument: Instrument, a: HasPose, b: HasPose) -> bool:
     return bool(rotation_angle(pose, b.camera_from_root) < _TWIN_ANGLE)
 
 
+def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
+    """Poses (C, 4, 4) and joints (C, J) of modes."""
+    return np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
+
+
 class LocalSearch:
     """Refines modes of one frame and counts what that costs."""
 
@@ -45,9 +50,11 @@ class LocalSearch:
             self._renderer, self._evidence, self._readings, self._config.refine.outline, shrink=shrink
         )
 
-    def _refine(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+    def _refine(self, refiner: OutlineRefiner, modes: Sequence[HasPose], *, last: bool = False) -> list[OutlineFit]:
         before = refiner.silhouettes, refiner.rays
-        fits = refiner.refine_all(np.stack([m.camera_from_root for m in modes]), np.stack([m.joints for m in modes]))
+        fits = refiner.refine_all(*_stacked(modes))
+        if last:
+            fits = refiner.refine_all(*_stacked(fits), cauchy=self._config.refine.outline.last_cauchy)
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
         return fits
@@ -82,7 +89,7 @@ class LocalSearch:
         """Refine at full size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
-            return self._refine(refiner, modes)
+            return self._refine(refiner, modes, last=True)
         objective = Objective(
             self._renderer,
             self._evidence,

@@ -35,7 +35,8 @@ Float64 = NDArray[np.float64]
 class OutlineConfig:
     """How the outline is fitted.
 
-    ``blur`` px of the level's image; ``cauchy`` is the coverage difference beyond which a residual counts less;
+    ``blur`` px of the level's image; ``cauchy`` is the coverage difference beyond which a residual counts less,
+    ``last_cauchy`` that of the last steps at full size, when all but a segmenter's mistakes is small;
     ``correlation`` px of outline make one measurement; ``noise_floor`` px, the least error an outline is given;
     ``keypoint_sigma`` px of given tips. ``steps`` are those of the differences: along the root's axes, m, about them,
     rad, and of the joints, rad.
@@ -46,6 +47,7 @@ class OutlineConfig:
     lines_per_pixel: int = 2
     outline_lines: int = 1
     cauchy: float = 0.25
+    last_cauchy: float = 0.08
     correlation: float = 8.0
     noise_floor: float = 0.3
     keypoint_sigma: float = 2.0
@@ -151,10 +153,10 @@ class OutlineRefiner:
         chosen = np.where(better[0], straight, crossed)
         return np.asarray(chosen.reshape(len(poses), 4) / self._config.keypoint_sigma)
 
-    def _loss(self, image: NDArray[np.float32]) -> float:
+    def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
         """Cauchy's loss of a blurred image (N,): a sum of squares while all is small."""
-        r = (image - self._target.ravel()) / self._config.cauchy
-        return float(self._config.cauchy**2 * (self._weight.ravel() * np.log1p(r * r)).sum(dtype=np.float64))
+        r = (image - self._target.ravel()) / np.float32(cauchy)
+        return float(cauchy**2 * (self._weight.ravel() * np.log1p(r * r)).sum(dtype=np.float64))
 
     def _scale(self, loss: float) -> float:
         """Measurements per unit of loss: turns sums of squares of coverage into those of standard deviations."""
@@ -179,7 +181,7 @@ class OutlineRefiner:
         )
 
     def _normal_equations(
-        self, poses: Float64, joints: Float64, images: NDArray[np.float32]
+        self, poses: Float64, joints: Float64, images: NDArray[np.float32], cauchy: float
     ) -> tuple[Float64, Float64]:
         """Outline's information (C, D, D) and gradient (C, D), in sums of squares of coverage."""
         config, camera, body = self._config, self._camera, self._renderer.body
@@ -198,7 +200,7 @@ class OutlineRefiner:
             seen = camera.project(points)
             speed = ((seen[:count] - seen[count:]) / (2 * self.steps[:, None, None]) * outline.normals[mine]).sum(-1)
             r = (image - self._target.ravel()).reshape(self._target.shape)
-            weight = self._weight / (1 + (r / config.cauchy) ** 2)
+            weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
             at = spots[mine]
             pull = _sampled(self._blurred(weight * r), at)
             trust = _sampled(self._blurred(weight), at)
@@ -211,12 +213,18 @@ class OutlineRefiner:
         """Score one pose (4, 4) and its joints (J,) as they are."""
         return self.refine_all(pose[None], joints[None], iterations=0)[0]
 
-    def refine_all(self, poses: Float64, joints: Float64, *, iterations: int | None = None) -> list[OutlineFit]:
-        """Refine poses (C, 4, 4) and their joints (C, J), each on its own but in step with the others."""
+    def refine_all(
+        self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
+    ) -> list[OutlineFit]:
+        """Refine poses (C, 4, 4) and their joints (C, J), each on its own but in step with the others.
+
+        ``cauchy`` replaces the configuration's for the refinement; scores are those of the configuration's.
+        """
+        width = self._config.cauchy if cauchy is None else cauchy
         states = [_State(pose, joint) for pose, joint in zip(poses, joints, strict=True)]
         for state, image in zip(states, self._images(poses, joints), strict=True):
-            state.image, state.loss = image, self._loss(image)
-        self._linearise(states)
+            state.image, state.loss = image, self._loss(image, width)
+        self._linearise(states, width)
         most = self._config.iterations if iterations is None else iterations
         for _ in range(most):
             active = [state for state in states if not state.finished]
@@ -226,7 +234,7 @@ class OutlineRefiner:
             images = self._images(np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials]))
             improved = []
             for state, (pose, joint, step), image in zip(active, trials, images, strict=True):
-                loss = self._loss(image)
+                loss = self._loss(image, width)
                 cost = state.scale * loss + self._other_costs(pose, joint)
                 gain = state.scale * state.loss + self._other_costs(state.pose, state.joints) - cost
                 if gain <= 0:
@@ -238,20 +246,22 @@ class OutlineRefiner:
                 state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
                 state.damping = max(state.damping / 8, 1e-4)
                 improved.append(state)
-            self._linearise(improved)
-        return [
-            OutlineFit(
-                s.pose, s.joints, self.score(s.loss, s.pose, s.joints), s.loss, s.information, s.scale * s.outline
+            self._linearise(improved, width)
+        fits = []
+        for state in states:
+            loss = self._loss(state.image, self._config.cauchy)
+            score = self.score(loss, state.pose, state.joints)
+            fits.append(
+                OutlineFit(state.pose, state.joints, score, loss, state.information, state.scale * state.outline)
             )
-            for s in states
-        ]
+        return fits
 
-    def _linearise(self, states: list[_State]) -> None:
+    def _linearise(self, states: list[_State], cauchy: float) -> None:
         """Compute information and slope of states at their poses, all evidence included."""
         if not states:
             return
         poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
-        outline, gradient = self._normal_equations(poses, joints, np.stack([s.image for s in states]))
+        outline, gradient = self._normal_equations(poses, joints, np.stack([s.image for s in states]), cauchy)
         count = len(self.steps)
         for i, state in enumerate(states):
             state.scale, state.outline = self._scale(state.loss), outline[i]

@@ -294,7 +294,7 @@ def find_crossings(
         depth = np.where(depth < NEAR, np.float32(1), depth)
     x: Float32 = homogeneous[:, 0] / depth
     y: Float32 = homogeneous[:, 1] / depth
-    inverse_depth: Float32 | None = (1 / depth).ravel() if detail else None
+    inverse_depth = np.asarray(1 / depth, dtype=np.float32).ravel() if detail else None
     points = projection.points(x.ravel(), y.ravel(), inverse_depth)
 
     pose = np.repeat(np.arange(poses, dtype=np.int32), outline.sum(axis=1))
