@@ -1,0 +1,33 @@
+# make demo | test | lint: each makes the environment it needs first. VENV=DIR puts that elsewhere, PYTHON=... chooses
+# the interpreter, TESTS=... the tests.
+VENV ?= .venv
+PYTHON ?= python3
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test lint clean
+.DELETE_ON_ERROR:
+
+demo: $(VENV)/.package
+	$(BIN)/dvrk-cmaes demo
+
+test: $(VENV)/.tools
+	$(BIN)/python -m pytest $(TESTS)
+
+lint: $(VENV)/.tools
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV)
+
+$(VENV)/.package: pyproject.toml
+	@$(PYTHON) scripts/check_build_tools.py
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.tools: $(VENV)/.package
+	$(PIP) --editable '.[test,lint,make]'
+	@touch $@
