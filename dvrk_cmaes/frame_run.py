@@ -18,10 +18,9 @@ from dvrk_cmaes.silhouette import Body
 
 @dataclass(frozen=True, eq=False)
 class FrameRun:
-    """A frame's result, what was done to make its files fit, and the files written: JSON and overlay, if any."""
+    """A frame's result, and the files written: JSON and overlay, if any."""
 
     result: Result
-    notes: tuple[str, ...]
     written: tuple[Path, ...]
 
 
@@ -51,8 +50,8 @@ def run_frame(
         warnings=data.notes,
     )
     if out is None:
-        return FrameRun(result, data.notes, ())
+        return FrameRun(result, ())
     overlay = draw_overlay(
         result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
     )
-    return FrameRun(result, data.notes, write_frame(out, result, overlay))
+    return FrameRun(result, write_frame(out, result, overlay))

@@ -19,8 +19,6 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
     yield Line(heading, STATUS_STYLES[result.status])
     for reason in result.reasons:
         yield Line(f"  {reason}", STATUS_STYLES[result.status].removeprefix("bold "))
-    for warning in result.warnings:
-        yield Line(f"  warning: {warning}", "yellow")
     for left_out in result.unused:
         yield Line(f"  not used: {left_out}")
     if result.camera_from_root is not None:

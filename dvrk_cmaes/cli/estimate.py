@@ -18,7 +18,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import note, show
+from dvrk_cmaes.cli.terminal import show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ def estimate(
     name, readings = _readings(joints, frame, mask.stem, body.instrument.joint_names)
     files = FrameFiles(name, mask, readings, image, ignore, tips, label, picked)
     run = run_frame(files, lens, body, arm=instrument.arm, config=settings, out=out)
-    for text in run.notes:
-        note(text)
+    for text in run.result.warnings:
+        warn(text)
     if json:
         print(json_text(run.result.to_dict()), end="")
     else:

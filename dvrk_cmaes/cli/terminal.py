@@ -21,9 +21,9 @@ def complain(message: str) -> None:
     print("dvrk-cmaes:", " ".join(message.split()), file=sys.stderr)
 
 
-def note(message: str) -> None:
-    """Say something on stderr that is not an error."""
-    print("dvrk-cmaes: note:", message, file=sys.stderr)
+def warn(message: str) -> None:
+    """Say on stderr what somebody should know of a result that is there all the same."""
+    print("dvrk-cmaes: warning:", message, file=sys.stderr)
 
 
 def show(lines: Iterable[Line]) -> None:

@@ -51,7 +51,7 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
     InputError
         Naming the file and the frame or the joint, and what was expected.
     """
-    names = (*WRIST_JOINTS, *OUTER_JOINTS, *known)
+    names = _names(known)
     if is_written_out(text_or_path):
         return _written_out(str(text_or_path), names)
     path = str(text_or_path)
@@ -64,13 +64,18 @@ def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str
 
     ``known`` and the errors are those of ``read_joints``.
     """
-    rows = _rows(str(path), (*WRIST_JOINTS, *OUTER_JOINTS, *known))
+    rows = _rows(str(path), _names(known))
     return {frame: _row_readings(str(path), row) for frame, row in rows.items()}
 
 
 def is_written_out(text_or_path: str | Path) -> bool:
     """Whether readings are written out as ``name=value,...`` rather than named by a path."""
     return isinstance(text_or_path, str) and "=" in text_or_path and not os.path.exists(text_or_path)
+
+
+def _names(known: Iterable[str]) -> tuple[str, ...]:
+    """All joints that a reading may be of, each once."""
+    return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known)))
 
 
 def _row_readings(path: str, row: dict[str, str]) -> dict[str, float]:
