@@ -21,7 +21,7 @@ from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.global_search import find_candidates
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.local_search import LocalSearch, is_twin
-from dvrk_cmaes.objective import Objective, Readings
+from dvrk_cmaes.objective import Readings
 from dvrk_cmaes.quality import judge, measure_quality
 from dvrk_cmaes.result import Alternative, Result
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -146,10 +146,15 @@ def estimate(
     modes = local.refine(candidates)
     best = modes[0]
 
-    objective = Objective(
-        renderer, evidence, readings, settings.weights, decay=settings.decay_px, field=settings.distance_field
+    qualities = measure_quality(
+        renderer,
+        evidence,
+        readings,
+        modes,
+        settings.weights,
+        decay=settings.decay_px,
+        field=settings.distance_field,
     )
-    qualities = [measure_quality(objective, mode) for mode in modes]
     reasons = judge(best, modes, qualities[0], evidence, readings, model, settings.trust)
     covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     names = model.joint_names
@@ -185,7 +190,7 @@ def estimate(
         covariance=covariance,
         alternatives=tuple(alternative(i) for i in range(1, len(modes))),
         seconds=time.perf_counter() - started,
-        evaluations=search.evaluations + local.silhouettes + objective.evaluations,
+        evaluations=search.evaluations + local.silhouettes + renderer.poses,
         rays=search.renderer.rays + local.rays + renderer.rays,
         seed=settings.seed,
         version=__version__,

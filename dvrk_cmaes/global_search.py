@@ -12,6 +12,7 @@ from dvrk_cmaes.evidence import Evidence
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.modes import best_of_each
 from dvrk_cmaes.objective import Objective, Readings
+from dvrk_cmaes.parallel import each
 from dvrk_cmaes.search import minimise
 from dvrk_cmaes.seeds import draw_seeds
 from dvrk_cmaes.silhouette import Renderer
@@ -69,5 +70,7 @@ def find_candidates(
         best = found.best * scale
         return Candidate(moved(start.camera_from_root, best[:6]), start.joints + best[6:], found.loss)
 
-    found = [search(start, config.seed + i) for i, start in enumerate(starts)]
+    small.threads = 1  # from here on each start has a thread
+    numbered = list(enumerate(starts, start=config.seed))
+    found = each(lambda one: search(one[1], one[0]), numbered, config.threads)
     return sorted(found, key=lambda c: c.score), objective

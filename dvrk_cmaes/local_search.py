@@ -14,9 +14,11 @@ from dvrk_cmaes.global_search import Candidate, image_size, scale_of_change
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.modes import HasPose, best_of_each
 from dvrk_cmaes.objective import Objective, Readings
+from dvrk_cmaes.parallel import batches, each
 from dvrk_cmaes.refine.direct import refine_direct
 from dvrk_cmaes.refine.outline import OutlineFit, OutlineRefiner
 from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.crossings import LANES
 
 Float64 = NDArray[np.float64]
 
@@ -51,13 +53,16 @@ class LocalSearch:
         )
 
     def _refine(self, refiner: OutlineRefiner, modes: Sequence[HasPose], *, last: bool = False) -> list[OutlineFit]:
+        def work(part: Sequence[HasPose]) -> list[OutlineFit]:
+            fits = refiner.refine_all(*_stacked(part))
+            return refiner.refine_all(*_stacked(fits), cauchy=outline.last_cauchy) if last else fits
+
+        outline = self._config.refine.outline
         before = refiner.silhouettes, refiner.rays
-        fits = refiner.refine_all(*_stacked(modes))
-        if last:
-            fits = refiner.refine_all(*_stacked(fits), cauchy=self._config.refine.outline.last_cauchy)
+        fits = each(work, batches(modes, LANES // 2), self._config.threads)
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
-        return fits
+        return [fit for part in fits for fit in part]
 
     def _twin(self, mode: HasPose) -> Candidate:
         return Candidate(*self._renderer.body.instrument.twin(mode.camera_from_root, mode.joints), mode.score)

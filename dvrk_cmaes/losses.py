@@ -56,6 +56,11 @@ def mse_loss(area: Float64, overlap: Float64, mask_area: float) -> Float64:
     return area - 2 * overlap + mask_area
 
 
+def dist_loss(far: Float64) -> Float64:
+    """L_dist = sum S D, from that very sum over the silhouette."""
+    return far
+
+
 def scale_loss(area: Float64, mask_area: float) -> Float64:
     """L_scale = |sum S - sum M|."""
     return np.abs(area - mask_area)

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.distance_field import distance_field
 from dvrk_cmaes.evidence import Evidence, shrunk
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.losses import (
     LossWeights,
     Terms,
     cylinder_loss,
+    dist_loss,
     keypoint_loss,
     mse_loss,
     project_cylinder,
@@ -55,8 +57,6 @@ class Objective:
         self.readings = readings
         self.weights = weights
         self.lines_per_pixel = lines_per_pixel
-        self.evaluations = 0
-        camera = renderer.camera
         camera = renderer.camera
         size = (camera.width, camera.height)
         mask = evidence.mask.astype(np.float32)
@@ -71,39 +71,51 @@ class Objective:
         self._square = float((mask * mask * weight).sum())
         self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)
 
+    @property
+    def evaluations(self) -> int:
+        """Number of silhouettes evaluated so far."""
+        return self.renderer.poses
+
     def terms(self, camera_from_root: Float64, joints: Float64) -> Terms:
         """All terms of C candidates: poses (C, 4, 4) and joints (C, J)."""
-        self.evaluations += len(camera_from_root)
         sums = self.renderer.sums(camera_from_root, joints, self._images, lines_per_pixel=self.lines_per_pixel)
         area, overlap, far = sums.T
-        none = np.zeros(len(camera_from_root))
-        instrument = self.renderer.body.instrument
-        cylinder = keypoints = none
-        edges, shaft = self.evidence.shaft_edges, instrument.shaft
-        full = self.evidence.camera
-        if edges and shaft is not None:
-            rotation = camera_from_root[:, :3, :3]
-            direction = rotation @ shaft.direction
-            point = rotation @ shaft.point + camera_from_root[:, :3, 3]
-            projected = project_cylinder(point, direction, shaft.radius)
-            # The likeliest pair is not always the shaft: a candidate may fit any of them.
-            pairs = [cylinder_loss(projected, pair.planes, full, self.weights.line_offset) for pair in edges]
-            cylinder = np.min(pairs, axis=0)
-        tips = self.evidence.tips
-        if tips is not None and instrument.jaw_tips:
-            points = instrument.tips(joints) @ np.swapaxes(camera_from_root[:, :3, :3], 1, 2)
-            points = points + camera_from_root[:, None, :3, 3]
-            points[..., 2] = np.maximum(points[..., 2], 1e-3)
-            keypoints = keypoint_loss(full.project(points), tips)
+        cylinder, keypoints, readings = pose_terms(
+            self.evidence, self.renderer.body.instrument, self.readings, self.weights, camera_from_root, joints
+        )
         return Terms(
             mse=mse_loss(area, overlap, self._square) / self._area,
-            dist=far / self._area,
+            dist=dist_loss(far) / self._area,
             scale=scale_loss(area, self._area) / self._area,
             cylinder=cylinder,
             keypoints=keypoints,
-            readings=reading_loss(joints, self.readings.values, self.readings.spread),
+            readings=readings,
         )
 
     def __call__(self, camera_from_root: Float64, joints: Float64) -> Float64:
         """Total loss of C candidates, (C,)."""
         return self.terms(camera_from_root, joints).total(self.weights)
+
+
+def pose_terms(
+    evidence: Evidence,
+    instrument: Instrument,
+    readings: Readings,
+    weights: LossWeights,
+    camera_from_root: Float64,
+    joints: Float64,
+) -> tuple[Float64, Float64, Float64]:
+    """Terms that need no silhouette, (C,) each: shaft edges, jaw tips, readings; zero without evidence."""
+    cylinder = keypoints = np.zeros(len(camera_from_root))
+    camera, edges, shaft, tips = evidence.camera, evidence.shaft_edges, instrument.shaft, evidence.tips
+    rotation, translation = camera_from_root[:, :3, :3], camera_from_root[:, :3, 3]
+    if edges and shaft is not None:
+        projected = project_cylinder(rotation @ shaft.point + translation, rotation @ shaft.direction, shaft.radius)
+        # The likeliest pair is not always the shaft: a candidate may fit any of them.
+        pairs = [cylinder_loss(projected, pair.planes, camera, weights.line_offset) for pair in edges]
+        cylinder = np.min(pairs, axis=0)
+    if tips is not None and instrument.jaw_tips:
+        points = instrument.tips(joints) @ np.swapaxes(rotation, 1, 2) + translation[:, None]
+        points[..., 2] = np.maximum(points[..., 2], 1e-3)
+        keypoints = keypoint_loss(camera.project(points), tips)
+    return cylinder, keypoints, reading_loss(joints, readings.values, readings.spread)

@@ -10,46 +10,87 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.distance_field import distance_field
 from dvrk_cmaes.evidence import Evidence
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.local_search import is_twin
-from dvrk_cmaes.objective import Objective, Readings
+from dvrk_cmaes.losses import LossWeights, Terms, dist_loss, mse_loss, scale_loss
+from dvrk_cmaes.objective import Readings, pose_terms
 from dvrk_cmaes.refine.outline import OutlineFit
 from dvrk_cmaes.result import Quality
+from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
 
-def _contour_distances(silhouette: NDArray[np.bool_], evidence: Evidence) -> Float64:
-    """Distances in px from the mask's contour points to the silhouette's outline, (N,)."""
-    outline = cv2.morphologyEx(silhouette.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    points = evidence.contour.pixels
-    if not outline.any() or not len(points):
+def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float64:
+    """Distances in px from points (N, 2) to a silhouette's outline, (N,); infinite where there is none."""
+    if not len(points) or silhouette.all() or not silhouette.any():
         return np.full(max(len(points), 1), np.inf)
-    # The gradient is two pixels wide, one on each side of the outline.
-    distance = cv2.distanceTransform(1 - outline, cv2.DIST_L2, 5)
-    column, row = np.rint(points).astype(int).T
-    return np.asarray(distance[row, column], dtype=np.float64)
+    image = silhouette.astype(np.uint8)
+    inside = cv2.distanceTransform(image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform(1 - image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    signed = np.where(silhouette, 0.5 - inside, outside - 0.5).astype(np.float32)
+    at = points.astype(np.float32)
+    distances = cv2.remap(signed, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR)[0]
+    return np.asarray(np.abs(distances), dtype=np.float64)
 
 
-def measure_quality(objective: Objective, mode: OutlineFit) -> Quality:
-    """Overlap, losses and contour distances of one pose at full size."""
-    evidence = objective.evidence
-    pose, joints = mode.camera_from_root[None], mode.joints[None]
-    silhouette = objective.renderer.masks(pose, joints)[0]
-    counted = evidence.weight > 0.5
-    both = (silhouette & evidence.mask & counted).sum()
-    either = ((silhouette | evidence.mask) & counted).sum()
-    terms = objective.terms(pose, joints)
-    distances = _contour_distances(silhouette, evidence)
-    far = float(np.hypot(*silhouette.shape))
-    return Quality(
-        iou=float(both / max(either, 1)),
-        loss=float(terms.total(objective.weights)[0]),
-        terms={name: float(value[0]) for name, value in asdict(terms).items()},
-        contour_px_median=float(np.minimum(np.median(distances), far)),
-        contour_px_95=float(np.minimum(np.percentile(distances, 95), far)),
-    )
+def _window(shape: tuple[int, int], masks: Sequence[NDArray[np.bool_]]) -> tuple[int, int, int, int]:
+    """Left, top, width, height of a window around all masks, a little wider, within the image."""
+    union = np.logical_or.reduce(masks)
+    rows, columns = np.flatnonzero(union.any(axis=1)), np.flatnonzero(union.any(axis=0))
+    top, left = max(rows[0] - 2, 0), max(columns[0] - 2, 0)
+    return left, top, min(columns[-1] + 3, shape[1]) - left, min(rows[-1] + 3, shape[0]) - top
+
+
+def measure_quality(
+    renderer: Renderer,
+    evidence: Evidence,
+    readings: Readings,
+    modes: Sequence[OutlineFit],
+    weights: LossWeights,
+    *,
+    decay: float,
+    field: str,
+) -> list[Quality]:
+    """Overlap, losses and contour distances of all modes at full size.
+
+    The distance field is only needed where a silhouette or the mask is.
+    """
+    poses, joints = np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
+    masks = renderer.masks(poses, joints)
+    left, top, width, height = _window(evidence.mask.shape, [evidence.mask, *masks])
+    window = np.s_[top : top + height, left : left + width]
+    mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
+    around = np.pad(mask, 1)  # the field needs some background
+    far = distance_field(around, field)[1:-1, 1:-1] / decay
+    area = float((mask * weight).sum())
+    cylinder, keypoints, read = pose_terms(evidence, renderer.body.instrument, readings, weights, poses, joints)
+    found = []
+    for i, silhouette in enumerate(masks[:, window[0], window[1]]):
+        drawn = silhouette * weight
+        terms = Terms(
+            mse=mse_loss(np.array([drawn.sum()]), np.array([(drawn * mask).sum()]), area) / area,
+            dist=dist_loss(np.array([(drawn * far).sum()])) / area,
+            scale=scale_loss(np.array([drawn.sum()]), area) / area,
+            cylinder=cylinder[i : i + 1],
+            keypoints=keypoints[i : i + 1],
+            readings=read[i : i + 1],
+        )
+        both, either = (drawn * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
+        distances = _contour_distances(silhouette, evidence.contour.pixels - [left, top])
+        far_off = float(np.hypot(*evidence.mask.shape))
+        found.append(
+            Quality(
+                iou=float(both / max(either, 1)),
+                loss=float(terms.total(weights)[0]),
+                terms={name: float(value[0]) for name, value in asdict(terms).items()},
+                contour_px_median=float(np.minimum(np.median(distances), far_off)),
+                contour_px_95=float(np.minimum(np.percentile(distances, 95), far_off)),
+            )
+        )
+    return found
 
 
 def judge(

@@ -26,8 +26,9 @@ _FACING = 0.93  # cosine between an edge's normal and a contour point's
 _LARGEST_GAP = 40.0  # px along an edge
 _FEWEST = 12  # contour points of an edge
 _AT_BORDER = 25.0  # px
-_HYPOTHESES = 600
-_KEPT_LINES = 28
+_HYPOTHESES = 320
+_VOTERS = 320  # contour points that lines are drawn through and voted for by
+_KEPT_LINES = 20
 _SHORTEST = 0.7  # of an edge's length, in widths of the shaft
 _MOST_APART = np.deg2rad(35.0)  # between the two edges in the image
 _DEPTHS = (0.02, 0.5)  # m, from the eye to the middle of the visible shaft
@@ -105,21 +106,23 @@ def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:
 
 def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     """Lines (n, 3) through pairs of contour points that agree with both normals, the best supported ones first."""
-    count = len(contour.ideal)
+    every = max(1, len(contour.ideal) // _VOTERS)
+    points, normals = contour.ideal[::every], contour.normals[::every]
+    count = len(points)
     first = rng.integers(count, size=_HYPOTHESES * 4)
     second = rng.integers(count, size=_HYPOTHESES * 4)
-    way = contour.ideal[second] - contour.ideal[first]
+    way = points[second] - points[first]
     length = np.linalg.norm(way, axis=1)
     normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
-    normal *= np.sign((normal * contour.normals[first]).sum(axis=1))[:, None]
-    agree = np.minimum((normal * contour.normals[first]).sum(axis=1), (normal * contour.normals[second]).sum(axis=1))
+    normal *= np.sign((normal * normals[first]).sum(axis=1))[:, None]
+    agree = np.minimum((normal * normals[first]).sum(axis=1), (normal * normals[second]).sum(axis=1))
     good = np.flatnonzero((length > 15) & (agree > _FACING))[:_HYPOTHESES]
-    lines = np.c_[normal[good], -(normal[good] * contour.ideal[first[good]]).sum(axis=1)]
-    away = contour.ideal @ lines[:, :2].T + lines[:, 2]
+    lines = np.c_[normal[good], -(normal[good] * points[first[good]]).sum(axis=1)]
+    away = points @ lines[:, :2].T + lines[:, 2]
     votes = np.exp(-0.5 * (away / _NEAR_LINE) ** 2)
-    votes[contour.normals @ lines[:, :2].T < _FACING] = 0.0
+    votes[normals @ lines[:, :2].T < _FACING] = 0.0
     support = votes.sum(axis=0)
-    middle = (votes.T @ contour.ideal) / np.maximum(support, 1e-9)[:, None]
+    middle = (votes.T @ points) / np.maximum(support, 1e-9)[:, None]
     kept: list[int] = []
     for i in np.argsort(-support, kind="stable"):
         known = lines[kept]
@@ -144,7 +147,7 @@ def _on_line(contour: Contour, line: Float64, reach: float) -> NDArray[np.intp]:
     return np.asarray(index[max(stretches, key=len)])
 
 
-def _fit_line(contour: Contour, line: Float64, rounds: int = 4) -> tuple[Float64, NDArray[np.intp], float]:
+def _fit_line(contour: Contour, line: Float64, rounds: int = 3) -> tuple[Float64, NDArray[np.intp], float]:
     """Fit a line robustly to the contour points near it: the line, its points, and their spread in px."""
     index = _on_line(contour, line, 2.5 * _NEAR_LINE)
     sigma = _NEAR_LINE
@@ -172,6 +175,29 @@ def _to_planes(lines: Float64, camera: Camera) -> Float64:
     return np.asarray(planes / np.linalg.norm(planes, axis=1, keepdims=True))
 
 
+@dataclass(frozen=True, eq=False)
+class _Edge:
+    """A straight stretch of the contour: its line (3,), its contour points, their spread and support, its two ends."""
+
+    line: Float64
+    index: NDArray[np.intp]
+    sigma: float
+    ends: Float64
+    votes: float
+
+    @staticmethod
+    def fit(contour: Contour, line: Float64) -> _Edge | None:
+        """Fit a line to the contour; None where too little of it is straight there."""
+        line, index, sigma = _fit_line(contour, line)
+        if len(index) < _FEWEST:
+            return None
+        points = contour.ideal[index]
+        position = points @ np.array([-line[1], line[0]])
+        two = points[[int(position.argmin()), int(position.argmax())]]
+        ends = two - (two @ line[:2] + line[2])[:, None] * line[:2]
+        return _Edge(line, index, sigma, ends, _votes(contour, line, index))
+
+
 def find_shaft_edges(
     mask: NDArray[np.bool_], contour: Contour, camera: Camera, radius: float, *, seed: int = 0, most: int = 3
 ) -> tuple[ShaftEdges, ...] | str:
@@ -184,86 +210,69 @@ def find_shaft_edges(
     if len(contour.ideal) < 40:
         return "the mask has too little contour inside the image"
     rng = np.random.default_rng(seed)
-    fitted = [_fit_line(contour, line) for line in _candidate_lines(contour, rng)]
-    fitted = [one for one in fitted if len(one[1]) >= _FEWEST]
-    fitted.sort(key=lambda one: -_votes(contour, one[0], one[1]))
+    fitted = [_Edge.fit(contour, line) for line in _candidate_lines(contour, rng)]
+    edges = sorted((edge for edge in fitted if edge is not None), key=lambda edge: -edge.votes)
     pairs = [
-        (_pair_score(mask, contour, camera, radius, (fitted[i], fitted[j])), i, j)
-        for i in range(len(fitted))
+        (_pair_support(edges[j], edges[i], mask.shape), edges[j], edges[i])
+        for i in range(len(edges))
         for j in range(i)
-        if fitted[i][0][:2] @ fitted[j][0][:2] < -np.cos(_MOST_APART)
+        if edges[i].line[:2] @ edges[j].line[:2] < -np.cos(_MOST_APART)
     ]
-    pairs = sorted((pair for pair in pairs if pair[0] > 0), key=lambda pair: -pair[0])
-    if not pairs:
-        return "no two straight stretches of the contour could bound the shaft"
     chosen: list[ShaftEdges] = []
-    taken: list[Float64] = []
-    for score, i, j in pairs:
-        if score < 0.4 * pairs[0][0] or len(chosen) == most:
+    best = 0.0
+    for support, first, second in sorted(pairs, key=lambda pair: -pair[0]):
+        if support <= 0.4 * best or support <= 0 or len(chosen) == most:
             break
-        two = (fitted[i], fitted[j])
-        ends = np.stack([_ends(contour.ideal[index], line) for line, index, _ in two])
-        if any(np.abs(ends - other).max() < 12 for other in taken):
+        ends = np.stack([first.ends, second.ends])
+        if any(np.abs(ends - other.ends).max() < 12 for other in chosen):
             continue
-        taken.append(ends)
+        if not _bounds_cylinder(mask, camera, radius, first, second):
+            continue
+        best = max(best, support)
         chosen.append(
             ShaftEdges(
-                planes=_to_planes(np.stack([line for line, _, _ in two]), camera),
+                planes=_to_planes(np.stack([first.line, second.line]), camera),
                 ends=ends,
-                sigma=np.array([sigma for _, _, sigma in two]),
-                support=np.array([len(index) for _, index, _ in two]),
+                sigma=np.array([first.sigma, second.sigma]),
+                support=np.array([len(first.index), len(second.index)]),
             )
         )
-    return tuple(chosen)
+    return tuple(chosen) if chosen else "no two straight stretches of the contour could bound the shaft"
 
 
-def _ends(points: Float64, line: Float64) -> Float64:
-    """First and last of points (n, 2) along a line, moved onto it, (2, 2)."""
-    position = points @ np.array([-line[1], line[0]])
-    two = points[[int(position.argmin()), int(position.argmax())]]
-    return np.asarray(two - (two @ line[:2] + line[2])[:, None] * line[:2])
-
-
-def _pair_score(
-    mask: NDArray[np.bool_],
-    contour: Contour,
-    camera: Camera,
-    radius: float,
-    pair: tuple[tuple[Float64, NDArray[np.intp], float], tuple[Float64, NDArray[np.intp], float]],
-) -> float:
-    """Contour length that two fitted lines explain together as edges of the shaft; 0 where they cannot be."""
-    lines = np.stack([pair[0][0], pair[1][0]])
-    ends = np.stack([_ends(contour.ideal[index], line) for line, index, _ in pair])
-    ends[1] = ends[1, ::-1]  # The lines face away from each other, so they run in opposite directions.
-    direction = np.array([-lines[0, 1], lines[0, 0]])
-    position = ends @ direction
-    overlap = position[:, 1].min() - position[:, 0].max()
-    lengths = position[:, 1] - position[:, 0]
-    middle = ends.mean(axis=(0, 1))
-    width = -(lines[:, :2] @ middle + lines[:, 2]).sum()
-    if width < 6 or overlap < -0.5 * width or lengths.min() < _SHORTEST * width:
+def _pair_support(first: _Edge, second: _Edge, shape: tuple[int, ...]) -> float:
+    """Contour length that two edges explain together as those of the shaft; 0 where they do not lie side by side."""
+    direction = np.array([-first.line[1], first.line[0]])
+    a, b = first.ends @ direction, (second.ends @ direction)[::-1]  # the edges run in opposite directions
+    overlap = min(a[1], b[1]) - max(a[0], b[0])
+    middle = (first.ends.sum(axis=0) + second.ends.sum(axis=0)) / 4
+    width = -(first.line[:2] @ middle + first.line[2] + second.line[:2] @ middle + second.line[2])
+    if width < 6 or overlap < -0.5 * width or min(a[1] - a[0], b[1] - b[0]) < _SHORTEST * width:
         return 0.0
-    direction_3d, point = shaft_axis(_to_planes(lines, camera), radius)
-    ray = np.array([(middle[0] - camera.cx) / camera.fx, (middle[1] - camera.cy) / camera.fy, 1.0])
-    normal = np.cross(direction_3d, np.cross(ray, direction_3d))
+    # The shaft comes in over the image border: edges that begin there are worth more.
+    limit = np.array([shape[1] - 1, shape[0] - 1])
+    at_border = sum(float(np.minimum(edge.ends, limit - edge.ends).min()) < _AT_BORDER for edge in (first, second))
+    shorter, longer = sorted((first.votes, second.votes))
+    return float((1.0 + 0.5 * at_border) * (2 * shorter + 0.5 * (longer - shorter)))
+
+
+def _bounds_cylinder(mask: NDArray[np.bool_], camera: Camera, radius: float, first: _Edge, second: _Edge) -> bool:
+    """Whether a cylinder between two edges lies at a likely distance, with instrument between them."""
+    ends = np.stack([first.ends, second.ends[::-1]])
+    middle = ends.mean(axis=(0, 1))
+    direction, point = shaft_axis(_to_planes(np.stack([first.line, second.line]), camera), radius)
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    ray = np.array([*((middle - centre) / focal), 1.0])
+    normal = np.cross(direction, np.cross(ray, direction))
     depth = float(normal @ point / (normal @ ray))  # at which the axis passes the middle of the edges
     if not _DEPTHS[0] < depth < _DEPTHS[1]:
-        return 0.0
-    # There must be instrument between the edges.
+        return False
     s, t = (g.reshape(-1, 1) for g in np.meshgrid(np.linspace(0.05, 0.95, 10), np.linspace(0.1, 0.9, 5)))
     sides = ends[:, 0, None] + s * (ends[:, 1] - ends[:, 0])[:, None]
     inside = sides[0] + t * (sides[1] - sides[0])
-    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     pixels = np.rint(camera.distort((inside - centre) / focal) * focal + centre).astype(int)
     seen = (pixels >= 0).all(axis=1) & (pixels < [mask.shape[1], mask.shape[0]]).all(axis=1)
-    if not seen.any() or mask[pixels[seen, 1], pixels[seen, 0]].mean() < 0.85:
-        return 0.0
-    votes = [_votes(contour, line, index) for line, index, _ in pair]
-    # The shaft comes in over the image border: edges that begin there are worth more.
-    limit = np.array([mask.shape[1] - 1, mask.shape[0] - 1])
-    to_border = np.minimum(ends, limit - ends).min(axis=2).min(axis=1)
-    bonus = 1.0 + 0.5 * (to_border < _AT_BORDER).sum()
-    return float(bonus * (2 * min(votes) + 0.5 * abs(votes[0] - votes[1])))
+    return bool(seen.any() and mask[pixels[seen, 1], pixels[seen, 0]].mean() >= 0.85)
 
 
 def shaft_axis(planes: Float64, radius: float) -> tuple[Float64, Float64]:
