@@ -1,4 +1,4 @@
-"""One frame from its files to its files: read, estimate, draw, write. What every command does with a frame."""
+"""One frame from what was read to what is written: estimate, draw, write. What every command does with a frame."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dvrk_cmaes.arm import Arm
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
+from dvrk_cmaes.io.frame_files import FrameData, FrameFiles
 from dvrk_cmaes.report.files import check_output, write_frame
 from dvrk_cmaes.report.overlay import draw_overlay
 from dvrk_cmaes.result import Result
@@ -25,18 +24,17 @@ class FrameRun:
 
 
 def run_frame(
-    files: FrameFiles, camera: Camera, body: Body, *, arm: Arm, config: EstimateConfig, out: Path | None
+    files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, config: EstimateConfig, out: Path | None
 ) -> FrameRun:
-    """Estimate a frame's pose from its files; with ``out``, write its result and overlay there.
+    """Estimate the pose in a frame that was read from its files; with ``out``, write its result and overlay there.
 
     Raises
     ------
     InputError
-        A file that is missing, wrong or does not fit; a folder that cannot be written to. Nothing is written then.
+        As `estimate`; a name or folder that cannot be written to. Nothing is written then.
     """
     if out is not None:
         check_output(out, files.name)
-    data = read_frame(files, camera)
     result = estimate(
         data.mask,
         data.camera,

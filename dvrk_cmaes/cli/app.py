@@ -22,6 +22,7 @@ app = App(
 
 Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.""",
     version=__version__,
+    suppress_keyboard_interrupt=False,
 )
 app.command(estimate)
 app.command(demo)

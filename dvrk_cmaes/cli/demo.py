@@ -78,8 +78,8 @@ def demo(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.session_folder import read_session
 
-    # As for any mask from a segmenter; of what a person would call the same pose.
-    tolerance = Tolerance(root_mm=2.0, tip_mm=1.5, shaft_deg=5.0, roll_deg=12.0, pitch_yaw_deg=8.0, jaw_deg=8.0)
+    # What a segmenter's mistakes allow; the tips lie 20 mm beyond the root, where 5 deg are nearly 2 mm more.
+    tolerance = Tolerance(root_mm=2.0, tip_mm=3.5, shaft_deg=5.0, roll_deg=12.0, pitch_yaw_deg=8.0, jaw_deg=8.0)
     session = read_session(bundled_path("demo"))
     outcomes = list(_run(session, out, method, tolerance))
     right = all(outcome.expected for outcome in outcomes)
@@ -104,11 +104,12 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     from dvrk_cmaes.comparison import compare_poses
     from dvrk_cmaes.estimation import prepare
     from dvrk_cmaes.frame_run import run_frame
+    from dvrk_cmaes.io.frame_files import read_frame
 
     config, body = method.resolve(), prepare("lnd")
     console = Console(stderr=True)
     for files in track(session.frames, "Estimating", console=console, disable=not console.is_terminal):
-        result = run_frame(files, session.camera, body, arm="classic", config=config, out=out).result
+        result = run_frame(files, read_frame(files, session.camera), body, arm="classic", config=config, out=out).result
         assert result.camera_from_root is not None
         truth = session.truth.frames[files.name]
         error = compare_poses(

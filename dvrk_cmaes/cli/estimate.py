@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -93,17 +94,18 @@ def estimate(
     from dvrk_cmaes.frame_run import run_frame
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.camera_file import read_camera
-    from dvrk_cmaes.io.frame_files import FrameFiles
+    from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
     from dvrk_cmaes.io.keypoints import parse_keypoints
 
     settings = method.resolve()
     lens = read_camera(camera, rectified=rectified)
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
+    files = FrameFiles(mask.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
+    data = read_frame(files, lens)
     body = instrument.load()
-    name, readings = _readings(joints, frame, mask.stem, body.instrument.joint_names)
-    files = FrameFiles(name, mask, readings, image, ignore, tips, label, picked)
-    run = run_frame(files, lens, body, arm=instrument.arm, config=settings, out=out)
+    files = replace(files, readings=_readings(joints, frame, mask.stem, body.instrument.joint_names))
+    run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out)
     for text in run.result.warnings:
         warn(text)
     if json:
@@ -113,16 +115,16 @@ def estimate(
     return EXIT_CODES[run.result.status]
 
 
-def _readings(joints: str, frame: str | None, stem: str, known: Sequence[str]) -> tuple[str, dict[str, float]]:
-    """Name of the frame, and its readings; of a table with one row only, that row, whatever its frame is called."""
+def _readings(joints: str, frame: str | None, stem: str, known: Sequence[str]) -> dict[str, float]:
+    """Readings of a frame, which is the mask's unless named; of a table with one row only, that row."""
     from dvrk_cmaes.io.joints import is_written_out, read_joint_table, read_joints
 
-    name = stem if frame is None else frame
     if joints == NO_READINGS:
-        return name, {}
+        return {}
     if is_written_out(joints):
-        return name, read_joints(joints, known=known)
+        return read_joints(joints, known=known)
     table = read_joint_table(joints, known=known)
     if frame is None and stem not in table and len(table) == 1:
-        return name, next(iter(table.values()))
-    return name, table[name] if name in table else read_joints(joints, frame=name, known=known)
+        return next(iter(table.values()))
+    name = stem if frame is None else frame
+    return table[name] if name in table else read_joints(joints, frame=name, known=known)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import Instrument
 
 NEAR = 1e-3
@@ -20,7 +20,7 @@ def _embree() -> Any:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
     except ImportError as error:
-        raise DvrkCmaesError(
+        raise InputError(
             f"embreex is missing or does not load ({error}): install it with 'pip install \"embreex>=4.4,<5\"'"
         ) from error
     return rtcore_scene.EmbreeScene, TriangleMesh

@@ -1,0 +1,68 @@
+"""The golden cases: what `estimate` finds is within each case's stated tolerances of the truth, or says why not.
+
+``ok``: must be trusted and within tolerance. ``ok-or-doubtful``: within tolerance, or doubtful. ``doubtful``: must be
+flagged, for the reason that the case names, and be within tolerance all the same. ``either_twin``: the mirror twin of
+the truth will do, since nothing in the case tells them apart.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.comparison import PoseError, Tolerance, compare_poses
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.io.images import read_ignore, read_mask
+from dvrk_cmaes.result import Result
+from dvrk_cmaes.silhouette import Body
+
+GOLDEN = bundled_path("golden")
+CASES: dict[str, Any] = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))["cases"]
+MOST_EVALUATIONS = 6000
+"""Silhouettes that a case may cost: a budget in work, not in seconds."""
+
+
+def run_case(body: Body, case: dict[str, Any]) -> Result:
+    camera = Camera(**{**case["camera"], "distortion": tuple(case["camera"]["distortion"])})
+    ignore = None if case["ignore"] is None else read_ignore(GOLDEN / case["ignore"])
+    return estimate(read_mask(GOLDEN / case["mask"]), camera, case["readings"], body, ignore=ignore)
+
+
+def error_of(body: Body, case: dict[str, Any], result: Result) -> PoseError:
+    """Error against the truth, or against its mirror twin where that is nearer and the case allows it."""
+    instrument = body.instrument
+    assert result.camera_from_root is not None
+    true_pose = np.array(case["truth"]["camera_from_root"])
+    true_joints = case["truth"]["joints"]
+    truths = [(true_pose, true_joints)]
+    if case["either_twin"]:
+        pose, joints = instrument.twin(true_pose, [true_joints[name] for name in instrument.joint_names])
+        truths.append((pose, dict(zip(instrument.joint_names, joints.tolist(), strict=True))))
+    found = result.camera_from_root, result.joints
+    return min((compare_poses(instrument, found, truth) for truth in truths), key=lambda error: error.rotation_deg)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_golden_case_comes_out_within_its_tolerances(bundled_body: Body, name: str) -> None:
+    case = CASES[name]
+    result = run_case(bundled_body, case)
+    error = error_of(bundled_body, case, result)
+    beyond = error.beyond(Tolerance(**case["tolerance"]))
+    report = f"{case['about']}: {result.status} {result.reasons}; beyond tolerance: {beyond}; {error}"
+
+    assert result.evaluations <= MOST_EVALUATIONS, report
+    if case["outcome"] == "ok":
+        assert result.status == "ok", report
+        assert not beyond, report
+    elif case["outcome"] == "doubtful":
+        assert result.status == "doubtful", report
+        assert any(case["reason"] in reason for reason in result.reasons), report
+        assert not beyond, report
+    else:
+        assert case["outcome"] == "ok-or-doubtful"
+        assert result.status == "doubtful" or not beyond, report
