@@ -13,10 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from instrument_files import mesh_link, write_urdf
 
 from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.cli import main
-from instrument_files import mesh_link, write_urdf
 
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"

@@ -116,7 +116,7 @@ def estimate(
 
 
 def _readings(joints: str, frame: str | None, stem: str, known: Sequence[str]) -> dict[str, float]:
-    """Readings of a frame, which is the mask's unless named; of a table with one row only, that row."""
+    """Read a frame's readings; it is called as the mask unless named, and a table's only row will do for any."""
     from dvrk_cmaes.io.joints import is_written_out, read_joint_table, read_joints
 
     if joints == NO_READINGS:
