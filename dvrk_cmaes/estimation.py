@@ -66,7 +66,11 @@ def _split_readings(
         for name, value, (low, high) in zip(instrument.joint_names, values, instrument.limits, strict=True)
         if value < low - 1e-6 or value > high + 1e-6
     ]
-    return Readings(values, spread), unused, warnings
+    low, high = instrument.limits.T.copy()
+    if "jaw" in instrument.joint_names:
+        # Jaws cannot pass through each other: a reading below zero presses them shut, and they look closed.
+        low[instrument.joint_index("jaw")] = 0.0
+    return Readings(values, spread, low, high), unused, warnings
 
 
 def _reading_distance(readings: Readings, joints: Float64) -> float | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.shown import shown
 from dvrk_cmaes.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges
 from dvrk_cmaes.tips import find_tips
 
@@ -52,17 +53,26 @@ def gather_evidence(
     """Collect the evidence of one frame.
 
     ``mask`` and ``ignore`` are (H, W) of the camera's size; ``keypoints`` (2, 2) are jaw tips in pixels, in either
-    order. Raises `InputError` where the mask is of another size, empty or full.
+    order. What the mask says of ignored pixels makes no difference. Raises `InputError` where the mask is of another
+    size, empty or full, and where ``ignore`` or ``keypoints`` have another shape or are not finite.
     """
     if mask.shape != (camera.height, camera.width):
         raise InputError(
             f"mask: expected {camera.width} x {camera.height} pixels as the camera has, got "
             f"{mask.shape[1]} x {mask.shape[0]}"
         )
-    counted = mask if ignore is None else mask & ~ignore
-    if not counted.any():
+    if ignore is not None:
+        if ignore.shape != mask.shape:
+            raise InputError(
+                f"ignore: expected {camera.width} x {camera.height} pixels as the mask has, got an array of shape "
+                f"{ignore.shape}"
+            )
+        mask = mask & ~ignore
+    if keypoints is not None and (keypoints.shape != (2, 2) or not np.isfinite(keypoints).all()):
+        raise InputError(f"keypoints: expected two finite pixels, (2, 2), got {shown(keypoints.tolist())}")
+    if not mask.any():
         raise InputError("mask: expected some instrument, got no pixel that counts")
-    if counted.all():
+    if mask.all():
         raise InputError("mask: expected some background, got instrument everywhere")
     weight = np.ones(mask.shape, dtype=np.float32)
     if ignore is not None:

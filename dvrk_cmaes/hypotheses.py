@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import exp_rotation, frame_along, rotation_about_z, transform
-from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]
 
@@ -40,10 +39,9 @@ def lookat_pose(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, distance: A
 
 
 def sample_joints(
-    instrument: Instrument, readings: Float64, spread: Float64, count: int, rng: np.random.Generator
+    readings: Float64, spread: Float64, low: Float64, high: Float64, count: int, rng: np.random.Generator
 ) -> Float64:
     """Joint values (count, J): around the readings with their spread, uniform within the limits where unknown (NaN)."""
-    low, high = instrument.limits[:, 0], instrument.limits[:, 1]
     near = readings + spread * rng.standard_normal((count, len(readings)))
     free = rng.uniform(low, high, (count, len(readings)))
     return np.asarray(np.where(np.isnan(readings), free, np.clip(near, low, high)))

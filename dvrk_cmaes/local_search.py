@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.global_search import Candidate, image_size, scale_of_change
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.modes import HasPose, best_of_each
+from dvrk_cmaes.noise import measure_noise
 from dvrk_cmaes.objective import Objective, Readings
 from dvrk_cmaes.parallel import batches, each
 from dvrk_cmaes.refine.direct import refine_direct
@@ -47,17 +49,18 @@ class LocalSearch:
         self.silhouettes = 0
         self.rays = 0
 
-    def _refiner(self, shrink: int) -> OutlineRefiner:
-        return OutlineRefiner(
-            self._renderer, self._evidence, self._readings, self._config.refine.outline, shrink=shrink
-        )
-
-    def _refine(self, refiner: OutlineRefiner, modes: Sequence[HasPose], *, last: bool = False) -> list[OutlineFit]:
-        def work(part: Sequence[HasPose]) -> list[OutlineFit]:
-            fits = refiner.refine_all(*_stacked(part))
-            return refiner.refine_all(*_stacked(fits), cauchy=outline.last_cauchy) if last else fits
-
+    def _refiner(self, shrink: int, *, correlation: float | None = None) -> OutlineRefiner:
         outline = self._config.refine.outline
+        if correlation is not None:
+            outline = replace(outline, correlation=correlation)
+        return OutlineRefiner(self._renderer, self._evidence, self._readings, outline, shrink=shrink)
+
+    def _refine(
+        self, refiner: OutlineRefiner, modes: Sequence[HasPose], *, cauchy: float | None = None
+    ) -> list[OutlineFit]:
+        def work(part: Sequence[HasPose]) -> list[OutlineFit]:
+            return refiner.refine_all(*_stacked(part), cauchy=cauchy)
+
         before = refiner.silhouettes, refiner.rays
         fits = each(work, batches(modes, LANES // 2), self._config.threads)
         self.silhouettes += refiner.silhouettes - before[0]
@@ -84,17 +87,28 @@ class LocalSearch:
             modes = best_of_each(modes)
         finest = self._refiner(1)
         final = self._finest(finest, modes[: config.refine.modes])
-        final.sort(key=lambda m: m.score)
-        best = final[0]
-        if instrument.has_twin and not any(is_twin(instrument, best, other) for other in final[1:]):
+        best = min(final, key=lambda m: m.score)
+        if instrument.has_twin and not any(is_twin(instrument, best, other) for other in final):
             final += self._finest(finest, [self._twin(best)])
-        return best_of_each(final)
+        return self._finish(final)
+
+    def _finish(self, modes: list[OutlineFit]) -> list[OutlineFit]:
+        """Weigh outline against readings by the noise that the best mode leaves, and refine a last time."""
+        best = min(modes, key=lambda m: m.score)
+        silhouette = self._renderer.masks(best.camera_from_root[None], best.joints[None])[0]
+        noise = measure_noise(self._evidence.contour, silhouette)
+        refiner = self._refiner(1, correlation=noise.length)
+        if self._config.refine.method == "gauss-newton":
+            modes = self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
+        else:
+            modes = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
+        return [replace(mode, information=refiner.information(mode, noise)) for mode in best_of_each(modes)]
 
     def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine at full size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
-            return self._refine(refiner, modes, last=True)
+            return self._refine(refiner, modes)
         objective = Objective(
             self._renderer,
             self._evidence,

@@ -25,13 +25,28 @@ from dvrk_cmaes.silhouette import PixelSums, Renderer
 
 Float64 = NDArray[np.float64]
 
+LIMIT_SPREAD = float(np.deg2rad(3.0))
+"""How far beyond its limits a joint may be by one standard deviation, rad."""
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Joint readings as evidence: values (J,), NaN where unknown, and their standard deviations (J,), rad."""
+    """What is known of the joints without looking: readings and limits.
+
+    ``values`` (J,), NaN where unknown, with standard deviations ``spread`` (J,); ``low`` and ``high`` (J,) bound what
+    the joints can be, softly. All in rad.
+    """
 
     values: Float64
     spread: Float64
+    low: Float64
+    high: Float64
+
+    def cost(self, joints: Float64) -> Float64:
+        """Sum of squared deviations (...) of joints (..., J), in standard deviations, from readings and limits."""
+        beyond = np.maximum(self.low - joints, 0) + np.maximum(joints - self.high, 0)
+        outside = ((beyond / LIMIT_SPREAD) ** 2).sum(axis=-1)
+        return np.asarray(reading_loss(joints, self.values, self.spread) + outside)
 
 
 class Objective:
@@ -118,4 +133,4 @@ def pose_terms(
         points = instrument.tips(joints) @ np.swapaxes(rotation, 1, 2) + translation[:, None]
         points[..., 2] = np.maximum(points[..., 2], 1e-3)
         keypoints = keypoint_loss(camera.project(points), tips)
-    return cylinder, keypoints, reading_loss(joints, readings.values, readings.spread)
+    return cylinder, keypoints, readings.cost(joints)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from dvrk_cmaes.evidence import Evidence
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.local_search import is_twin
 from dvrk_cmaes.losses import LossWeights, Terms, dist_loss, mse_loss, scale_loss
+from dvrk_cmaes.noise import sampled, signed_distance
 from dvrk_cmaes.objective import Readings, pose_terms
 from dvrk_cmaes.refine.outline import OutlineFit
 from dvrk_cmaes.result import Quality
@@ -27,13 +27,7 @@ def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float6
     """Distances in px from points (N, 2) to a silhouette's outline, (N,); infinite where there is none."""
     if not len(points) or silhouette.all() or not silhouette.any():
         return np.full(max(len(points), 1), np.inf)
-    image = silhouette.astype(np.uint8)
-    inside = cv2.distanceTransform(image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    outside = cv2.distanceTransform(1 - image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    signed = np.where(silhouette, 0.5 - inside, outside - 0.5).astype(np.float32)
-    at = points.astype(np.float32)
-    distances = cv2.remap(signed, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR)[0]
-    return np.asarray(np.abs(distances), dtype=np.float64)
+    return np.abs(sampled(signed_distance(silhouette), points))
 
 
 def _window(shape: tuple[int, int], masks: Sequence[NDArray[np.bool_]]) -> tuple[int, int, int, int]:

@@ -76,4 +76,6 @@ def draw_seeds(
     v, u = np.nonzero(evidence.mask)
     pixels = np.stack([u, v], axis=1).astype(np.float64)
     poses.append(sample_lookat(free, config.lookat, rng, camera=evidence.camera, pixels=pixels))
-    return np.concatenate(poses), sample_joints(instrument, readings.values, readings.spread, count, rng)
+    return np.concatenate(poses), sample_joints(
+        readings.values, readings.spread, readings.low, readings.high, count, rng
+    )

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence import Evidence, shrunk
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.objective import Readings
-from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.objective import LIMIT_SPREAD, Readings
+from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
 
@@ -62,8 +63,8 @@ class OutlineConfig:
 class OutlineFit:
     """A refined pose and what the outline says of it.
 
-    ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints], readings included, ``outline_only``
-    without them; ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame.
+    ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints], readings included;
+    ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame.
     """
 
     camera_from_root: Float64
@@ -71,7 +72,6 @@ class OutlineFit:
     score: float
     residual: float
     information: Float64
-    outline_only: Float64
 
 
 def _box(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
@@ -108,6 +108,7 @@ class OutlineRefiner:
         self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
         self._config = config
         self._weight = np.ascontiguousarray(weight[window])
+        self._mask = mask[window] > 0.5
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
         self._readings = readings
         self._evidence = evidence
@@ -119,7 +120,7 @@ class OutlineRefiner:
             [c.translation_step] * 3 + [c.swing_step] * 2 + [c.turn_step] + [c.joint_step] * joints
         ) * np.array([shrink] * 3 + [shrink] * 2 + [min(shrink, 3)] + [min(shrink, 3)] * joints)
         known = ~np.isnan(readings.values)
-        self._prior = np.where(known, 1 / readings.spread**2, 1e-2)
+        self._prior = np.where(known, 1 / readings.spread**2, 0.0)
         self._centre = np.where(known, readings.values, 0.0)
 
     @property
@@ -165,7 +166,7 @@ class OutlineRefiner:
         return float(self._length / c.correlation * self._shrink / max(loss, floor))
 
     def _prior_cost(self, joints: Float64) -> float:
-        return float((self._prior * (joints - self._centre) ** 2).sum())
+        return float(self._readings.cost(joints))
 
     def _keypoint_cost(self, pose: Float64, joints: Float64) -> float:
         if not self._evidence.tips_given or self._evidence.tips is None:
@@ -184,30 +185,70 @@ class OutlineRefiner:
         self, poses: Float64, joints: Float64, images: NDArray[np.float32], cauchy: float
     ) -> tuple[Float64, Float64]:
         """Outline's information (C, D, D) and gradient (C, D), in sums of squares of coverage."""
-        config, camera, body = self._config, self._camera, self._renderer.body
+        config = self._config
         outline = self._renderer.outlines(poses, joints, lines_per_pixel=config.outline_lines)
         count = len(self.steps)
-        change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
-        spots = outline.pixels.astype(np.float32)
         information, gradient = np.zeros((len(poses), count, count)), np.zeros((len(poses), count))
         for i, (pose, joint, image) in enumerate(zip(poses, joints, images, strict=True)):
-            mine = outline.pose == i
-            if not mine.any():
-                continue
-            links = body.camera_from_links(moved(pose, change[:, :6]), joint + change[:, 6:])[:, outline.link[mine]]
-            points = np.einsum("pnij,nj->pni", links[..., :3, :3], outline.points[mine]) + links[..., :3, 3]
-            np.maximum(points[..., 2], 1e-4, out=points[..., 2])
-            seen = camera.project(points)
-            speed = ((seen[:count] - seen[count:]) / (2 * self.steps[:, None, None]) * outline.normals[mine]).sum(-1)
+            mine = np.flatnonzero(outline.pose == i)
+            speed = self._speed(outline, mine, pose, joint)
             r = (image - self._target.ravel()).reshape(self._target.shape)
             weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
-            at = spots[mine]
-            pull = _sampled(self._blurred(weight * r), at)
-            trust = _sampled(self._blurred(weight), at)
+            pull = sampled(self._blurred(weight * r), outline.pixels[mine])
+            trust = sampled(self._blurred(weight), outline.pixels[mine])
             length = np.linalg.norm(outline.normals[mine], axis=1)
             information[i] = (speed * (trust / (2 * np.sqrt(np.pi) * config.blur * length))) @ speed.T
             gradient[i] = speed @ pull
         return information, gradient
+
+    def _speed(self, outline: OutlinePoints, mine: NDArray[np.intp], pose: Float64, joints: Float64) -> Float64:
+        """How fast each outline point of a pose moves along its normal with each small change, (D, N).
+
+        Times the stretch of outline that the point stands for; by central differences of the projection of the point,
+        which stays where it is on the instrument.
+        """
+        count = len(self.steps)
+        change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
+        links = self._renderer.body.camera_from_links(moved(pose, change[:, :6]), joints + change[:, 6:])
+        links = links[:, outline.link[mine]]
+        points = np.einsum("pnij,nj->pni", links[..., :3, :3], outline.points[mine]) + links[..., :3, 3]
+        np.maximum(points[..., 2], 1e-4, out=points[..., 2])
+        seen = self._camera.project(points)
+        rate = (seen[:count] - seen[count:]) / (2 * self.steps[:, None, None])
+        return np.asarray((rate * outline.normals[mine]).sum(axis=-1))
+
+    def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
+        """Information (D, D) that outline, readings and given tips hold about the small changes of a fitted pose.
+
+        Each ``noise.length`` px of outline is one measurement with ``noise.sigma``; what lies more than three of these
+        away from the mask's outline, or is ignored, is none.
+        """
+        outline = self._renderer.outlines(
+            fit.camera_from_root[None], fit.joints[None], lines_per_pixel=self._config.outline_lines
+        )
+        off = sampled(signed_distance(self._mask), outline.pixels)
+        counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
+        every = np.arange(len(outline.pose))
+        speed = self._speed(outline, every, fit.camera_from_root, fit.joints)
+        length = np.linalg.norm(outline.normals, axis=1)
+        information = (speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length)
+        self._add_priors(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+        return np.asarray(information)
+
+    def _add_priors(self, information: Float64, slope: Float64, pose: Float64, joints: Float64) -> None:
+        """Add what readings and given tips say to an information (D, D) and a slope (D,), in place."""
+        information[6:, 6:] += np.diag(self._prior)
+        slope[6:] += self._prior * (joints - self._centre)
+        low, high = self._readings.low - joints, joints - self._readings.high
+        information[6:, 6:] += np.diag(((low > 0) | (high > 0)) / LIMIT_SPREAD**2)
+        slope[6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SPREAD**2
+        if self._evidence.tips_given and self._evidence.tips is not None:
+            count = len(self.steps)
+            change = np.concatenate([np.zeros((1, count)), np.diag(self.steps), -np.diag(self.steps)])
+            residuals = self._keypoint_residuals(moved(pose, change[:, :6]), joints + change[:, 6:])
+            jacobian = (residuals[1 : count + 1] - residuals[count + 1 :]) / (2 * self.steps[:, None])
+            information += jacobian @ jacobian.T
+            slope += jacobian @ residuals[0]
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) as they are."""
@@ -251,9 +292,7 @@ class OutlineRefiner:
         for state in states:
             loss = self._loss(state.image, self._config.cauchy)
             score = self.score(loss, state.pose, state.joints)
-            fits.append(
-                OutlineFit(state.pose, state.joints, score, loss, state.information, state.scale * state.outline)
-            )
+            fits.append(OutlineFit(state.pose, state.joints, score, loss, state.information))
         return fits
 
     def _linearise(self, states: list[_State], cauchy: float) -> None:
@@ -262,18 +301,10 @@ class OutlineRefiner:
             return
         poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
         outline, gradient = self._normal_equations(poses, joints, np.stack([s.image for s in states]), cauchy)
-        count = len(self.steps)
         for i, state in enumerate(states):
-            state.scale, state.outline = self._scale(state.loss), outline[i]
+            state.scale = self._scale(state.loss)
             state.information, state.slope = state.scale * outline[i], state.scale * gradient[i]
-            state.information[6:, 6:] += np.diag(self._prior)
-            state.slope[6:] += self._prior * (state.joints - self._centre)
-            if self._evidence.tips_given and self._evidence.tips is not None:
-                change = np.concatenate([np.zeros((1, count)), np.diag(self.steps), -np.diag(self.steps)])
-                r = self._keypoint_residuals(moved(state.pose, change[:, :6]), state.joints + change[:, 6:])
-                jacobian = (r[1 : count + 1] - r[count + 1 :]) / (2 * self.steps[:, None])
-                state.information += jacobian @ jacobian.T
-                state.slope += jacobian @ r[0]
+            self._add_priors(state.information, state.slope, state.pose, state.joints)
 
     def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
         """Damped Gauss-Newton: the next pose, joints, and the step."""
@@ -285,12 +316,6 @@ class OutlineRefiner:
         return self._prior_cost(joints) + self._keypoint_cost(pose, joints)
 
 
-def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> Float64:
-    """Values of an image (H, W) at pixels (N, 2), bilinear, (N,)."""
-    values = cv2.remap(image, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values[0], dtype=np.float64)
-
-
 @dataclass(eq=False)
 class _State:
     """One pose on its way."""
@@ -300,7 +325,6 @@ class _State:
     image: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     loss: float = np.inf
     scale: float = 1.0
-    outline: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     information: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     slope: Float64 = field(default_factory=lambda: np.zeros(0))
     damping: float = 1e-2

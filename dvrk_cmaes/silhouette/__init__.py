@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dvrk_cmaes.silhouette.outline import OutlinePoints
 from dvrk_cmaes.silhouette.renderer import NEAR, Body, PixelSums, Renderer
 
-__all__ = ["NEAR", "Body", "PixelSums", "Renderer"]
+__all__ = ["NEAR", "Body", "OutlinePoints", "PixelSums", "Renderer"]
