@@ -139,7 +139,7 @@ def estimate(
     given = dict(joints or {})
     readings, unused, outside = _split_readings(model, given, settings)
     outer = [given.get(name) for name in OUTER_JOINTS]
-    tips = None if keypoints is None else np.asarray(keypoints, dtype=np.float64).reshape(2, 2)
+    tips = None if keypoints is None else np.asarray(keypoints, dtype=np.float64)
     mask = np.asarray(mask, dtype=np.bool_)
     ignored = None if ignore is None else np.asarray(ignore, dtype=np.bool_)
     evidence = gather_evidence(mask, camera, model, ignore=ignored, keypoints=tips, seed=settings.seed)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.shown import shown
 from dvrk_cmaes.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges
 from dvrk_cmaes.tips import find_tips
 
@@ -69,10 +68,11 @@ def gather_evidence(
             )
         mask = mask & ~ignore
     if keypoints is not None and (keypoints.shape != (2, 2) or not np.isfinite(keypoints).all()):
-        raise InputError(f"keypoints: expected two finite pixels, (2, 2), got {shown(keypoints.tolist())}")
+        got = f"an array of shape {keypoints.shape}" if keypoints.shape != (2, 2) else keypoints.tolist()
+        raise InputError(f"keypoints: expected two finite pixels, (2, 2), got {got}")
     if not mask.any():
         raise InputError("mask: expected some instrument, got no pixel that counts")
-    if mask.all():
+    if (mask if ignore is None else mask | ignore).all():
         raise InputError("mask: expected some background, got instrument everywhere")
     weight = np.ones(mask.shape, dtype=np.float32)
     if ignore is not None:

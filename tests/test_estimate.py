@@ -1,0 +1,336 @@
+"""`estimate` as a library: arrays in, a result out; the same answer however it is run; evidence honoured."""
+
+from __future__ import annotations
+
+import builtins
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes import Camera, EstimateConfig, Result, estimate
+from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.geometry import inverse, rotation_angle
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.io.frame_files import FrameData, read_frame
+from dvrk_cmaes.io.session_folder import Session, read_session
+from dvrk_cmaes.refine import METHODS as REFINEMENTS
+from dvrk_cmaes.search import METHODS as SEARCHES
+from dvrk_cmaes.silhouette import Body, Renderer
+
+QUICK = EstimateConfig()
+QUICK = replace(QUICK, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return read_session(bundled_path("demo"))
+
+
+@pytest.fixture(scope="module")
+def frame(session: Session) -> FrameData:
+    return read_frame(session.frames[0], session.camera)
+
+
+@pytest.fixture(scope="module")
+def readings(session: Session) -> dict[str, float]:
+    return dict(session.frames[0].readings)
+
+
+@pytest.fixture(scope="module")
+def quick_result(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> Result:
+    return estimate(frame.mask, frame.camera, readings, bundled_body, config=QUICK)
+
+
+def answer(result: Result) -> str:
+    """Everything in a result but how long it took, and on how many threads."""
+    document = json.loads(json.dumps(result.to_dict()))
+    del document["seconds"], document["config"]["threads"]
+    return json.dumps(document)
+
+
+# the result
+
+
+def test_the_result_is_a_pose_with_all_that_is_needed_to_trust_it(quick_result: Result, bundled_body: Body) -> None:
+    result = quick_result
+    pose, base = result.camera_from_root, result.camera_from_base
+    assert pose is not None
+    assert base is not None
+    for transform in (pose, base):
+        np.testing.assert_allclose(transform[:3, :3] @ transform[:3, :3].T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
+    assert tuple(result.joints) == bundled_body.instrument.joint_names
+    assert result.quality is not None
+    assert 0.9 < result.quality.iou < 1
+    assert set(result.quality.terms) == {"mse", "dist", "scale", "cylinder", "keypoints", "readings"}
+    assert result.covariance is not None
+    np.testing.assert_allclose(result.covariance, result.covariance.T, atol=1e-12)
+    assert np.linalg.eigvalsh(result.covariance).min() > 0
+    assert result.seconds > 0
+    assert result.evaluations > 128
+    assert result.rays >= 0
+
+
+def test_the_overlap_is_that_of_the_pose_s_silhouette(
+    quick_result: Result, bundled_body: Body, frame: FrameData
+) -> None:
+    assert quick_result.camera_from_root is not None
+    assert quick_result.quality is not None
+    joints = np.array([list(quick_result.joints.values())])
+    found = Renderer(bundled_body, frame.camera).masks(quick_result.camera_from_root[None], joints)[0]
+    assert quick_result.quality.iou == pytest.approx((found & frame.mask).sum() / (found | frame.mask).sum(), abs=1e-9)
+
+
+def test_the_result_survives_json(quick_result: Result) -> None:
+    document = quick_result.to_dict()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+
+
+def test_the_twin_is_an_alternative_farther_from_the_readings(quick_result: Result, bundled_body: Body) -> None:
+    twins = [other for other in quick_result.alternatives if other.relation == "mirror twin"]
+    assert len(twins) == 1
+    assert quick_result.camera_from_root is not None
+    expected, _ = bundled_body.instrument.twin(quick_result.camera_from_root, list(quick_result.joints.values()))
+    assert np.rad2deg(rotation_angle(twins[0].camera_from_root, expected)) < 40
+    assert twins[0].reading_distance_deg is not None
+    assert twins[0].reading_distance_deg > 30
+
+
+def test_the_base_is_reached_from_the_root_by_the_outer_readings_alone(
+    quick_result: Result, bundled_body: Body, frame: FrameData, readings: dict[str, float]
+) -> None:
+    from dvrk_cmaes.arm import base_from_root
+
+    assert quick_result.camera_from_root is not None
+    expected = quick_result.camera_from_root @ inverse(base_from_root(readings))
+    np.testing.assert_allclose(quick_result.camera_from_base, expected, atol=1e-12)
+    some = {name: value for name, value in readings.items() if name != "roll"}
+    assert estimate(frame.mask, frame.camera, some, bundled_body, config=QUICK).camera_from_base is None
+
+
+# the same answer
+
+
+def test_threads_do_not_change_the_answer(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
+) -> None:
+    one = estimate(frame.mask, frame.camera, readings, bundled_body, config=replace(QUICK, threads=1))
+    assert answer(one) == answer(quick_result)
+
+
+def test_several_callers_at_once_get_what_each_gets_alone(bundled_body: Body, session: Session) -> None:
+    frames = [(read_frame(files, session.camera), files.readings) for files in session.frames[:3]]
+
+    def run(job: tuple[FrameData, Any]) -> str:
+        data, readings = job
+        return answer(estimate(data.mask, data.camera, readings, bundled_body, config=QUICK))
+
+    alone = [run(job) for job in frames]
+    with ThreadPoolExecutor(3) as pool:
+        assert list(pool.map(run, frames)) == alone
+
+
+def test_another_seed_finds_the_same_pose(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
+    found = [
+        estimate(frame.mask, frame.camera, readings, bundled_body, config=EstimateConfig(seed=seed)) for seed in (1, 2)
+    ]
+    assert answer(found[0]) != answer(found[1])
+    a, b = (one.camera_from_root for one in found)
+    assert a is not None
+    assert b is not None
+    assert np.linalg.norm(a[:3, 3] - b[:3, 3]) < 2e-4
+    assert np.rad2deg(rotation_angle(a, b)) < 1
+
+
+def test_no_file_is_touched(
+    bundled_body: Body,
+    frame: FrameData,
+    readings: dict[str, float],
+    quick_result: Result,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*arguments: object, **_: object) -> None:
+        raise AssertionError(f"opened {arguments}")
+
+    monkeypatch.setattr(builtins, "open", refuse)
+    assert answer(estimate(frame.mask, frame.camera, readings, bundled_body, config=QUICK)) == answer(quick_result)
+
+
+def test_what_is_given_is_left_as_it_was(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
+    mask, given = frame.mask.copy(), dict(readings)
+    ignore = np.zeros_like(mask)
+    tips = np.array([[100.0, 200.0], [110.0, 190.0]])
+    before = tips.copy()
+    estimate(mask, frame.camera, given, bundled_body, ignore=ignore, keypoints=tips, config=QUICK)
+    assert (mask == frame.mask).all()
+    assert given == readings
+    assert not ignore.any()
+    assert (tips == before).all()
+
+
+# evidence
+
+
+def test_without_readings_the_pose_is_doubtful_for_it_and_the_twin_is_there(
+    bundled_body: Body, frame: FrameData
+) -> None:
+    result = estimate(frame.mask, frame.camera, None, bundled_body, config=QUICK)
+    assert result.status == "doubtful"
+    assert any("no readings" in reason for reason in result.reasons)
+    assert any(other.relation == "mirror twin" for other in result.alternatives)
+    assert all(other.reading_distance_deg is None for other in result.alternatives)
+    assert sorted(result.unused)[-3:] == [
+        f"reading of {name}: not given" for name in ("jaw", "wrist_pitch", "wrist_yaw")
+    ]
+
+
+def test_one_reading_is_enough_to_be_told_apart_from_none(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float]
+) -> None:
+    some = {name: readings[name] for name in ("wrist_pitch",)}
+    result = estimate(frame.mask, frame.camera, some, bundled_body, config=QUICK)
+    assert not any("no readings" in reason for reason in result.reasons)
+    assert result.readings == some
+
+
+def test_given_tips_are_used_and_pull_the_projected_ones(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
+) -> None:
+    def tips(result: Result) -> np.ndarray:
+        assert result.camera_from_root is not None
+        points = bundled_body.instrument.tips(list(result.joints.values()))
+        pixels = frame.camera.project(points @ result.camera_from_root[:3, :3].T + result.camera_from_root[:3, 3])
+        return pixels[np.argsort(pixels[:, 1])]
+
+    free = tips(quick_result)
+    wanted = free + np.array([[4.0, -4.0], [4.0, 4.0]])
+    given = estimate(frame.mask, frame.camera, readings, bundled_body, keypoints=wanted[::-1], config=QUICK)
+    before = np.linalg.norm(free - wanted, axis=1)
+    after = np.linalg.norm(tips(given) - wanted, axis=1)
+    assert after.sum() < 0.9 * before.sum()
+    assert not any("jaw tips" in text for text in given.unused)
+
+
+def test_ignored_pixels_count_neither_way(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
+) -> None:
+    ignore = np.zeros_like(frame.mask)
+    ignore[330:, :] = True  # nothing of the instrument, which the clean estimate shows below
+    soiled = frame.mask.copy()
+    soiled[340:470, 200:600] = True
+    assert quick_result.camera_from_root is not None
+    clean = estimate(frame.mask, frame.camera, readings, bundled_body, ignore=ignore, config=QUICK)
+    same = estimate(soiled, frame.camera, readings, bundled_body, ignore=ignore, config=QUICK)
+    assert answer(same) == answer(clean)
+    believed = estimate(soiled, frame.camera, readings, bundled_body, config=QUICK)
+    assert believed.quality is not None
+    assert clean.quality is not None
+    assert believed.quality.iou < clean.quality.iou - 0.1
+
+
+def test_warnings_and_the_frame_s_name_are_handed_on(bundled_body: Body, frame: FrameData) -> None:
+    wide = {"wrist_pitch": 2.0, "wrist_yaw": -0.5, "jaw": 0.9}
+    result = estimate(frame.mask, frame.camera, wide, bundled_body, frame="0026", warnings=["rescaled"], config=QUICK)
+    assert result.frame == "0026"
+    assert result.warnings[0] == "rescaled"
+    assert "wrist_pitch: 114.6 deg is outside its limits, -80.0 to 80.0 deg" in result.warnings[1]
+    assert result.readings == wide
+
+
+# methods
+
+
+@pytest.mark.parametrize("method", SEARCHES)
+def test_every_search_runs_within_its_budget(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], method: str
+) -> None:
+    config = replace(QUICK, search=replace(QUICK.search, method=method))
+    result = estimate(frame.mask, frame.camera, readings, bundled_body, config=config)
+    assert result.config["search"]["method"] == method
+    assert result.quality is not None
+    assert result.quality.iou > 0.9
+
+
+@pytest.mark.parametrize("method", REFINEMENTS)
+def test_every_refinement_runs(bundled_body: Body, frame: FrameData, readings: dict[str, float], method: str) -> None:
+    config = replace(QUICK, refine=replace(QUICK.refine, method=method, evaluations=120))
+    result = estimate(frame.mask, frame.camera, readings, bundled_body, config=config)
+    assert result.config["refine"]["method"] == method
+    assert result.quality is not None
+    assert result.quality.iou > 0.93
+
+
+@pytest.mark.parametrize("field", ["fmm", "exact", "chamfer"])
+def test_every_distance_field_runs(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], field: str
+) -> None:
+    result = estimate(frame.mask, frame.camera, readings, bundled_body, config=replace(QUICK, distance_field=field))
+    assert result.quality is not None
+    assert result.quality.iou > 0.93
+
+
+@pytest.mark.shared
+def test_a_hook_without_jaws_is_found_too(shared: Any) -> None:
+    hook = Body.prepare(load_instrument(shared / "instruments" / "dvrk_model" / "urdf" / "instrument_400183.urdf"))
+    instrument = hook.instrument
+    camera = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)
+    pose = np.array(
+        [[-0.64, -0.41, -0.65, -0.008], [0.06, -0.87, 0.48, -0.013], [-0.77, 0.27, 0.58, 0.124], [0, 0, 0, 1.0]]
+    )
+    pose[:3, :3] = np.linalg.svd(pose[:3, :3])[0] @ np.linalg.svd(pose[:3, :3])[2]
+    joints = np.array([0.3, -0.2, 0.0])[: len(instrument.joint_names)]
+    mask = Renderer(hook, camera).masks(pose[None], joints[None])[0]
+    result = estimate(mask, camera, dict(zip(instrument.joint_names, joints + 0.05, strict=True)), hook)
+    assert any("no pair of jaws" in text for text in result.unused)
+    assert result.quality is not None
+    assert result.quality.iou > 0.97
+    assert result.covariance is not None
+    assert np.isfinite(result.covariance).all()
+
+
+# what is refused
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"mask": np.zeros((480, 640), bool)}, "mask: expected some instrument"),
+        ({"mask": np.ones((480, 640), bool)}, "mask: expected some background"),
+        ({"mask": np.eye(480, dtype=bool)}, "mask: expected 640 x 480 pixels"),
+        ({"joints": {"wrist_pich": 0.1}}, "joints: unknown joint 'wrist_pich'; expected one of: wrist_pitch"),
+        ({"joints": {"jaw": float("nan")}}, "joints: jaw: expected a finite number"),
+        ({"config": replace(QUICK, seed=-1)}, "config: seed: expected"),
+        ({"config": replace(QUICK, distance_field="far")}, "config: distance_field: expected one of"),
+        ({"instrument": "lndd"}, "lndd: no such URDF"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(
+    bundled_body: Body, frame: FrameData, changes: dict[str, Any], expected: str
+) -> None:
+    given: dict[str, Any] = {"mask": frame.mask, "camera": frame.camera, "joints": {}, "instrument": bundled_body}
+    with pytest.raises(InputError) as caught:
+        estimate(**{**given, **changes})
+    assert str(caught.value).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"ignore": np.zeros((240, 320), bool)}, "ignore: expected 640 x 480"),
+        ({"keypoints": [1.0, 2.0, 3.0]}, "keypoints: expected"),
+        ({"keypoints": [[1.0, 2.0], [3.0, float("nan")]]}, "keypoints: expected"),
+        ({"arm": "sii", "joints": {"yaw": 0.1, "pitch": 0.1, "insertion": 0.1, "roll": 0.1}}, "arm: expected si"),
+    ],
+)
+def test_wrong_options_are_refused_by_name(
+    bundled_body: Body, frame: FrameData, changes: dict[str, Any], expected: str
+) -> None:
+    given: dict[str, Any] = {"mask": frame.mask, "camera": frame.camera, "instrument": bundled_body, "config": QUICK}
+    with pytest.raises(DvrkCmaesError) as caught:
+        estimate(**{**given, **changes})
+    assert str(caught.value).startswith(expected)
