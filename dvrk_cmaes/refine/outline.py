@@ -56,7 +56,7 @@ class OutlineConfig:
     swing_step: float = 2e-3
     turn_step: float = 1e-2
     joint_step: float = 1e-2
-    tolerance: float = 0.02
+    tolerance: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +113,7 @@ class OutlineRefiner:
         self._readings = readings
         self._evidence = evidence
         self._shrink = shrink
+        self._tolerance = config.tolerance * (1 if shrink == 1 else 4)  # smaller images only tell modes apart
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
         joints = len(readings.values)
         c = config
@@ -210,8 +211,11 @@ class OutlineRefiner:
         count = len(self.steps)
         change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
         links = self._renderer.body.camera_from_links(moved(pose, change[:, :6]), joints + change[:, 6:])
-        links = links[:, outline.link[mine]]
-        points = np.einsum("pnij,nj->pni", links[..., :3, :3], outline.points[mine]) + links[..., :3, 3]
+        points = np.empty((2 * count, len(mine), 3))
+        for link in range(links.shape[1]):
+            on = np.flatnonzero(outline.link[mine] == link)
+            rotation, translation = links[:, link, :3, :3], links[:, link, None, :3, 3]
+            points[:, on] = outline.points[mine[on]] @ np.swapaxes(rotation, 1, 2) + translation
         np.maximum(points[..., 2], 1e-4, out=points[..., 2])
         seen = self._camera.project(points)
         rate = (seen[:count] - seen[count:]) / (2 * self.steps[:, None, None])
@@ -282,8 +286,8 @@ class OutlineRefiner:
                     state.damping *= 8
                     state.finished = state.damping > 1e4
                     continue
-                small = step @ state.information @ step < self._config.tolerance**2 * len(step)
-                state.finished = bool(small or gain < 1e-3)
+                small = step @ state.information @ step < self._tolerance**2 * len(step)
+                state.finished = bool(small or gain < 0.1 * self._tolerance)
                 state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
                 state.damping = max(state.damping / 8, 1e-4)
                 improved.append(state)
