@@ -1,0 +1,168 @@
+"""Measure how accurate and how honest estimates are, on session folders whose truth is known. Run by hand.
+
+    python scripts/accuracy.py errors SESSION...       errors, spreads, share doubted
+    python scripts/accuracy.py calibration SESSION...  do the 90 % intervals hold the truth
+    python scripts/accuracy.py lies SESSION...         are falsified frames doubted
+    python scripts/accuracy.py bound SESSION...        errors against the smallest possible (Cramer-Rao)
+    python scripts/accuracy.py ablation SESSION...     each loss, search and refinement left out or exchanged
+
+A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; make_demo_session.py
+with other seeds makes more from the bundled instrument (--out DIR --seed N). A session's name without its digits is its
+level (clean, easy, ...). Calibration wants at least 200 frames. --keep DIR writes results there and takes those that
+are there already: several commands share them, and what is kept is from the program that wrote it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from accuracy_ablation import ablation_report, variants
+from accuracy_bound import bound_report
+from accuracy_calibration import calibration_report
+from accuracy_cases import Case, Run, read_cases, run_cases
+from accuracy_errors import error_report, frame_errors, frame_rows
+from accuracy_lies import lie_report, load_others, make_lies
+from accuracy_tables import show, write_features
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config_file import read_config
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import prepare
+
+Report = Mapping[str, Sequence[Mapping[str, Any]]]
+
+OTHERS: Final = Path(__file__).resolve().parents[2] / "shared" / "instruments" / "dvrk_model" / "urdf"
+QUICK_FRAMES: Final = 2
+
+
+def main() -> int:
+    arguments = _parser().parse_args()
+    if arguments.quick:
+        arguments.frames = QUICK_FRAMES
+        arguments.sessions = arguments.sessions[:1]
+    try:
+        report = COMMANDS[arguments.command](arguments)
+    except InputError as error:
+        print(f"accuracy.py: {error}", file=sys.stderr)
+        return 2
+    if arguments.json:
+        print(json.dumps(report, indent=1))
+    else:
+        for title, rows in report.items():
+            show(title, rows)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=sorted(COMMANDS), help="what to measure")
+    parser.add_argument("sessions", nargs="+", metavar="SESSION", help="session folder with golden.json")
+    parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="what is in the frames")
+    parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
+    parser.add_argument("--frames", type=int, metavar="N", help="at most so many of each session, evenly spread")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes, one thread each")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="write results there, and use those that are there")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="errors, lies: write the features of every estimate")
+    parser.add_argument("--table", action="store_true", help="errors: one row a frame, too")
+    parser.add_argument("--cases", type=int, default=40, metavar="N", help="lies: of each kind")
+    parser.add_argument("--others", type=Path, default=OTHERS, metavar="DIR", help="lies: URDFs of other instruments")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="lies: of the random numbers")
+    parser.add_argument("--quick", action="store_true", help="two frames of one session: does it run at all")
+    return parser
+
+
+def _config(arguments: argparse.Namespace) -> EstimateConfig:
+    default = EstimateConfig()
+    return default if arguments.config is None else read_config(arguments.config, default)
+
+
+def _honest(arguments: argparse.Namespace, *, truth: bool = True) -> list[Case]:
+    return read_cases(arguments.sessions, instrument=arguments.instrument, frames=arguments.frames, truth=truth)
+
+
+def _run(arguments: argparse.Namespace, cases: Sequence[Case], label: str = "frames") -> list[Run]:
+    return run_cases(
+        cases,
+        instrument=arguments.instrument,
+        config=_config(arguments),
+        workers=arguments.workers,
+        keep=arguments.keep,
+        label=label,
+    )
+
+
+def _write_csv(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
+    if arguments.csv is not None:
+        instrument = prepare(arguments.instrument).instrument
+        write_features(arguments.csv, runs, [frame_errors(instrument, run) for run in runs])
+
+
+def errors(arguments: argparse.Namespace) -> Report:
+    runs = _run(arguments, _honest(arguments, truth=False))
+    instrument = prepare(arguments.instrument).instrument
+    _write_csv(arguments, runs)
+    report = error_report(instrument, runs)
+    if arguments.table:
+        report["frames"] = list(frame_rows(instrument, runs))
+    return report
+
+
+def calibration(arguments: argparse.Namespace) -> Report:
+    runs = _run(arguments, _honest(arguments))
+    instrument = prepare(arguments.instrument).instrument
+    return {"90 % intervals that hold the truth": calibration_report(instrument, runs)}
+
+
+def lies(arguments: argparse.Namespace) -> Report:
+    honest = _honest(arguments)
+    others = load_others(arguments.others)
+    if not others:
+        print(f"{arguments.others}: no such folder; no lies of other instruments", file=sys.stderr)
+    false = make_lies(honest, others, QUICK_FRAMES // 2 if arguments.quick else arguments.cases, arguments.seed)
+    runs = _run(arguments, [*honest, *false], label="frames and lies")
+    _write_csv(arguments, runs)
+    return {"share doubted": lie_report(runs)}
+
+
+def bound(arguments: argparse.Namespace) -> Report:
+    runs = _run(arguments, _honest(arguments))
+    return bound_report(prepare(arguments.instrument), runs, _config(arguments))
+
+
+def ablation(arguments: argparse.Namespace) -> Report:
+    cases = _honest(arguments)
+    instrument = prepare(arguments.instrument).instrument
+    tried = variants(_config(arguments))
+    if arguments.quick:
+        tried = tried[:2]
+    arguments.keep = None  # other settings, other results
+    results = {}
+    for variant in tried:
+        prepared = [variant.changed(case) for case in cases]
+        results[variant.name] = run_cases(
+            prepared,
+            instrument=arguments.instrument,
+            config=variant.config,
+            workers=arguments.workers,
+            label=variant.name,
+        )
+    return {"ablation": ablation_report(instrument, results)}
+
+
+COMMANDS: Final = {
+    "errors": errors,
+    "calibration": calibration,
+    "lies": lies,
+    "bound": bound,
+    "ablation": ablation,
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,207 @@
+"""Frames to measure accuracy on, and their estimates: read from session folders, run in parallel, kept if wanted.
+
+A case is a frame in memory, as it is or with something falsified, together with what is true of it. A run is what the
+program says of a case. One process a worker and one thread each: cases are independent, so this keeps all cores busy.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from accuracy_features import measure_features
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate, prepare
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.frame_files import read_frame
+from dvrk_cmaes.io.golden_file import FrameTruth
+from dvrk_cmaes.io.session_folder import read_session
+
+Float64 = NDArray[np.float64]
+
+HONEST: Final = "honest"
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A frame as it is handed to the program.
+
+    ``level`` is the session's name up to its first digit; ``kind`` says what was falsified, ``honest`` if nothing.
+    ``truth`` is that of the frame before it was falsified. Readings in rad and m.
+    """
+
+    session: str
+    frame: str
+    level: str
+    kind: str
+    mask: NDArray[np.bool_]
+    camera: Camera
+    readings: Mapping[str, float]
+    truth: FrameTruth | None
+    ignore: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What the program says of a case: a result's JSON, and features that may tell whether to trust it."""
+
+    case: Case
+    result: Mapping[str, Any]
+    features: Mapping[str, float]
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no pose."""
+        return bool(self.result["status"] == "failed")
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the program says that the pose is good."""
+        return bool(self.result["status"] == "ok")
+
+    @property
+    def pose(self) -> Float64:
+        """Estimated ``camera_from_root`` (4, 4)."""
+        return np.array(self.result["camera_from_root"], dtype=np.float64)
+
+    @property
+    def joints(self) -> Mapping[str, float]:
+        """Estimated joints, rad."""
+        joints: Mapping[str, float] = self.result["joints"]
+        return joints
+
+    @property
+    def covariance(self) -> Float64:
+        """Of the small changes [t, r, joints] in the root's axes, (6 + J, 6 + J)."""
+        return np.array(self.result["covariance"]["matrix"], dtype=np.float64)
+
+
+def read_cases(folders: Sequence[str], *, instrument: str, frames: int | None, truth: bool = True) -> list[Case]:
+    """Read the frames of session folders; at most ``frames`` of each, evenly spread.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or wrong; two sessions of one name; with ``truth``, a frame whose truth is not known.
+    """
+    known = prepare(instrument).instrument.joint_names
+    cases: list[Case] = []
+    for folder in folders:
+        session = read_session(folder, known=known)
+        name = session.folder.resolve().name
+        if any(case.session == name for case in cases):
+            raise InputError(f"{folder}: expected sessions of different names, got {name} twice")
+        files = session.frames
+        if frames is not None and frames < len(files):
+            files = tuple(files[i * len(files) // frames] for i in range(frames))
+        for one in files:
+            if truth and one.name not in session.truth.frames:
+                raise InputError(f"{session.folder / 'golden.json'}: expected the truth of frame {one.name}, got none")
+            data = read_frame(one, session.camera)
+            cases.append(
+                Case(
+                    session=name,
+                    frame=one.name,
+                    level=re.split(r"\d", name)[0] or name,
+                    kind=HONEST,
+                    mask=data.mask,
+                    camera=data.camera,
+                    readings=one.readings,
+                    truth=session.truth.frames.get(one.name),
+                    ignore=data.ignore,
+                )
+            )
+    return cases
+
+
+def run_cases(
+    cases: Sequence[Case],
+    *,
+    instrument: str,
+    config: EstimateConfig,
+    workers: int,
+    keep: Path | None = None,
+    label: str = "frames",
+) -> list[Run]:
+    """Estimate all cases, in their order; with ``keep``, results are written there and those found there are used."""
+    done: dict[int, Run] = {}
+    for i, case in enumerate(cases):
+        path = _kept(keep, case)
+        if path is not None and path.exists():
+            kept = json.loads(path.read_text(encoding="utf-8"))
+            done[i] = Run(case, kept["result"], kept["features"])
+    left = [i for i in range(len(cases)) if i not in done]
+    if left:
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ[name] = "1"  # inherited by the workers, whose libraries read it when they are loaded
+        context = multiprocessing.get_context("spawn")
+        single = replace(config, threads=1)
+        with ProcessPoolExecutor(workers, context, initializer=_prepare, initargs=(instrument,)) as pool:
+            futures = [pool.submit(_run, cases[i], single) for i in left]
+            for count, (i, future) in enumerate(zip(left, futures, strict=True), start=1):
+                result, features = future.result()
+                done[i] = Run(cases[i], result, features)
+                path = _kept(keep, cases[i])
+                if path is not None:
+                    write_json(path, {"result": result, "features": features})
+                say_progress(label, count, len(left))
+    return [done[i] for i in range(len(cases))]
+
+
+def say_progress(label: str, count: int, total: int) -> None:
+    """Say on stderr how far the work is; on one line in a terminal, now and then in a file."""
+    if sys.stderr.isatty():
+        print(f"\r{label}: {count}/{total}", end="\n" if count == total else "", file=sys.stderr, flush=True)
+    elif count == total or count % 20 == 0:
+        print(f"{label}: {count}/{total}", file=sys.stderr, flush=True)
+
+
+def _kept(keep: Path | None, case: Case) -> Path | None:
+    return None if keep is None else keep / case.session / case.kind.replace(" ", "_") / f"{case.frame}.json"
+
+
+_instrument: list[str] = []
+
+
+def _prepare(instrument: str) -> None:
+    """Load the instrument once a worker."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    prepare(instrument)
+    _instrument[:] = [instrument]
+
+
+def _run(case: Case, config: EstimateConfig) -> tuple[dict[str, Any], dict[str, float]]:
+    body = prepare(_instrument[0])
+    try:
+        result = estimate(
+            case.mask, case.camera, case.readings, body, ignore=case.ignore, frame=case.frame, config=config
+        )
+    except InputError as error:
+        return {"status": "failed", "reasons": [str(error)], "seconds": 0.0}, {}
+    features = measure_features(result, case.mask, case.camera, body, config, ignore=case.ignore)
+    return result.to_dict(), features
+
+
+def by_level(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Group runs by their level, in order of appearance, and all of them under ``all``."""
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        groups.setdefault(run.case.level, []).append(run)
+    if len(groups) > 1:
+        groups["all"] = list(runs)
+    return groups

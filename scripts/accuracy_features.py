@@ -1,0 +1,172 @@
+"""Numbers about an estimate that may tell a good pose from a lie; the trust thresholds are chosen by looking at them.
+
+All are computed from what the program itself has: the frame and its result, never the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence import Evidence, gather_evidence
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.noise import measure_noise, sampled, signed_distance
+from dvrk_cmaes.objective import Readings
+from dvrk_cmaes.refine.outline import OutlineRefiner
+from dvrk_cmaes.result import Result
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+_NEVER = 1e3  # a gap to a mode that was not found
+
+
+def measure_features(
+    result: Result, mask: Bool, camera: Camera, body: Body, config: EstimateConfig, *, ignore: Bool | None = None
+) -> dict[str, float]:
+    """Measure a result by name of feature.
+
+    Distances are in px of the full image, gaps are differences of the refinement's score to the nearest mode of that
+    relation, shares are of the mask's area, ``z_*`` are distances from readings in units of their expected error and
+    ``std_*`` are standard deviations of joints as a share of that error.
+    """
+    assert result.quality is not None
+    assert result.camera_from_root is not None
+    instrument = body.instrument
+    names = instrument.joint_names
+    evidence = gather_evidence(mask, camera, instrument, ignore=ignore, seed=config.seed)
+    spread = np.deg2rad([config.readings.of(name) for name in names])
+    values = np.array([result.readings.get(name, np.nan) for name in names])
+    joints = np.array([result.joints[name] for name in names])
+    renderer = Renderer(body, camera, threads=1)
+    silhouette = renderer.masks(result.camera_from_root[None], joints[None])[0]
+    quality = result.quality
+    features = {
+        "iou": quality.iou,
+        "contour_px_median": quality.contour_px_median,
+        "contour_px_95": quality.contour_px_95,
+        **{f"term_{name}": value for name, value in quality.terms.items()},
+    }
+    for name, z in zip(names, (joints - values) / spread, strict=True):
+        features[f"z_{name}"] = float(z)
+    features["z_rms"] = float(np.sqrt(np.nanmean(((joints - values) / spread) ** 2)))
+    assert result.covariance is not None
+    for k, name in enumerate(names):
+        features[f"std_{name}"] = float(np.sqrt(result.covariance[6 + k, 6 + k]) / spread[k])
+    features |= _modes(result, evidence, renderer, Readings(values, spread, *_limits(instrument)), config, silhouette)
+    features |= _overlap(mask & evidence.weight.astype(np.bool_), silhouette, evidence)
+    features |= _edges(evidence)
+    features["depth_m"] = float(result.camera_from_root[2, 3])
+    tips = instrument.tips(joints) @ result.camera_from_root[:3, :3].T + result.camera_from_root[:3, 3]
+    if len(tips) and tips[:, 2].min() > 1e-3:
+        pixels = camera.project(tips)
+        size = np.array([camera.width, camera.height])
+        features["tip_margin_px"] = float(np.minimum(pixels, size - 1 - pixels).min())
+    return features
+
+
+def _limits(instrument: Instrument) -> tuple[Float64, Float64]:
+    low, high = instrument.limits.T.copy()
+    if "jaw" in instrument.joint_names:
+        low[instrument.joint_index("jaw")] = 0.0
+    return low, high
+
+
+def _modes(
+    result: Result,
+    evidence: Evidence,
+    renderer: Renderer,
+    readings: Readings,
+    config: EstimateConfig,
+    silhouette: Bool,
+) -> dict[str, float]:
+    """Noise of the outline, what it leaves, and how far the other modes are behind."""
+    assert result.camera_from_root is not None
+    noise = measure_noise(evidence.contour, silhouette)
+    outline = replace(config.refine.outline, correlation=noise.length)
+    refiner = OutlineRefiner(renderer, evidence, readings, outline)
+    best = refiner.assess(result.camera_from_root, np.array(list(result.joints.values())))
+    features = {
+        "noise_sigma_px": noise.sigma,
+        "noise_length_px": noise.length,
+        "residual_per_px": best.residual / max(len(evidence.contour.pixels), 1),
+        "gap_twin": _NEVER,
+        "gap_other": _NEVER,
+    }
+    for other in result.alternatives:
+        fit = refiner.assess(other.camera_from_root, np.array(list(other.joints.values())))
+        name = "gap_twin" if other.relation == "mirror twin" else "gap_other"
+        if fit.score - best.score < features[name]:
+            features[name] = fit.score - best.score
+            features[f"{name}_iou"] = result.quality.iou - other.iou if result.quality is not None else np.nan
+    return features
+
+
+def _overlap(mask: Bool, silhouette: Bool, evidence: Evidence) -> dict[str, float]:
+    """Where mask and silhouette differ: how much, how thick, and how far both ways."""
+    counts = evidence.weight > 0
+    drawn = silhouette & counts
+    area = max(int(mask.sum()), 1)
+    missed, extra = mask & ~drawn, drawn & ~mask
+    count, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    areas = np.sort(stats[1:, cv2.CC_STAT_AREA])[::-1] if count > 1 else np.zeros(1)
+    return {
+        "mask_area_px": float(area),
+        "contour_length_px": float(len(evidence.contour.pixels)),
+        "missed_share": float(missed.sum() / area),
+        "extra_share": float(extra.sum() / area),
+        "missed_depth_px": _thickest(missed),
+        "extra_depth_px": _thickest(extra),
+        "missed_blob_share": _largest_blob(missed) / area,
+        "extra_blob_share": _largest_blob(extra) / area,
+        "largest_part_share": float(areas[0] / area),
+        **{f"from_mask_px_{p}": v for p, v in _percentiles(silhouette, mask, counts).items()},
+        **{f"from_silhouette_px_{p}": v for p, v in _percentiles(mask, silhouette, counts).items()},
+    }
+
+
+def _thickest(region: Bool) -> float:
+    """Half the width, px, of the thickest place of a region."""
+    if not region.any():
+        return 0.0
+    padded = np.pad(region.astype(np.uint8), 1)
+    return float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max())
+
+
+def _largest_blob(region: Bool) -> float:
+    """Area, px, of the largest piece of a region once stretches thinner than five pixels are gone."""
+    opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    count, _, stats, _ = cv2.connectedComponentsWithStats(opened)
+    return float(stats[1:, cv2.CC_STAT_AREA].max()) if count > 1 else 0.0
+
+
+def _percentiles(reference: Bool, other: Bool, counts: Bool, at: Sequence[int] = (50, 80, 95, 99)) -> dict[int, float]:
+    """Percentiles of the distances, px, from the outline of one mask to that of a reference."""
+    found, _ = cv2.findContours(other.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not found or reference.all() or not reference.any():
+        return dict.fromkeys(at, float(np.hypot(*reference.shape)))
+    points = np.concatenate(found)[:, 0].astype(np.float64)
+    height, width = reference.shape
+    inner = (points > 2).all(axis=1) & (points < [width - 3, height - 3]).all(axis=1)
+    points = points[inner & counts[points[:, 1].astype(int), points[:, 0].astype(int)]]
+    if not len(points):
+        return dict.fromkeys(at, 0.0)
+    distance = np.abs(sampled(signed_distance(reference), points))
+    return {p: float(np.percentile(distance, p)) for p in at}
+
+
+def _edges(evidence: Evidence) -> dict[str, float]:
+    """How many pairs of shaft edges were found, and the best pair's spread, px, and support, points."""
+    pairs = evidence.shaft_edges
+    return {
+        "edge_pairs": float(len(pairs)),
+        "edge_sigma_px": float(pairs[0].sigma.max()) if pairs else np.nan,
+        "edge_support": float(pairs[0].support.min()) if pairs else 0.0,
+    }
