@@ -22,6 +22,7 @@ from made_masks import MEDIUM, SLIGHT, Mistakes, segmented
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.comparison import Tolerance
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.silhouette import Body
@@ -34,21 +35,6 @@ DISTORTED: Final = Camera(640, 480, 760.0, 760.0, 322.4, 236.6, (-0.31, 0.13, 0.
 OFF_CENTRE: Final = Camera(720, 576, fx=858.9, fy=934.9, cx=445.0, cy=251.0)
 
 Outcome = Literal["ok", "doubtful", "ok-or-doubtful"]
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Largest errors of an answer that counts as right: mm and deg.
-
-    ``shaft_deg`` is between the directions of the shaft, ``roll_deg`` about it.
-    """
-
-    root_mm: float = 0.5
-    tip_mm: float = 0.5
-    shaft_deg: float = 1.5
-    roll_deg: float = 3.0
-    pitch_yaw_deg: float = 3.0
-    jaw_deg: float = 3.0
 
 
 SHARP: Final = Tolerance()
