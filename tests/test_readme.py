@@ -42,11 +42,11 @@ def test_its_settings_are_valid() -> None:
 def test_its_example_runs_and_prints_the_lines_it_shows(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    command = README.split("## One frame")[1].split("prints")[0].replace("\\\n", " ").split()
+    command = README.split("## One frame")[1].split("\nprints\n")[0].replace("\\\n", " ").split()
     monkeypatch.chdir(ROOT)
     command[-1] = str(tmp_path)
     assert main(command[1:]) == 0
-    shown = README.split("prints")[1].split("With `--json`")[0]
+    shown = README.split("\nprints\n")[1].split("With `--json`")[0]
 
     def words(text: str) -> list[str]:
         """Lines without their numbers, which may change in the last digit from machine to machine."""
