@@ -17,6 +17,7 @@ from instrument_files import mesh_link, write_urdf
 
 from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.cli import main
+from dvrk_cmaes.errors import DvrkCmaesError
 
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"
@@ -343,10 +344,15 @@ def test_a_missing_tracer_is_named_with_what_installs_it(run: Run, monkeypatch: 
 
 
 @pytest.mark.parametrize(
-    ("raised", "code", "said"), [(MemoryError, 1, "out of memory"), (KeyboardInterrupt, 130, "interrupted")]
+    ("raised", "code", "said"),
+    [
+        (MemoryError(), 1, "out of memory"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (DvrkCmaesError("no luck"), 1, "no luck"),
+    ],
 )
-def test_what_ends_a_run_from_outside_is_one_line(
-    run: Run, monkeypatch: pytest.MonkeyPatch, raised: type[BaseException], code: int, said: str
+def test_what_ends_a_run_half_way_is_one_line(
+    run: Run, monkeypatch: pytest.MonkeyPatch, raised: BaseException, code: int, said: str
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise raised

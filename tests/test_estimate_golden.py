@@ -23,7 +23,7 @@ from dvrk_cmaes.silhouette import Body
 
 GOLDEN = bundled_path("golden")
 CASES: dict[str, Any] = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))["cases"]
-MOST_EVALUATIONS = 6000
+MOST_EVALUATIONS = 3000
 """Silhouettes that a case may cost: a budget in work, not in seconds."""
 
 
