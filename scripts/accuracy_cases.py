@@ -12,7 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -150,14 +150,18 @@ def run_cases(
         context = multiprocessing.get_context("spawn")
         single = replace(config, threads=1)
         with ProcessPoolExecutor(workers, context, initializer=_prepare, initargs=(instrument,)) as pool:
-            futures = [pool.submit(_run, cases[i], single) for i in left]
-            for count, (i, future) in enumerate(zip(left, futures, strict=True), start=1):
-                result, features = future.result()
-                done[i] = Run(cases[i], result, features)
-                path = _kept(keep, cases[i])
-                if path is not None:
-                    write_json(path, {"result": result, "features": features})
-                say_progress(label, count, len(left))
+            futures = {pool.submit(_run, cases[i], single): i for i in left}
+            try:
+                for count, future in enumerate(as_completed(futures), start=1):
+                    i = futures[future]
+                    done[i] = Run(cases[i], *future.result())
+                    path = _kept(keep, cases[i])
+                    if path is not None:
+                        write_json(path, {"result": done[i].result, "features": done[i].features})
+                    say_progress(label, count, len(left))
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
     return [done[i] for i in range(len(cases))]
 
 

@@ -35,7 +35,7 @@ def measure_features(
 
     Distances are in px of the full image, gaps are differences of the refinement's score to the nearest mode of that
     relation, shares are of the mask's area, ``z_*`` are distances from readings in units of their expected error and
-    ``std_*`` are standard deviations of joints as a share of that error.
+    ``std_*`` are standard deviations of joints as a share of that error. What cannot be measured is left out.
     """
     assert result.quality is not None
     assert result.camera_from_root is not None
@@ -56,7 +56,7 @@ def measure_features(
     }
     for name, z in zip(names, (joints - values) / spread, strict=True):
         features[f"z_{name}"] = float(z)
-    features["z_rms"] = float(np.sqrt(np.nanmean(((joints - values) / spread) ** 2)))
+    features["z_rms"] = float(np.sqrt(np.nansum(((joints - values) / spread) ** 2) / len(names)))
     assert result.covariance is not None
     for k, name in enumerate(names):
         features[f"std_{name}"] = float(np.sqrt(result.covariance[6 + k, 6 + k]) / spread[k])
@@ -69,7 +69,7 @@ def measure_features(
         pixels = camera.project(tips)
         size = np.array([camera.width, camera.height])
         features["tip_margin_px"] = float(np.minimum(pixels, size - 1 - pixels).min())
-    return features
+    return {name: float(value) for name, value in features.items() if np.isfinite(value)}
 
 
 def _limits(instrument: Instrument) -> tuple[Float64, Float64]:
