@@ -30,13 +30,15 @@ class SearchConfig:
     """The global search.
 
     ``samples`` LookAt candidates are scored on images ``width_px`` wide; the ``starts`` best that differ are each
-    searched by ``method`` with ``evaluations`` of the loss. Of the candidates, ``free_share`` ignore the shaft's edges.
+    searched by ``method`` with ``evaluations`` of the loss; ``spares`` more go on to the refinement as they are. Of the
+    candidates, ``free_share`` ignore the shaft's edges.
     """
 
     method: str = "cmaes"
-    samples: int = 512
-    starts: int = 6
-    evaluations: int = 160
+    samples: int = 768
+    starts: int = 4
+    evaluations: int = 64
+    spares: int = 32
     width_px: int = 160
     use_edges: bool = True
     free_share: float = 0.15
@@ -46,11 +48,14 @@ class SearchConfig:
 class RefineConfig:
     """The local refinement: ``method`` and, for all but Gauss-Newton, its ``evaluations`` of the loss.
 
-    ``half_size_modes`` modes are refined at half the image size and ``modes`` of these at full size.
+    All candidates are refined by ``first_steps`` steps on the search's small images, ``small_modes`` modes to the end
+    there, ``half_size_modes`` at half the image size and ``modes`` at full size.
     """
 
     method: str = "gauss-newton"
     evaluations: int = 400
+    first_steps: int = 3
+    small_modes: int = 12
     half_size_modes: int = 3
     modes: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)

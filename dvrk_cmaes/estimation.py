@@ -150,7 +150,7 @@ def estimate(
     modes = local.refine(candidates)
     best = modes[0]
 
-    qualities = measure_quality(
+    qualities, confirming = measure_quality(
         renderer,
         evidence,
         readings,
@@ -195,7 +195,7 @@ def estimate(
         alternatives=tuple(alternative(i) for i in range(1, len(modes))),
         seconds=time.perf_counter() - started,
         evaluations=search.evaluations + local.silhouettes + renderer.poses,
-        rays=search.renderer.rays + local.rays + renderer.rays,
+        rays=search.renderer.rays + local.rays + renderer.rays + confirming,
         seed=settings.seed,
         version=__version__,
         config=settings.as_dict(),

@@ -48,7 +48,7 @@ def image_size(evidence: Evidence, width: int) -> tuple[int, int]:
 def find_candidates(
     renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig
 ) -> tuple[list[Candidate], Objective]:
-    """Search one frame: the best candidate of each start, the best first, and the objective that was used."""
+    """Search one frame: the best candidate of each start and the spares, the best first, and the objective used."""
     rng = np.random.default_rng(config.seed)
     instrument = renderer.body.instrument
     small = renderer.at(*image_size(evidence, config.search.width_px))
@@ -56,7 +56,9 @@ def find_candidates(
     poses, joints = draw_seeds(evidence, instrument, readings, config, rng)
     losses = objective(poses, joints)
     seeds = [Candidate(poses[i], joints[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
-    starts = best_of_each(seeds, angle=np.deg2rad(20), joint=np.deg2rad(17), most=config.search.starts)
+    most = config.search.starts + config.search.spares
+    apart = best_of_each(seeds, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
+    starts, spares = apart[: config.search.starts], apart[config.search.starts :]
     scale = scale_of_change(readings)
 
     def search(start: Candidate, seed: int) -> Candidate:
@@ -73,4 +75,4 @@ def find_candidates(
     small.threads = 1  # from here on each start has a thread
     numbered = list(enumerate(starts, start=config.seed))
     found = each(lambda one: search(one[1], one[0]), numbered, config.threads)
-    return sorted(found, key=lambda c: c.score), objective
+    return sorted([*found, *spares], key=lambda c: c.score), objective

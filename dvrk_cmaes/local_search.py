@@ -25,6 +25,7 @@ from dvrk_cmaes.silhouette.crossings import LANES
 Float64 = NDArray[np.float64]
 
 _TWIN_ANGLE = np.deg2rad(40)
+_TWINS = 3  # of the best candidates that are refined with them
 
 
 def is_twin(instrument: Instrument, a: HasPose, b: HasPose) -> bool:
@@ -56,10 +57,15 @@ class LocalSearch:
         return OutlineRefiner(self._renderer, self._evidence, self._readings, outline, shrink=shrink)
 
     def _refine(
-        self, refiner: OutlineRefiner, modes: Sequence[HasPose], *, cauchy: float | None = None
+        self,
+        refiner: OutlineRefiner,
+        modes: Sequence[HasPose],
+        *,
+        cauchy: float | None = None,
+        iterations: int | None = None,
     ) -> list[OutlineFit]:
         def work(part: Sequence[HasPose]) -> list[OutlineFit]:
-            return refiner.refine_all(*_stacked(part), cauchy=cauchy)
+            return refiner.refine_all(*_stacked(part), cauchy=cauchy, iterations=iterations)
 
         before = refiner.silhouettes, refiner.rays
         fits = each(work, batches(modes, LANES // 2), self._config.threads)
@@ -78,9 +84,9 @@ class LocalSearch:
         config, instrument = self._config, self._renderer.body.instrument
         full_width = self._evidence.camera.width
         coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
-        modes = self._refine(coarse, candidates)
-        if instrument.has_twin:
-            modes += self._refine(coarse, [self._twin(min(modes, key=lambda m: m.score))])
+        twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if instrument.has_twin else []
+        modes = self._refine(coarse, [*candidates, *twins], iterations=config.refine.first_steps)
+        modes = self._refine(coarse, best_of_each(modes, most=config.refine.small_modes))
         modes = best_of_each(modes, most=config.refine.half_size_modes)
         if full_width >= 320:
             modes = self._refine(self._refiner(2), modes)

@@ -22,7 +22,8 @@ Float64 = NDArray[np.float64]
 class LossWeights:
     """Weights l1 to l5 of the paper's losses, and that of the readings.
 
-    Silhouette terms are per pixel of the mask. ``line_offset`` (1/px) makes an edge's shift comparable with its turn
+    Silhouette terms are per pixel of the mask. Jaw tips found on a mask are often something else: they count
+    ``found_tips`` times what given ones do. ``line_offset`` (1/px) makes an edge's shift comparable with its turn
     in rad. Chosen by the ablation on made frames.
     """
 
@@ -31,6 +32,7 @@ class LossWeights:
     scale: float = 0.3
     cylinder: float = 0.3
     keypoints: float = 0.002
+    found_tips: float = 0.2
     readings: float = 0.004
     line_offset: float = 0.005
 

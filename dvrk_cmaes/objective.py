@@ -132,5 +132,5 @@ def pose_terms(
     if tips is not None and instrument.jaw_tips:
         points = instrument.tips(joints) @ np.swapaxes(rotation, 1, 2) + translation[:, None]
         points[..., 2] = np.maximum(points[..., 2], 1e-3)
-        keypoints = keypoint_loss(camera.project(points), tips)
+        keypoints = keypoint_loss(camera.project(points), tips) * (1.0 if evidence.tips_given else weights.found_tips)
     return cylinder, keypoints, readings.cost(joints)

@@ -19,6 +19,7 @@ from dvrk_cmaes.objective import Readings, pose_terms
 from dvrk_cmaes.refine.outline import OutlineFit
 from dvrk_cmaes.result import Quality
 from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.confirm import confirmed
 
 Float64 = NDArray[np.float64]
 
@@ -47,13 +48,13 @@ def measure_quality(
     *,
     decay: float,
     field: str,
-) -> list[Quality]:
-    """Overlap, losses and contour distances of all modes at full size.
+) -> tuple[list[Quality], int]:
+    """Overlap, losses and contour distances of all modes at full size, and the rays that confirmed their silhouettes.
 
     The distance field is only needed where a silhouette or the mask is.
     """
     poses, joints = np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
-    masks = renderer.masks(poses, joints)
+    masks, rays = confirmed(renderer, poses, joints, renderer.masks(poses, joints))
     left, top, width, height = _window(evidence.mask.shape, [evidence.mask, *masks])
     window = np.s_[top : top + height, left : left + width]
     mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
@@ -84,7 +85,17 @@ def measure_quality(
                 contour_px_95=float(np.minimum(np.percentile(distances, 95), far_off)),
             )
         )
-    return found
+    return found, rays
+
+
+def _tips_out_of_view(best: OutlineFit, instrument: Instrument, evidence: Evidence) -> bool:
+    """Whether a jaw tip is behind the camera or outside the image."""
+    pose, camera = best.camera_from_root, evidence.camera
+    tips = instrument.tips(best.joints) @ pose[:3, :3].T + pose[:3, 3]
+    if (tips[:, 2] <= 0).any():
+        return True
+    pixels = camera.project(tips)
+    return bool((pixels < -0.5).any() or (pixels > [camera.width - 0.5, camera.height - 0.5]).any())
 
 
 def judge(
@@ -121,6 +132,15 @@ def judge(
     for name, sigmas in zip(instrument.joint_names, off, strict=True):
         if sigmas > trust.largest_reading_sigmas:
             reasons.append(f"far from the readings: {name} is {sigmas:.1f} times the expected error away")
+    std = np.sqrt(np.diag(np.linalg.inv(best.information))[6:])
+    for name, deviation, prior, read in zip(instrument.joint_names, std, readings.spread, known, strict=True):
+        if deviation >= trust.unobservable_share * prior:
+            than = "its reading's" if read else "a reading's would be"
+            reasons.append(
+                f"joint unobservable: {name}'s standard deviation, {np.degrees(deviation):.0f} deg, is {than}"
+            )
+    if instrument.jaw_tips and _tips_out_of_view(best, instrument, evidence):
+        reasons.append("tip out of view: a jaw tip lies outside the image")
     if instrument.shaft is not None and not evidence.shaft_edges:
         reasons.append("shaft not found: no two edges in the mask could bound it")
     return reasons

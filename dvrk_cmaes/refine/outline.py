@@ -31,6 +31,8 @@ from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
 
+_ANYWHERE, _ANY_TURN = 1.0, np.pi  # m and rad: nothing is less certain than this
+
 
 @dataclass(frozen=True)
 class OutlineConfig:
@@ -237,7 +239,7 @@ class OutlineRefiner:
         length = np.linalg.norm(outline.normals, axis=1)
         information = (speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length)
         self._add_priors(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
-        return np.asarray(information)
+        return np.asarray(information + np.diag([1 / _ANYWHERE**2] * 3 + [1 / _ANY_TURN**2] * (len(self.steps) - 3)))
 
     def _add_priors(self, information: Float64, slope: Float64, pose: Float64, joints: Float64) -> None:
         """Add what readings and given tips say to an information (D, D) and a slope (D,), in place."""
