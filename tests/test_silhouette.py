@@ -15,7 +15,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.silhouette import NEAR, Body, Renderer
-from dvrk_cmaes.silhouette.crossings import LANES, LineGrid
+from dvrk_cmaes.silhouette.grid import LineGrid
+from dvrk_cmaes.silhouette.lanes import LANES
 from dvrk_cmaes.silhouette.spans import SpanRenderer
 
 CAMERAS = {
@@ -212,8 +213,9 @@ def handmade() -> dict[str, Body]:
 def test_masks_of_meshes_made_by_hand_are_traced_ones(
     handmade: dict[str, Body], name: str, turn: tuple, shift: tuple, camera: str
 ) -> None:
+    """A face seen exactly edge-on, from a point on an edge, is a tie: rays graze it here and there."""
     pose = transform(exp_rotation(turn), shift)[None]
-    assert_masks_are_traced(Renderer(handmade[name], CAMERAS[camera], threads=1), pose, np.zeros((1, 0)))
+    assert_masks_are_traced(Renderer(handmade[name], CAMERAS[camera], threads=1), pose, np.zeros((1, 0)), most=3)
 
 
 @pytest.mark.parametrize("shift", np.linspace(-0.02, 0.03, 6))
@@ -278,9 +280,9 @@ def test_a_renderer_at_another_size_sees_the_same(bundled_body: Body) -> None:
 
 
 def test_the_span_renderer_takes_one_group_at_a_time(bundled_body: Body) -> None:
-    spans = SpanRenderer(bundled_body.topology, bundled_body.scenes, CAMERAS["pinhole"], LineGrid(120), True)
+    spans = SpanRenderer(bundled_body.topology, CAMERAS["pinhole"], LineGrid(120), True)
     with pytest.raises(ValueError, match=f"at most {LANES} poses at a time, got {LANES + 1}"):
-        spans.ends(np.zeros((LANES + 1, len(bundled_body.instrument.links), 4, 4)))
+        spans.spans(np.zeros((LANES + 1, len(bundled_body.instrument.links), 4, 4)))
 
 
 def test_without_embree_there_is_no_slow_fallback_but_one_line(

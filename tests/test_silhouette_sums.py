@@ -11,7 +11,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import exp_rotation, moved, transform
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
-from dvrk_cmaes.silhouette.crossings import LANES
+from dvrk_cmaes.silhouette.lanes import LANES
 
 PINHOLE = Camera(160, 120, 220.7, 220.7, 110.9, 47.2)
 LENS = Camera(160, 120, 206, 225, 99, 61, (-0.3517, 0.7089, 0.0044, -0.0008, -0.9176))
@@ -172,14 +172,13 @@ def test_one_renderer_serves_several_threads(bundled_body: Body) -> None:
     table = PixelSums.of(*image_stack())
     populations = [population(20, seed) for seed in range(8)]
     expected = [(renderer.sums(*one, table), renderer.masks(*one)) for one in populations]
-    rays, poses = renderer.rays, renderer.poses
+    poses = renderer.poses
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda one: (renderer.sums(*one, table), renderer.masks(*one)), populations))
     for (sums, masks), (sums_alone, masks_alone) in zip(found, expected, strict=True):
         np.testing.assert_array_equal(sums, sums_alone)
         np.testing.assert_array_equal(masks, masks_alone)
-    assert (renderer.rays, renderer.poses) == (2 * rays, 2 * poses)
-    assert rays > 0
+    assert renderer.poses == 2 * poses
 
 
 def test_a_fresh_body_may_be_first_used_by_several_threads() -> None:

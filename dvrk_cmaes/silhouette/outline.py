@@ -9,17 +9,21 @@ where it is steep, columns where it is flat.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.silhouette.crossings import Crossings, LineGrid, find_crossings
+from dvrk_cmaes.silhouette.crossings import NO_CHANGE, Crossings, find_crossings
+from dvrk_cmaes.silhouette.grid import LineGrid
+from dvrk_cmaes.silhouette.ordering import ordered
+from dvrk_cmaes.silhouette.spans import SORTED_BITS
 from dvrk_cmaes.silhouette.topology import MeshTopology
 
 Float64 = NDArray[np.float64]
 
-_FRACTION = np.float64(1 << 12)  # of a pixel, to which crossings are sorted
+_CLOSE = 1 / (1 << SORTED_BITS)  # px
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,36 +38,29 @@ class OutlinePoints:
     pose: NDArray[np.int32]
     pixels: Float64
     normals: Float64
-    link: NDArray[np.int64]
+    link: NDArray[np.integer[Any]]
     points: Float64
 
 
-def _visible_turns(crossings: Crossings, grid: LineGrid, extent: int, poses: int) -> tuple[NDArray[np.int64], Float64]:
-    """Crossings (n,) between covered and uncovered, within the image, and +1 where the covered side begins, else -1.
-
-    On a line along which a link is cut by the near plane, the changes do not sum to zero: what is missing lies beside
-    the image, and the layer count begins with as much as makes it end at zero or above.
-    """
-    lines = grid.lines
-    row = crossings.pose.astype(np.int64) * lines + crossings.line
-    total = np.bincount(row, weights=crossings.change, minlength=poses * lines)
-    at = np.clip(np.rint((crossings.u.astype(np.float64) + 1) * _FRACTION), 0, (extent + 1) * _FRACTION)
-    at_bits = int((extent + 1) * _FRACTION).bit_length()
-    index_bits = len(row).bit_length()
-    if (poses * lines).bit_length() + at_bits + index_bits > 63:
-        order = np.lexsort((at, row))
-    else:
-        key = (((row << at_bits) | at.astype(np.int64)) << index_bits) | np.arange(len(row))
-        key.sort()
-        order = key & ((1 << index_bits) - 1)
-    row = row[order]
-    begin = np.maximum(-total, 0) - (np.cumsum(total) - total)
-    count = np.cumsum(crossings.change[order], dtype=np.int64)
-    after = count + begin[row] > 0.5
-    before = count - crossings.change[order] + begin[row] > 0.5
-    u = crossings.u[order]
-    seen = (after != before) & (u > -0.5) & (u < extent - 0.5) & ~crossings.inside[crossings.pose[order]]
-    return order[seen], np.where(after[seen], 1.0, -1.0)
+def _visible_turns(
+    crossings: Crossings, grid: LineGrid, extent: int, poses: int
+) -> tuple[NDArray[np.signedinteger[Any]], Float64]:
+    """Crossings (n,) between covered and uncovered, within the image, and +1 where the covered side begins, else -1."""
+    position = np.clip((crossings.u + 1) * np.float32(1 << SORTED_BITS), 0, (extent + 1) << SORTED_BITS)
+    place = np.arange(len(position), dtype=np.int32)
+    positions = ((extent + 1) << SORTED_BITS) + 1
+    _, order = ordered(crossings.row, position.astype(np.int32), place, poses * grid.lines, positions)
+    covered = np.cumsum(crossings.code[order] - NO_CHANGE, dtype=np.int32) > 0
+    start, end = order[np.flatnonzero(np.diff(covered, prepend=False))].reshape(-1, 2).T  # of each span
+    u, row = crossings.u, crossings.row
+    # Neighbours too close to be told apart may be the wrong way round: what then seems to lie between them is nothing.
+    gap = (row[start[1:]] == row[end[:-1]]) & (u[start[1:]] - u[end[:-1]] < _CLOSE)
+    start, end = start[np.insert(~gap, 0, True)], end[np.append(~gap, True)]
+    wide = u[end] - u[start] >= _CLOSE
+    turns = np.stack([start[wide], end[wide]], axis=1).ravel()
+    begins = np.tile([1.0, -1.0], np.count_nonzero(wide))
+    seen = (u[turns] > -0.5) & (u[turns] < extent - 0.5)
+    return turns[seen], begins[seen]
 
 
 def outline_points(
@@ -75,21 +72,26 @@ def outline_points(
         across, extent = (camera.width, camera.height) if vertical else (camera.height, camera.width)
         grid = LineGrid(across, per_pixel, vertical)
         crossings = find_crossings(topology, camera, grid, camera_from_link, detail=True)
-        assert crossings.edge is not None
-        assert crossings.slope is not None
-        assert crossings.depth is not None
+        assert crossings.segment is not None
         index, begins = _visible_turns(crossings, grid, extent, len(camera_from_link))
-        slope = crossings.slope[index].astype(np.float64) * per_pixel  # px along the line for a px across
-        steep = np.abs(slope) < 1 if vertical else np.abs(slope) <= 1
+        slope = crossings.slope[crossings.segment[index]].astype(np.float64) * per_pixel  # px along for a px across
+        on_instrument = ~crossings.segments.on_near_plane()[crossings.segment[index]]
+        steep = (np.abs(slope) < 1 if vertical else np.abs(slope) <= 1) & on_instrument
         index, begins, slope = index[steep], begins[steep], slope[steep]
-        along, away = crossings.u[index].astype(np.float64), grid.line_to_v(crossings.line[index])
+        pose, line = np.divmod(crossings.row[index], grid.lines)
+        segments = crossings.segments.select(crossings.segment[index])
+        along, away = crossings.u[index].astype(np.float64), grid.line_to_v(line)
+        share = np.clip((line - segments.v[0]) / (segments.v[1] - segments.v[0]), 0, 1)
+        assert segments.inverse_depth is not None
+        near, far = segments.inverse_depth
+        depth = 1 / (near + share * (far - near))
         normal = -begins[:, None] * np.stack([np.ones_like(slope), -slope], axis=1) / per_pixel
         pixels = np.stack([along, away], axis=1)
         if vertical:
             pixels, normal = pixels[:, ::-1], normal[:, ::-1]
-        parts.append((crossings.pose[index], pixels, normal, crossings.edge[index], crossings.depth[index]))
-    pose, pixels, normal, edge, depth = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    link = np.searchsorted(topology.edge_start, edge, side="right") - 1
+        parts.append((pose, pixels, normal, segments.face, depth))
+    pose, pixels, normal, face, depth = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    link = np.searchsorted(topology.face_start, face, side="right") - 1
     seen = np.c_[camera.normalise(pixels), np.ones(len(pixels))] * depth[:, None]
     to_camera = camera_from_link[pose, link]
     points = np.einsum("nji,nj->ni", to_camera[:, :3, :3], seen - to_camera[:, :3, 3])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from threading import Lock
 from typing import TypeVar
 
@@ -17,10 +18,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette.crossings import LANES, LineGrid
+from dvrk_cmaes.silhouette.grid import LineGrid
+from dvrk_cmaes.silhouette.lanes import LANES
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
-from dvrk_cmaes.silhouette.spans import SpanEnds, SpanRenderer
+from dvrk_cmaes.silhouette.spans import SpanRenderer, Spans
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
 
 T = TypeVar("T")
@@ -50,18 +52,28 @@ class Body:
 class PixelSums:
     """Images whose sums over a silhouette are wanted, as prefix sums along the rows.
 
-    ``table`` is (H, W + 1, K): the sums of K images from the left border to each pixel's left side.
+    ``table`` is (H, W + 1, K or more): the sums of ``count`` = K images from the left border to each pixel's left side.
     """
 
     table: NDArray[np.float32]
+    count: int
 
     @staticmethod
     def of(images: NDArray[np.floating], weight: NDArray[np.floating] | None = None) -> PixelSums:
         """Prepare images (K, H, W), each multiplied by a weight (H, W)."""
         weighted = np.asarray(images if weight is None else images * weight, dtype=np.float64)
-        table = np.zeros((weighted.shape[1], weighted.shape[2] + 1, len(weighted)), dtype=np.float32)
-        table[:, 1:] = np.moveaxis(weighted.cumsum(axis=2), 0, -1)
-        return PixelSums(table)
+        count, height, width = weighted.shape
+        # NumPy gathers rows of 4, 8, 16, .. bytes far faster than others.
+        padded = 1 << (count - 1).bit_length()
+        table = np.zeros((height, width + 1, padded), dtype=np.float32)
+        table[:, 1:, :count] = np.moveaxis(weighted.cumsum(axis=2), 0, -1)
+        return PixelSums(table, count)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that all renderers share: starting some for every population would cost more than they save."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="silhouettes")
 
 
 class Renderer:
@@ -72,7 +84,7 @@ class Renderer:
         self.camera = camera
         self.threads = threads
         self.rays = 0
-        """Rays traced so far."""
+        """Pixels traced so far: ``trace`` alone needs rays."""
         self.poses = 0
         """Poses rendered so far."""
         self._counting = Lock()
@@ -83,32 +95,29 @@ class Renderer:
 
     def _spans(self, lines_per_pixel: int, to_pixel: bool) -> SpanRenderer:
         grid = LineGrid(self.camera.height, lines_per_pixel)
-        return SpanRenderer(self.body.topology, self.body.scenes, self.camera, grid, to_pixel)
+        return SpanRenderer(self.body.topology, self.camera, grid, to_pixel)
 
     def _each_group(
         self,
         renderer: SpanRenderer,
         camera_from_root: NDArray[np.float64],
         joints: NDArray[np.float64],
-        use: Callable[[SpanEnds, int], T],
+        use: Callable[[Spans, int], T],
     ) -> list[T]:
         """Apply ``use`` to the spans of each group of poses and its size, in threads."""
         links = self.body.camera_from_links(camera_from_root, joints)
         groups = [links[i : i + LANES] for i in range(0, max(len(links), 1), LANES)]
 
-        def work(group: NDArray[np.float64]) -> tuple[T, int]:
-            ends = renderer.ends(group)
-            return use(ends, len(group)), ends.rays
+        def work(group: NDArray[np.float64]) -> T:
+            return use(renderer.spans(group), len(group))
 
         if self.threads == 1 or len(groups) == 1:
             done = [work(group) for group in groups]
         else:
-            with ThreadPoolExecutor(self.threads) as pool:
-                done = list(pool.map(work, groups))
+            done = list(_pool(self.threads).map(work, groups))
         with self._counting:
             self.poses += len(links)
-            self.rays += sum(rays for _, rays in done)
-        return [result for result, _ in done]
+        return done
 
     def sums(
         self,
@@ -124,21 +133,29 @@ class Renderer:
         With ``to_pixel``, over the pixels whose centres are covered; otherwise over the real outline, which makes the
         sums continuous in the pose.
         """
-        width = self.camera.width
+        width, lines = self.camera.width, self.camera.height * lines_per_pixel
         flat = images.table.reshape(-1, images.table.shape[2])
 
-        def add(ends: SpanEnds, poses: int) -> NDArray[np.float64]:
-            row = ends.line // lines_per_pixel if lines_per_pixel > 1 else ends.line
-            whole = ends.at.astype(np.int32)
-            index = row * np.int64(width + 1) + whole
-            values = flat[index]
+        def upto(row: NDArray[np.int64], at: NDArray[np.float32]) -> NDArray[np.float32]:
+            whole = at.astype(np.int32)
+            index = row * (width + 1) + whole
+            values = flat.take(index, axis=0, mode="clip")
             if not to_pixel:
-                part = (ends.at - whole)[:, None]
-                values = values + part * (flat[np.minimum(index + 1, len(flat) - 1)] - values)
-            values = values * -ends.sign[:, None]
-            return np.stack(
-                [np.bincount(ends.pose, weights=values[:, k], minlength=poses) for k in range(values.shape[1])], axis=1
-            )
+                step = flat.take(index + 1, axis=0, mode="clip")
+                step -= values
+                step *= (at - whole.astype(np.float32))[:, None]
+                values += step
+            return values
+
+        def add(spans: Spans, poses: int) -> NDArray[np.float64]:
+            pose = spans.row // lines
+            row = spans.row - pose * lines
+            if lines_per_pixel > 1:
+                row //= lines_per_pixel
+            values = upto(row, spans.end)
+            values -= upto(row, spans.start)
+            columns = values.T[: images.count]
+            return np.stack([np.bincount(pose, weights=column, minlength=poses) for column in columns], axis=1)
 
         renderer = self._spans(lines_per_pixel, to_pixel)
         return np.concatenate(self._each_group(renderer, camera_from_root, joints, add)) / lines_per_pixel
@@ -150,16 +167,21 @@ class Renderer:
         renderer = self._spans(lines_per_pixel, to_pixel=False)
         height, width = self.camera.height, self.camera.width
 
-        def draw(ends: SpanEnds, poses: int) -> NDArray[np.float32]:
-            row = ends.line // lines_per_pixel
-            whole = ends.at.astype(np.int32)
-            part = ends.at - whole
-            index = (ends.pose * np.int64(height) + row) * (width + 2) + whole
-            size = poses * height * (width + 2)
-            change = np.bincount(index, weights=ends.sign * (1 - part), minlength=size)
-            change += np.bincount(index + 1, weights=ends.sign * part, minlength=size)
-            table = change.reshape(poses, height, width + 2).cumsum(axis=2)[:, :, :width]
-            return (table / lines_per_pixel).astype(np.float32)
+        def draw(spans: Spans, poses: int) -> NDArray[np.float32]:
+            row = spans.row // lines_per_pixel if lines_per_pixel > 1 else spans.row
+            at = np.concatenate([spans.start, spans.end])
+            whole = at.astype(np.int32)
+            later = at - whole.astype(np.float32)
+            later[len(row) :] *= -1
+            now = np.repeat(np.array([1, -1], dtype=np.float32), len(row)) - later
+            index = np.tile(row * (width + 2), 2) + whole
+            change = np.bincount(
+                np.concatenate([index, index + 1]),
+                weights=np.concatenate([now, later]),
+                minlength=poses * height * (width + 2),
+            )
+            table = change.astype(np.float32).reshape(poses * height, width + 2).cumsum(axis=1)[:, :width]
+            return table.reshape(poses, height, width) * np.float32(1 / lines_per_pixel)
 
         return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
 
@@ -183,9 +205,11 @@ class Renderer:
         renderer = self._spans(1, to_pixel=True)
         height, width = self.camera.height, self.camera.width
 
-        def draw(ends: SpanEnds, poses: int) -> NDArray[np.bool_]:
-            index = (ends.pose * np.int64(height) + ends.line) * (width + 1) + ends.at.astype(np.int32)
-            change = np.bincount(index, weights=ends.sign, minlength=poses * height * (width + 1))
+        def draw(spans: Spans, poses: int) -> NDArray[np.bool_]:
+            begin = spans.row * (width + 1)
+            index = np.concatenate([begin + spans.start.astype(np.int32), begin + spans.end.astype(np.int32)])
+            sign = np.repeat([1.0, -1.0], len(begin))
+            change = np.bincount(index, weights=sign, minlength=poses * height * (width + 1))
             return np.asarray(change.reshape(poses, height, width + 1).cumsum(axis=2)[:, :, :width] > 0.5)
 
         return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
@@ -201,6 +225,8 @@ class Renderer:
         found = np.empty((len(links), height, width), dtype=np.bool_)
         for one, image in zip(links, found, strict=True):
             image[:] = self.body.scenes.covered(one[None], pose, directions).reshape(height, width)
+        with self._counting:
+            self.rays += found.size
         return found
 
 

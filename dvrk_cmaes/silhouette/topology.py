@@ -10,11 +10,13 @@ is a sum over its faces.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.silhouette.lanes import Words, same_in_all_lanes
 
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
@@ -34,27 +36,23 @@ class MeshTopology:
     """(F, 4) outward normal (of unit length) and offset: ``planes @ [eye, 1] > 0`` where the face looks at the eye."""
     face_start: Int32
     edge_start: Int32
-    edge_from: Int32
-    """(E,) first vertex, in the direction in which ``face_left`` runs along the edge."""
-    edge_to: Int32
-    face_left: Int32
-    """(E,) a face of the edge."""
-    face_right: Int32
-    """(E,) the edge's other face; the same as ``face_left`` where it has none."""
-    flip: NDArray[np.uint64]
-    """(E,) eight times the byte 0 or 1: outline where looks(left) xor looks(right) xor flip."""
+    edge_ends: NDArray[np.intp]
+    """(2, E) first and second vertex, in the direction in which the first of ``edge_faces`` runs along the edge."""
+    edge_faces: NDArray[np.intp]
+    """(2, E) the edge's faces; twice the same one where it has no other."""
+    flip: dict[int, Words]
+    """By the number of lanes: (E,) 0 or 1, outline where looks(first face) xor looks(second face) xor flip."""
     weight: NDArray[np.int8]
     """(E,) by how much the layer count changes across the edge where it is outline: 2, or 1 for an edge of one face."""
-    boxes: NDArray[np.float64]
-    """(L, 2, 3) lowest and highest corner of each link's vertices, m."""
+    same_way: NDArray[np.bool_]
+    """(E,) whether the edge's second face, too, runs along it from its first to its second vertex."""
+    corners: NDArray[np.float64]
+    """(L, 8, 4) homogeneous corners of the box around each link's vertices, m."""
 
     @property
     def links(self) -> int:
         """Number of links with geometry."""
         return len(self.vertex_start) - 1
-
-
-_ALL_BYTES = np.uint64(0x0101010101010101)
 
 
 def _paired_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], ...]:
@@ -89,20 +87,21 @@ def _paired_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], ...]:
 
 def build_topology(instrument: Instrument) -> MeshTopology:
     """Prepare the meshes of all links of an instrument for outline extraction."""
-    vertices, planes, boxes = [], [], []
+    vertices, planes, corners = [], [], []
     edges: list[list[NDArray[np.int64]]] = [[], [], [], []]
-    flips, weights = [], []
+    flips, weights, same_ways = [], [], []
     vertex_start, face_start, edge_start = [0], [0], [0]
     for link in instrument.links:
-        corners = link.vertices[link.faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        triangles = link.vertices[link.faces]
+        normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-        offset = -np.einsum("ij,ij->i", normal, corners.mean(axis=1))
+        offset = -np.einsum("ij,ij->i", normal, triangles.mean(axis=1))
         edge_from, edge_to, left, right, same_way = _paired_edges(link.faces)
         alone = right < 0
         vertices.append(np.c_[link.vertices, np.ones(len(link.vertices))])
         planes.append(np.c_[normal, offset])
-        boxes.append([link.vertices.min(axis=0), link.vertices.max(axis=0)])
+        low, high = link.vertices.min(axis=0), link.vertices.max(axis=0)
+        corners.append([[*np.where(upper, high, low), 1.0] for upper in product((False, True), repeat=3)])
         for stack, values, base in zip(
             edges,
             (edge_from, edge_to, left, np.where(alone, left, right)),
@@ -112,21 +111,21 @@ def build_topology(instrument: Instrument) -> MeshTopology:
             stack.append(values + base)
         flips.append(same_way | alone)
         weights.append(np.where(alone, 1, 2))
+        same_ways.append(same_way)
         vertex_start.append(vertex_start[-1] + len(link.vertices))
         face_start.append(face_start[-1] + len(link.faces))
         edge_start.append(edge_start[-1] + len(left))
-    stacked = [np.concatenate(stack).astype(np.int32) for stack in edges]
+    edge_from, edge_to, left, right = (np.concatenate(stack).astype(np.intp) for stack in edges)
     return MeshTopology(
         vertices=np.ascontiguousarray(np.concatenate(vertices), dtype=np.float32),
         vertex_start=np.array(vertex_start, dtype=np.int32),
         planes=np.ascontiguousarray(np.concatenate(planes), dtype=np.float32),
         face_start=np.array(face_start, dtype=np.int32),
         edge_start=np.array(edge_start, dtype=np.int32),
-        edge_from=stacked[0],
-        edge_to=stacked[1],
-        face_left=stacked[2],
-        face_right=stacked[3],
-        flip=np.concatenate(flips).astype(np.uint64) * _ALL_BYTES,
+        edge_ends=np.stack([edge_from, edge_to]),
+        edge_faces=np.stack([left, right]),
+        flip=same_in_all_lanes(np.concatenate(flips)),
         weight=np.concatenate(weights).astype(np.int8),
-        boxes=np.array(boxes, dtype=np.float64),
+        same_way=np.concatenate(same_ways),
+        corners=np.array(corners, dtype=np.float64),
     )

@@ -1,0 +1,45 @@
+"""Poses side by side: of a few poses, what is known of a face, a vertex or an edge lies together in memory.
+
+Answers of all poses about one face fit into one word, so that an edge compares its faces for all of them at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LANES = 8
+"""Poses handled together at most."""
+
+Words = NDArray[np.unsignedinteger[Any]]
+
+_WORDS: dict[int, type[np.unsignedinteger[Any]]] = {1: np.uint8, 2: np.uint16, 4: np.uint32, 8: np.uint64}
+
+
+def lanes_for(poses: int) -> int:
+    """Count of lanes, a power of two, that holds so many poses; ValueError beyond ``LANES``."""
+    if poses > LANES:
+        raise ValueError(f"at most {LANES} poses at a time, got {poses}")
+    return next(lanes for lanes in _WORDS if lanes >= poses)
+
+
+def shift_of(lanes: int) -> int:
+    """By how many bits an index is shifted to make room for the lane."""
+    return lanes.bit_length() - 1
+
+
+def words_of(answers: NDArray[np.bool_]) -> Words:
+    """Answers (N, lanes), contiguous, seen as words (N,) of a byte a lane."""
+    return answers.view(_WORDS[answers.shape[1]])[:, 0]
+
+
+def answers_of(words: Words) -> NDArray[np.bool_]:
+    """Words (N,) of a byte a lane, each byte 0 or 1, seen as answers (N, lanes)."""
+    return words.view(np.bool_).reshape(len(words), -1)
+
+
+def same_in_all_lanes(answers: NDArray[np.bool_]) -> dict[int, Words]:
+    """Answers (N,) that hold for every pose, as words, by the number of lanes."""
+    return {lanes: words_of(np.repeat(answers[:, None], lanes, axis=1)) for lanes in _WORDS}

@@ -1,0 +1,72 @@
+"""From poses to segments: which edges of the meshes are outline, and which of them cross a line of the image.
+
+All of it is done for the edges of a whole mesh at once, and for up to eight poses in the lanes of one array, so that
+what is costly (one row gathered for each end and face of every edge) is paid once for all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.silhouette.grid import Projection
+from dvrk_cmaes.silhouette.lanes import answers_of, lanes_for, shift_of, words_of
+from dvrk_cmaes.silhouette.near_plane import cut_link
+from dvrk_cmaes.silhouette.segments import Segments, bent
+from dvrk_cmaes.silhouette.topology import MeshTopology
+from dvrk_cmaes.silhouette.vertices import ProjectedVertices
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineSegments:
+    """Segments of the outlines of up to eight poses that cross a line of the image."""
+
+    segments: Segments
+    front: NDArray[np.bool_]
+    """(S,) whether the face of a segment looks at the eye."""
+
+
+def _looks(topology: MeshTopology, camera_from_link: NDArray[np.float64], lanes: int) -> NDArray[np.bool_]:
+    """Which faces look at the eye, (F, lanes)."""
+    eye = np.zeros((topology.links, 4, lanes), dtype=np.float32)
+    eye[:, :3, : len(camera_from_link)] = -np.einsum(
+        "clji,clj->lic", camera_from_link[..., :3, :3], camera_from_link[..., :3, 3]
+    )
+    eye[:, 3] = 1
+    side = np.empty((len(topology.planes), lanes), dtype=np.float32)
+    for link in range(topology.links):
+        faces = slice(topology.face_start[link], topology.face_start[link + 1])
+        np.matmul(topology.planes[faces], eye[link], out=side[faces])
+    return side > 0
+
+
+def outline_segments(
+    topology: MeshTopology, projection: Projection, camera_from_link: NDArray[np.float64], *, detail: bool
+) -> OutlineSegments:
+    """Segments of the outlines of up to eight poses (C, L, 4, 4), as far as they cross lines.
+
+    With ``detail``, the segments know their depth.
+    """
+    poses, lanes = len(camera_from_link), lanes_for(len(camera_from_link))
+    looks = _looks(topology, camera_from_link, lanes)
+    outline = words_of(looks).take(topology.edge_faces[0], mode="clip")
+    outline ^= words_of(looks).take(topology.edge_faces[1], mode="clip")
+    outline ^= topology.flip[lanes]
+
+    vertices = ProjectedVertices(topology, projection, camera_from_link)
+    straight = projection.camera.is_pinhole
+    cut = [cut_link(vertices, link, outline, detail) for link in vertices.behind]
+    chosen = answers_of(outline)
+    if straight:
+        chosen &= np.not_equal(*(vertices.line.take(ends, axis=0, mode="clip") for ends in topology.edge_ends))
+    elif poses < lanes:
+        chosen[:, poses:] = False
+    at = np.flatnonzero(chosen)
+    segments = vertices.segments(at >> shift_of(lanes), at & (lanes - 1), detail)
+    for more in cut:
+        segments = segments.and_more(more.crossing() if straight else more)
+    if not straight:
+        segments = bent(segments, projection)
+    return OutlineSegments(segments, looks.ravel().take(segments.face * lanes + segments.lane, mode="clip"))

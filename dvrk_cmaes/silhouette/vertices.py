@@ -1,0 +1,68 @@
+"""All vertices of the meshes in the image, for up to eight poses in the lanes of one array."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.silhouette.grid import Float32, Projection
+from dvrk_cmaes.silhouette.lanes import lanes_for
+from dvrk_cmaes.silhouette.scenes import NEAR
+from dvrk_cmaes.silhouette.segments import Segments
+from dvrk_cmaes.silhouette.topology import MeshTopology
+
+
+class ProjectedVertices:
+    """The vertices' places in the image, arrays (V, lanes); those behind the near plane have none that means anything.
+
+    ``behind`` holds, of the links that the plane cuts or that are behind it, which of their vertices are behind, and
+    ``homogeneous`` their u, v and 1, times the depth: (3, V of the link, lanes).
+    """
+
+    def __init__(self, topology: MeshTopology, projection: Projection, camera_from_link: NDArray[np.float64]) -> None:
+        poses, lanes = len(camera_from_link), lanes_for(len(camera_from_link))
+        self.lanes = lanes
+        self.topology = topology
+        self.projection = projection
+        image_from_link = projection.matrix @ camera_from_link[:, :, :3]
+        matrix = np.zeros((topology.links, 3, 4, lanes), dtype=np.float32)
+        matrix[:, 2, 3] = 1  # in lanes without a pose, all is at one point
+        matrix[..., :poses] = image_from_link.transpose(1, 2, 3, 0)
+        nearest = (topology.corners @ image_from_link[:, :, 2, :, None]).min(axis=(0, 2, 3), initial=np.inf)
+
+        homogeneous = np.empty((3, len(topology.vertices), lanes), dtype=np.float32)
+        depth = homogeneous[2]
+        self.behind: dict[int, NDArray[np.bool_]] = {}
+        self.homogeneous: dict[int, Float32] = {}
+        for link in range(topology.links):
+            part = slice(topology.vertex_start[link], topology.vertex_start[link + 1])
+            for row, out in zip(matrix[link], homogeneous, strict=True):
+                np.matmul(topology.vertices[part], row, out=out[part])
+            if nearest[link] < 1.01 * NEAR:
+                behind = depth[part] < NEAR
+                if behind.any():
+                    self.behind[link] = behind
+                    self.homogeneous[link] = homogeneous[:, part].copy()
+                    depth[part][behind] = 1
+        self.inverse_depth: Float32 = np.divide(np.float32(1), depth, out=depth)
+        image = homogeneous[:2]
+        image *= self.inverse_depth
+        self.xy: Float32 | None = None if projection.camera.is_pinhole else image
+        self.u, self.v = projection.bent(image.reshape(2, -1)).reshape(image.shape)
+        self.line = projection.first_line(self.v)
+
+    def segments(self, edge: NDArray[np.intp], lane: NDArray[np.intp], detail: bool) -> Segments:
+        """Edges as segments; with ``detail``, they know their depth."""
+        ends = self.topology.edge_ends.take(edge, axis=1, mode="clip")
+        ends *= self.lanes
+        ends += lane
+        return Segments(
+            lane,
+            self.topology.edge_faces[0].take(edge, mode="clip"),
+            self.topology.weight.take(edge, mode="clip"),
+            self.u.ravel().take(ends, mode="clip"),
+            self.v.ravel().take(ends, mode="clip"),
+            self.line.ravel().take(ends, mode="clip"),
+            None if self.xy is None else self.xy.reshape(2, -1).take(ends, axis=1, mode="clip"),
+            self.inverse_depth.ravel().take(ends, mode="clip") if detail else None,
+        )
