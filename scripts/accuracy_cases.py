@@ -33,6 +33,7 @@ from dvrk_cmaes.io.session_folder import read_session
 Float64 = NDArray[np.float64]
 
 HONEST: Final = "honest"
+CRASHED: Final = "crashed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +66,17 @@ class Run:
     @property
     def failed(self) -> bool:
         """Whether there is no pose."""
-        return bool(self.result["status"] == "failed")
+        return self.result["status"] in ("failed", CRASHED)
 
     @property
     def trusted(self) -> bool:
         """Whether the program says that the pose is good."""
         return bool(self.result["status"] == "ok")
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the program says that the pose is doubtful, or why there is none; a crash says nothing."""
+        return self.result["status"] in ("failed", "doubtful")
 
     @property
     def pose(self) -> Float64:
@@ -197,6 +203,8 @@ def _run(case: Case, config: EstimateConfig) -> tuple[dict[str, Any], dict[str, 
         )
     except InputError as error:
         return {"status": "failed", "reasons": [str(error)], "seconds": 0.0}, {}
+    except Exception as error:  # a defect, to be counted like any other outcome and not to end hours of work
+        return {"status": CRASHED, "reasons": [f"crash: {type(error).__name__}: {error}"], "seconds": 0.0}, {}
     features = measure_features(result, case.mask, case.camera, body, config, ignore=case.ignore)
     return result.to_dict(), features
 

@@ -33,9 +33,10 @@ def measure_features(
 ) -> dict[str, float]:
     """Measure a result by name of feature.
 
-    Distances are in px of the full image, gaps are differences of the refinement's score to the nearest mode of that
-    relation, shares are of the mask's area, ``z_*`` are distances from readings in units of their expected error and
-    ``std_*`` are standard deviations of joints as a share of that error. What cannot be measured is left out.
+    Distances are in px of the full image and shares of the mask's area. Gaps are how much worse than the result the
+    nearest mode of a relation scores: by outline and readings, by the ``_outline`` alone, by overlap (``_iou``), and
+    how many times the ``_residual`` of the outline is. ``z_*`` are distances from readings in units of their expected
+    error, ``std_*`` standard deviations of joints as a share of that error. What cannot be measured is left out.
     """
     assert result.quality is not None
     assert result.camera_from_root is not None
@@ -93,6 +94,7 @@ def _modes(
     outline = replace(config.refine.outline, correlation=noise.length)
     refiner = OutlineRefiner(renderer, evidence, readings, outline)
     best = refiner.assess(result.camera_from_root, np.array(list(result.joints.values())))
+    best_prior = 0.5 * float(readings.cost(best.joints))
     features = {
         "noise_sigma_px": noise.sigma,
         "noise_length_px": noise.length,
@@ -103,8 +105,11 @@ def _modes(
     for other in result.alternatives:
         fit = refiner.assess(other.camera_from_root, np.array(list(other.joints.values())))
         name = "gap_twin" if other.relation == "mirror twin" else "gap_other"
-        if fit.score - best.score < features[name]:
-            features[name] = fit.score - best.score
+        gap = fit.score - best.score
+        if gap < features[name]:
+            features[name] = gap
+            features[f"{name}_outline"] = gap - 0.5 * float(readings.cost(fit.joints)) + best_prior
+            features[f"{name}_residual"] = fit.residual / best.residual
             features[f"{name}_iou"] = result.quality.iou - other.iou if result.quality is not None else np.nan
     return features
 

@@ -202,7 +202,7 @@ def lie_report(runs: Sequence[Run]) -> list[dict[str, Any]]:
             {
                 "kind": name + (" (hides)" if name in HIDING else ""),
                 "cases": len(group),
-                "doubted": sum(not run.trusted for run in group) / len(group),
+                "doubted": sum(run.doubted for run in group) / len(group),
                 "reasons": ", ".join(f"{reason} {share:.2f}" for reason, share in reasons.items()) or "-",
             }
         )
