@@ -31,7 +31,8 @@ class SearchConfig:
 
     ``samples`` LookAt candidates are scored on images ``width_px`` wide; the ``starts`` best that differ are each
     searched by ``method`` with ``evaluations`` of the loss; ``spares`` more go on to the refinement as they are. Of the
-    candidates, ``free_share`` ignore the shaft's edges.
+    candidates, ``free_share`` ignore the shaft's edges and ``unread_share`` the readings; ``unread_spares`` of these
+    go on whatever the readings say: should the readings be wrong, the outline must be able to tell.
     """
 
     method: str = "cmaes"
@@ -42,6 +43,8 @@ class SearchConfig:
     width_px: int = 160
     use_edges: bool = True
     free_share: float = 0.15
+    unread_share: float = 0.25
+    unread_spares: int = 6
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class TrustConfig:
     least_iou: float = 0.85
     largest_contour_px: float = 4.0
     least_score_gap: float = 3.0
+    largest_outline_gap: float = 4.0
     largest_reading_sigmas: float = 3.0
     unobservable_share: float = 0.9
 

@@ -53,12 +53,16 @@ def find_candidates(
     instrument = renderer.body.instrument
     small = renderer.at(*image_size(evidence, config.search.width_px))
     objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
-    poses, joints = draw_seeds(evidence, instrument, readings, config, rng)
-    losses = objective(poses, joints)
+    poses, joints, unread = draw_seeds(evidence, instrument, readings, config, rng)
+    terms = objective.terms(poses, joints)
+    losses = terms.total(config.weights)
     seeds = [Candidate(poses[i], joints[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
+    seen = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
+    by_sight = [Candidate(poses[i], joints[i], float(seen[i])) for i in np.argsort(seen, kind="stable")[:60]]
     most = config.search.starts + config.search.spares
     apart = best_of_each(seeds, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     starts, spares = apart[: config.search.starts], apart[config.search.starts :]
+    spares += best_of_each(by_sight, angle=np.deg2rad(20), joint=np.deg2rad(17), most=config.search.unread_spares)
     scale = scale_of_change(readings)
 
     def search(start: Candidate, seed: int) -> Candidate:

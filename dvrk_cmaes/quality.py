@@ -117,6 +117,9 @@ def judge(
             f"{quality.contour_px_95:.1f} px from the silhouette"
         )
     known = ~np.isnan(readings.values)
+    better = min(modes, key=lambda mode: mode.outline_score)
+    if best.outline_score - better.outline_score > trust.largest_outline_gap:
+        reasons.append("readings against outline: a pose farther from the readings explains the mask clearly better")
     for other in modes[1:]:
         gap = other.score - best.score
         if gap >= trust.least_score_gap:

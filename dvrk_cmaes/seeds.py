@@ -59,8 +59,8 @@ def draw_seeds(
     readings: Readings,
     config: EstimateConfig,
     rng: np.random.Generator,
-) -> tuple[Float64, Float64]:
-    """Draw the search's first candidates: poses (N, 4, 4) and joints (N, J).
+) -> tuple[Float64, Float64, NDArray[np.bool_]]:
+    """Draw the search's first candidates: poses (N, 4, 4), joints (N, J), and whether these ignore the readings (N,).
 
     Half of them lie on the likeliest pair of edges, the rest on the other pairs and anywhere in the LookAt space.
     """
@@ -76,6 +76,9 @@ def draw_seeds(
     v, u = np.nonzero(evidence.mask)
     pixels = np.stack([u, v], axis=1).astype(np.float64)
     poses.append(sample_lookat(free, config.lookat, rng, camera=evidence.camera, pixels=pixels))
-    return np.concatenate(poses), sample_joints(
-        readings.values, readings.spread, readings.low, readings.high, count, rng
-    )
+    joints = sample_joints(readings.values, readings.spread, readings.low, readings.high, count, rng)
+    nothing = np.full(len(readings.values), np.nan)
+    anything = sample_joints(nothing, readings.spread, readings.low, readings.high, count, rng)
+    unread = rng.uniform(size=count) < config.search.unread_share
+    joints[unread] = anything[unread]
+    return np.concatenate(poses), joints, unread

@@ -66,12 +66,14 @@ class OutlineFit:
     """A refined pose and what the outline says of it.
 
     ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints], readings included;
-    ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame.
+    ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame, and
+    ``outline_score`` the outline's part of it.
     """
 
     camera_from_root: Float64
     joints: Float64
     score: float
+    outline_score: float
     residual: float
     information: Float64
 
@@ -176,13 +178,11 @@ class OutlineRefiner:
             return 0.0
         return float((self._keypoint_residuals(pose[None], joints[None]) ** 2).sum())
 
-    def score(self, loss: float, pose: Float64, joints: Float64) -> float:
-        """Negative log-likelihood up to a constant: the outline's, its error unknown, plus readings and given tips."""
+    def _outline_score(self, loss: float) -> float:
+        """Negative log-likelihood of the outline up to a constant, its error unknown."""
         count = self._length * self._shrink / self._config.correlation
         floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
-        return 0.5 * count * float(np.log(max(loss, floor))) + 0.5 * (
-            self._prior_cost(joints) + self._keypoint_cost(pose, joints)
-        )
+        return 0.5 * count * float(np.log(max(loss, floor)))
 
     def _normal_equations(
         self, poses: Float64, joints: Float64, images: NDArray[np.float32], cauchy: float
@@ -297,8 +297,9 @@ class OutlineRefiner:
         fits = []
         for state in states:
             loss = self._loss(state.image, self._config.cauchy)
-            score = self.score(loss, state.pose, state.joints)
-            fits.append(OutlineFit(state.pose, state.joints, score, loss, state.information))
+            alone = self._outline_score(loss)
+            score = alone + 0.5 * self._other_costs(state.pose, state.joints)
+            fits.append(OutlineFit(state.pose, state.joints, score, alone, loss, state.information))
         return fits
 
     def _linearise(self, states: list[_State], cauchy: float) -> None:
