@@ -1,21 +1,29 @@
 """Poses side by side: of a few poses, what is known of a face, a vertex or an edge lies together in memory.
 
-Answers of all poses about one face fit into one word, so that an edge compares its faces for all of them at once.
+Answers of all poses about one face fit into one word or two, so that an edge compares its faces for all of them at
+once, and what is costly about an edge, looking its faces and ends up, is paid once for all of them.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-LANES = 8
+LANES = 16
 """Poses handled together at most."""
 
 Words = NDArray[np.unsignedinteger[Any]]
 
-_WORDS: dict[int, type[np.unsignedinteger[Any]]] = {1: np.uint8, 2: np.uint16, 4: np.uint32, 8: np.uint64}
+_WORDS: dict[int, type[np.unsignedinteger[Any]]] = {
+    1: np.uint8,
+    2: np.uint16,
+    4: np.uint32,
+    8: np.uint64,
+    16: np.uint64,
+}
 
 
 def lanes_for(poses: int) -> int:
@@ -25,19 +33,31 @@ def lanes_for(poses: int) -> int:
     return next(lanes for lanes in _WORDS if lanes >= poses)
 
 
+def groups_of(poses: int) -> list[slice]:
+    """Divide poses into nearly equal groups of at most ``LANES``; more than half of that make an even number of them.
+
+    So two threads have the same to do, and what is computed together does not depend on the number of threads.
+    """
+    groups = max(-(-poses // LANES), 1)
+    if groups % 2 and poses > LANES // 2:
+        groups += 1
+    edges = [round(poses * i / groups) for i in range(groups + 1)]
+    return [slice(begin, end) for begin, end in pairwise(edges)]
+
+
 def shift_of(lanes: int) -> int:
     """By how many bits an index is shifted to make room for the lane."""
     return lanes.bit_length() - 1
 
 
 def words_of(answers: NDArray[np.bool_]) -> Words:
-    """Answers (N, lanes), contiguous, seen as words (N,) of a byte a lane."""
-    return answers.view(_WORDS[answers.shape[1]])[:, 0]
+    """Answers (N, lanes), contiguous, seen as words (N, 1 or 2) of a byte a lane."""
+    return answers.view(_WORDS[answers.shape[1]])
 
 
 def answers_of(words: Words) -> NDArray[np.bool_]:
-    """Words (N,) of a byte a lane, each byte 0 or 1, seen as answers (N, lanes)."""
-    return words.view(np.bool_).reshape(len(words), -1)
+    """Words (N, 1 or 2) of a byte a lane, each byte 0 or 1, seen as answers (N, lanes)."""
+    return words.view(np.bool_)
 
 
 def same_in_all_lanes(answers: NDArray[np.bool_]) -> dict[int, Words]:

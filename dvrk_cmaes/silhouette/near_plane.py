@@ -32,7 +32,9 @@ def cut_link(vertices: ProjectedVertices, link: int, outline: Words, detail: boo
     """
     topology, lanes = vertices.topology, vertices.lanes
     edges = slice(topology.edge_start[link], topology.edge_start[link + 1])
-    start, end = words_of(vertices.behind[link]).take(topology.edge_ends[:, edges] - topology.vertex_start[link])
+    start, end = words_of(vertices.behind[link]).take(
+        topology.edge_ends[:, edges] - topology.vertex_start[link], axis=0
+    )
     at = np.flatnonzero(answers_of(start ^ end))
     own = np.flatnonzero(answers_of(outline[edges]).ravel().take(at))
     end_behind = answers_of(end).ravel().take(at)

@@ -66,7 +66,7 @@ def _visible_turns(
 def outline_points(
     topology: MeshTopology, camera: Camera, camera_from_link: Float64, *, per_pixel: int = 1
 ) -> OutlinePoints:
-    """Points on the visible outlines of up to eight poses (C, L, 4, 4), on ``per_pixel`` lines a pixel."""
+    """Points on the visible outlines of a few poses (C, L, 4, 4), on ``per_pixel`` lines a pixel."""
     parts = []
     for vertical in (False, True):
         across, extent = (camera.width, camera.height) if vertical else (camera.height, camera.width)

@@ -1,6 +1,6 @@
 """From poses to segments: which edges of the meshes are outline, and which of them cross a line of the image.
 
-All of it is done for the edges of a whole mesh at once, and for up to eight poses in the lanes of one array, so that
+All of it is done for the edges of a whole mesh at once, and for a few poses in the lanes of one array, so that
 what is costly (one row gathered for each end and face of every edge) is paid once for all of them.
 """
 
@@ -21,7 +21,7 @@ from dvrk_cmaes.silhouette.vertices import ProjectedVertices
 
 @dataclass(frozen=True, eq=False)
 class OutlineSegments:
-    """Segments of the outlines of up to eight poses that cross a line of the image."""
+    """Segments of the outlines of a few poses that cross a line of the image."""
 
     segments: Segments
     front: NDArray[np.bool_]
@@ -45,14 +45,14 @@ def _looks(topology: MeshTopology, camera_from_link: NDArray[np.float64], lanes:
 def outline_segments(
     topology: MeshTopology, projection: Projection, camera_from_link: NDArray[np.float64], *, detail: bool
 ) -> OutlineSegments:
-    """Segments of the outlines of up to eight poses (C, L, 4, 4), as far as they cross lines.
+    """Segments of the outlines of a few poses (C, L, 4, 4), as far as they cross lines.
 
     With ``detail``, the segments know their depth.
     """
     poses, lanes = len(camera_from_link), lanes_for(len(camera_from_link))
     looks = _looks(topology, camera_from_link, lanes)
-    outline = words_of(looks).take(topology.edge_faces[0], mode="clip")
-    outline ^= words_of(looks).take(topology.edge_faces[1], mode="clip")
+    outline = words_of(looks).take(topology.edge_faces[0], axis=0, mode="clip")
+    outline ^= words_of(looks).take(topology.edge_faces[1], axis=0, mode="clip")
     outline ^= topology.flip[lanes]
 
     vertices = ProjectedVertices(topology, projection, camera_from_link)

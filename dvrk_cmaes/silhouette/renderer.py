@@ -1,7 +1,7 @@
 """Silhouettes of whole populations of poses: loss sums, masks to the pixel, antialiased coverage.
 
-Poses in, sums and images out; the only place where threads are used. Poses are handled in groups of eight whatever the
-number of threads, so results do not depend on it to the last bit.
+Poses in, sums and images out. Poses are handled in the same groups whatever the number of threads, so results do not
+depend on it to the last bit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette.grid import LineGrid
-from dvrk_cmaes.silhouette.lanes import LANES
+from dvrk_cmaes.silhouette.lanes import groups_of
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.spans import SpanRenderer, Spans
@@ -76,6 +76,16 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="silhouettes")
 
 
+@cache
+def _keep_freed_memory() -> None:
+    """Have the C library keep the memory of temporary arrays.
+
+    glibc hands freed memory back to the system beyond twice the largest block that has been freed so far (at most
+    32 MB), and asking for it anew, page by page, can take as long as all of the rendering. Elsewhere this is nothing.
+    """
+    np.empty(31 << 20, dtype=np.uint8)
+
+
 class Renderer:
     """Silhouettes of one instrument in one camera; safe to use from several threads."""
 
@@ -88,6 +98,7 @@ class Renderer:
         self.poses = 0
         """Poses rendered so far."""
         self._counting = Lock()
+        _keep_freed_memory()
 
     def at(self, width: int, height: int) -> Renderer:
         """Return a renderer of the same body in the same camera at another image size."""
@@ -106,7 +117,7 @@ class Renderer:
     ) -> list[T]:
         """Apply ``use`` to the spans of each group of poses and its size, in threads."""
         links = self.body.camera_from_links(camera_from_root, joints)
-        groups = [links[i : i + LANES] for i in range(0, max(len(links), 1), LANES)]
+        groups = [links[group] for group in groups_of(len(links))]
 
         def work(group: NDArray[np.float64]) -> T:
             return use(renderer.spans(group), len(group))
@@ -190,13 +201,11 @@ class Renderer:
     ) -> OutlinePoints:
         """Points on the outlines of C poses, and where they lie on the instrument."""
         links = self.body.camera_from_links(camera_from_root, joints)
-        groups = [
-            outline_points(self.body.topology, self.camera, links[i : i + LANES], per_pixel=lines_per_pixel)
-            for i in range(0, len(links), LANES)
-        ]
+        slices = groups_of(len(links))
+        groups = [outline_points(self.body.topology, self.camera, links[s], per_pixel=lines_per_pixel) for s in slices]
         if len(groups) == 1:
             return groups[0]
-        pose = np.concatenate([group.pose + LANES * i for i, group in enumerate(groups)])
+        pose = np.concatenate([group.pose + one.start for group, one in zip(groups, slices, strict=True)])
         rest = [np.concatenate([getattr(g, name) for g in groups]) for name in ("pixels", "normals", "link", "points")]
         return OutlinePoints(pose, *rest)
 

@@ -27,7 +27,7 @@ SORTED_BITS = 8
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """All covered spans of up to eight poses.
+    """All covered spans of a few poses.
 
     Starts and ends are measured in pixels from the image's left border, between 0 and its width: whole numbers of
     pixels for spans to the pixel, real numbers otherwise.

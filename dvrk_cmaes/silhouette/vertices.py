@@ -1,4 +1,4 @@
-"""All vertices of the meshes in the image, for up to eight poses in the lanes of one array."""
+"""All vertices of the meshes in the image, for a few poses in the lanes of one array."""
 
 from __future__ import annotations
 
