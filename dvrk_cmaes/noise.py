@@ -19,6 +19,7 @@ Float64 = NDArray[np.float64]
 
 _LEAST_SIGMA = 0.25  # px: what the pixel grid alone does to an exact mask
 _LENGTHS = (2.0, 40.0)  # px
+_SAMPLED_TOGETHER = 512  # OpenCV limits each side of what it samples at once
 _CLIP = 3.0  # standard deviations; beyond lies a segmenter's mistake
 
 
@@ -40,9 +41,16 @@ def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
     """Values of an image (H, W) at pixels (N, 2), bilinear, (N,)."""
-    at = at.astype(np.float32)
-    values = cv2.remap(image, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values[0], dtype=np.float64)
+    rows = -(-len(at) // _SAMPLED_TOGETHER)
+    if rows == 0:
+        return np.zeros(0)
+    spots = np.zeros((rows * _SAMPLED_TOGETHER, 2), dtype=np.float32)
+    spots[: len(at)] = at
+    u, v = spots.reshape(rows, _SAMPLED_TOGETHER, 2).transpose(2, 0, 1)
+    values = cv2.remap(
+        image, np.ascontiguousarray(u), np.ascontiguousarray(v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(values.ravel()[: len(at)], dtype=np.float64)
 
 
 def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoise:
