@@ -20,6 +20,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.lanes import groups_of
+from dvrk_cmaes.silhouette.lighter import lightened
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.spans import SpanRenderer, Spans
@@ -35,11 +36,18 @@ class Body:
     instrument: Instrument
     topology: MeshTopology
     scenes: LinkScenes
+    error_m: float = 0.0
+    """How far its surface may be from the instrument's, m."""
 
     @staticmethod
     def prepare(instrument: Instrument) -> Body:
         """Pair the edges and build the scenes of an instrument."""
         return Body(instrument, build_topology(instrument), LinkScenes(instrument))
+
+    def lightened(self, cell: float) -> Body:
+        """Return a body of fewer faces for coarse images, its details smaller than ``cell`` m left out."""
+        instrument, error = lightened(self.instrument, cell)
+        return Body(instrument, build_topology(instrument), LinkScenes(instrument), self.error_m + error)
 
     def camera_from_links(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
