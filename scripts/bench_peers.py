@@ -1,0 +1,138 @@
+"""Other ways to the same silhouettes and loss terms, each as its users would write it well.
+
+A peer draws the masks of C poses (C, H, W) and sums K images over each. What can be prepared once is prepared once: the
+rays, and the images as a matrix. The posed instrument is one mesh whose scene is built anew for every pose: that takes
+less time than to move as many rays as pixels into the frame of each link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.silhouette import NEAR, Body, Renderer
+
+Float64 = NDArray[np.float64]
+Masks = NDArray[np.bool_]
+_SHIFT = 4  # bits behind the point of OpenCV's pixel coordinates
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A way to draw silhouettes: ``masks`` maps poses (C, 4, 4) and joints (C, J) to (C, H, W)."""
+
+    name: str
+    threads: str
+    masks: Callable[[Float64, Float64], Masks]
+
+    def sums(self, poses: Float64, joints: Float64, images: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Loss terms: images (K, H * W) summed over the masks of C poses, (C, K)."""
+        masks = self.masks(poses, joints)
+        return masks.reshape(len(masks), -1).astype(np.float32) @ images.T
+
+
+def all_peers(body: Body, camera: Camera, threads: int) -> tuple[list[Peer], list[str]]:
+    """Peers that are installed, and why the others are left out."""
+    makers = {"trimesh": _trimesh, "Open3D": _open3d, "OpenCV fill": _opencv, "own trace": _own_trace}
+    peers, left_out = [], []
+    for name, make in makers.items():
+        try:
+            peers.append(make(body, camera, threads))
+        except (ImportError, OSError) as error:
+            left_out.append(f"{name}: {error}")
+    return peers, left_out
+
+
+def _rays(camera: Camera) -> NDArray[np.float32]:
+    """Give rays (H * W, 6) through all pixels, from the near plane: origin and direction."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
+    directions = np.c_[camera.normalise(pixels), np.ones(len(pixels))]
+    return np.concatenate([NEAR * directions, directions], axis=1).astype(np.float32)
+
+
+def _posed(body: Body, poses: Float64, joints: Float64) -> Iterator[tuple[Float64, NDArray[np.int32]]]:
+    """Yield the whole instrument in the camera's frame in each pose, as one mesh: vertices (V, 3) and faces (F, 3)."""
+    links = body.instrument.links
+    offsets = np.cumsum([0, *(len(link.vertices) for link in links)])
+    faces = np.concatenate([link.faces + offset for link, offset in zip(links, offsets, strict=False)]).astype(np.int32)
+    for transforms in body.camera_from_links(poses, joints):
+        parts = [link.vertices @ pose[:3, :3].T + pose[:3, 3] for link, pose in zip(links, transforms, strict=True)]
+        yield np.concatenate(parts), faces
+
+
+def _trimesh(body: Body, camera: Camera, threads: int) -> Peer:
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    rays = _rays(camera)
+    origins, directions = np.ascontiguousarray(rays[:, :3]), np.ascontiguousarray(rays[:, 3:])
+
+    def masks(poses: Float64, joints: Float64) -> Masks:
+        found = np.empty((len(poses), camera.height, camera.width), dtype=np.bool_)
+        for mask, (vertices, faces) in zip(found, _posed(body, poses, joints), strict=True):
+            tracer: Any = RayMeshIntersector(trimesh.Trimesh(vertices, faces, process=False))
+            mask[:] = tracer.intersects_any(origins, directions).reshape(mask.shape)
+        return found
+
+    return Peer("trimesh RayMeshIntersector", "1", masks)
+
+
+def _open3d(body: Body, camera: Camera, threads: int) -> Peer:
+    import open3d
+
+    rays = open3d.core.Tensor(_rays(camera))
+
+    def masks(poses: Float64, joints: Float64) -> Masks:
+        found = np.empty((len(poses), camera.height, camera.width), dtype=np.bool_)
+        for mask, (vertices, faces) in zip(found, _posed(body, poses, joints), strict=True):
+            scene = open3d.t.geometry.RaycastingScene(nthreads=threads)
+            scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
+            mask[:] = scene.test_occlusions(rays, nthreads=threads).numpy().reshape(mask.shape)
+        return found
+
+    return Peer("Open3D RaycastingScene", str(threads), masks)
+
+
+def _own_trace(body: Body, camera: Camera, threads: int) -> Peer:
+    return Peer("own trace of every pixel", "1", Renderer(body, camera, threads=1).trace)
+
+
+def _opencv(body: Body, camera: Camera, threads: int) -> Peer:
+    """Triangles before the near plane are filled one by one: together, OpenCV would fill them by the even-odd rule."""
+    size = np.array([camera.width, camera.height])
+
+    def masks(poses: Float64, joints: Float64) -> Masks:
+        images = np.zeros((len(poses), camera.height, camera.width), dtype=np.uint8)
+        for image, (vertices, faces) in zip(images, _posed(body, poses, joints), strict=True):
+            pixels = camera.project(_clipped(vertices[faces]))
+            seen = ((pixels.max(axis=1) > -1) & (pixels.min(axis=1) < size)).all(axis=1)
+            corners = np.rint(np.clip(pixels[seen], -16000, 16000) * (1 << _SHIFT)).astype(np.int32)
+            for triangle in corners:
+                cv2.fillConvexPoly(image, triangle, 1, cv2.LINE_8, _SHIFT)
+        return images.view(np.bool_)
+
+    return Peer("OpenCV fillConvexPoly", str(cv2.getNumThreads()), masks)
+
+
+def _clipped(triangles: Float64) -> Float64:
+    """Cut triangles (T, 3, 3) at the near plane; what is left of each, as one or two triangles."""
+    behind = triangles[:, :, 2] < NEAR
+    count = behind.sum(axis=1)
+    parts = [triangles[count == 0]]
+    for number in (1, 2):
+        some = triangles[count == number]
+        # Turned so that the odd corner out comes first.
+        odd = np.argmax(behind[count == number] == (number == 1), axis=1)
+        a, b, c = (some[np.arange(len(some)), (odd + k) % 3] for k in range(3))
+        ab = a + ((NEAR - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
+        ac = a + ((NEAR - a[:, 2]) / (c[:, 2] - a[:, 2]))[:, None] * (c - a)
+        kept = [(ab, b, c), (ab, c, ac)] if number == 1 else [(a, ab, ac)]
+        parts += [np.stack(part, axis=1) for part in kept]
+    return np.concatenate(parts)
