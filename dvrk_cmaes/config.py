@@ -29,18 +29,20 @@ class ReadingSpread:
 class SearchConfig:
     """The global search.
 
-    ``samples`` LookAt candidates are scored on images ``width_px`` wide; the ``starts`` best that differ are each
-    searched by ``method`` with ``evaluations`` of the loss; ``spares`` more go on to the refinement as they are. Of the
-    candidates, ``free_share`` ignore the shaft's edges and ``unread_share`` the readings; ``unread_spares`` of these
-    go on whatever the readings say: should the readings be wrong, the outline must be able to tell.
+    ``samples`` LookAt candidates are scored on images ``width_px`` wide, of meshes without details below ``detail_m``;
+    the ``starts`` best that differ are each searched by ``method`` with ``evaluations`` of the loss; ``spares`` more go
+    on to the refinement as they are. Of the candidates, ``free_share`` ignore the shaft's edges and ``unread_share``
+    the readings; ``unread_spares`` of these go on whatever the readings say: should the readings be wrong, the outline
+    must be able to tell.
     """
 
     method: str = "cmaes"
     samples: int = 768
     starts: int = 4
     evaluations: int = 64
-    spares: int = 32
+    spares: int = 26
     width_px: int = 160
+    detail_m: float = 3e-4
     use_edges: bool = True
     free_share: float = 0.15
     unread_share: float = 0.25
@@ -66,13 +68,21 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class TrustConfig:
-    """Thresholds beyond which a result is doubtful."""
+    """Thresholds beyond which a result is doubtful, set on made frames of all levels and on falsified ones.
+
+    ``least_iou``: overlap of silhouette and mask. ``largest_contour_px``: what 95 % of the mask's contour must be
+    within. ``least_score_gap``: log-likelihood by which another mode must be worse; ``largest_outline_gap``: by which
+    the outline alone may prefer one. ``largest_reading_sigmas``: deviation of one joint from its reading;
+    ``largest_reading_sum``: squared deviations of all. ``unobservable_share``: of a reading's spread, for a joint's
+    standard deviation.
+    """
 
     least_iou: float = 0.85
-    largest_contour_px: float = 4.0
+    largest_contour_px: float = 3.5
     least_score_gap: float = 3.0
-    largest_outline_gap: float = 4.0
-    largest_reading_sigmas: float = 3.0
+    largest_outline_gap: float = 2.0
+    largest_reading_sigmas: float = 2.8
+    largest_reading_sum: float = 7.8
     unobservable_share: float = 0.9
 
 

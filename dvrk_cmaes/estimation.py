@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-import weakref
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,9 +28,18 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
 
-_bodies: weakref.WeakKeyDictionary[Instrument, Body] = weakref.WeakKeyDictionary()
 _named: dict[str, Instrument] = {}
-_lock = threading.Lock()
+_lock = threading.RLock()
+
+
+@lru_cache(maxsize=8)
+def _body(instrument: Instrument) -> Body:
+    return Body.prepare(instrument)
+
+
+@lru_cache(maxsize=8)
+def _light_body(body: Body, cell: float) -> Body:
+    return body.lightened(cell)
 
 
 def prepare(instrument: Instrument | str) -> Body:
@@ -40,9 +49,7 @@ def prepare(instrument: Instrument | str) -> Body:
             if instrument not in _named:
                 _named[instrument] = load_instrument(instrument)
             instrument = _named[instrument]
-        if instrument not in _bodies:
-            _bodies[instrument] = Body.prepare(instrument)
-        return _bodies[instrument]
+        return _body(instrument)
 
 
 def _split_readings(
@@ -134,6 +141,8 @@ def estimate(
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    with _lock:
+        light = _light_body(body, settings.search.detail_m)
     started = time.perf_counter()
     model = body.instrument
     given = dict(joints or {})
@@ -145,8 +154,9 @@ def estimate(
     evidence = gather_evidence(mask, camera, model, ignore=ignored, keypoints=tips, seed=settings.seed)
 
     renderer = Renderer(body, camera, threads=settings.threads)
-    candidates, search = find_candidates(renderer, evidence, readings, settings)
-    local = LocalSearch(renderer, evidence, readings, settings)
+    coarse = Renderer(light, camera, threads=settings.threads)
+    candidates, search = find_candidates(coarse, evidence, readings, settings)
+    local = LocalSearch(renderer, coarse, evidence, readings, settings)
     modes = local.refine(candidates)
     best = modes[0]
 

@@ -16,7 +16,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.modes import HasPose, best_of_each
 from dvrk_cmaes.noise import measure_noise
 from dvrk_cmaes.objective import Objective, Readings
-from dvrk_cmaes.parallel import batches, each
+from dvrk_cmaes.parallel import batches
 from dvrk_cmaes.refine.direct import refine_direct
 from dvrk_cmaes.refine.outline import OutlineFit, OutlineRefiner
 from dvrk_cmaes.silhouette import Renderer
@@ -42,8 +42,16 @@ def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
 class LocalSearch:
     """Refines modes of one frame and counts what that costs."""
 
-    def __init__(self, renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig) -> None:
+    def __init__(
+        self,
+        renderer: Renderer,
+        coarse: Renderer,
+        evidence: Evidence,
+        readings: Readings,
+        config: EstimateConfig,
+    ) -> None:
         self._renderer = renderer
+        self._coarse = coarse
         self._evidence = evidence
         self._readings = readings
         self._config = config
@@ -54,7 +62,8 @@ class LocalSearch:
         outline = self._config.refine.outline
         if correlation is not None:
             outline = replace(outline, correlation=correlation)
-        return OutlineRefiner(self._renderer, self._evidence, self._readings, outline, shrink=shrink)
+        renderer = self._coarse if shrink > 2 else self._renderer
+        return OutlineRefiner(renderer, self._evidence, self._readings, outline, shrink=shrink)
 
     def _refine(
         self,
@@ -68,10 +77,10 @@ class LocalSearch:
             return refiner.refine_all(*_stacked(part), cauchy=cauchy, iterations=iterations)
 
         before = refiner.silhouettes, refiner.rays
-        fits = each(work, batches(modes, LANES // 2), self._config.threads)
+        fits = [fit for part in batches(modes, LANES) for fit in work(part)]
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
-        return [fit for part in fits for fit in part]
+        return fits
 
     def _twin(self, mode: HasPose) -> Candidate:
         return Candidate(*self._renderer.body.instrument.twin(mode.camera_from_root, mode.joints), mode.score)
@@ -108,7 +117,8 @@ class LocalSearch:
             modes = self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
         else:
             modes = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
-        return [replace(mode, information=refiner.information(mode, noise)) for mode in best_of_each(modes)]
+        grown = noise.inflation
+        return [replace(m, information=refiner.information(m, noise) / grown) for m in best_of_each(modes)]
 
     def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine at full size by the chosen method."""

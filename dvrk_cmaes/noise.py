@@ -30,6 +30,15 @@ class OutlineNoise:
     sigma: float
     length: float
 
+    @property
+    def inflation(self) -> float:
+        """By how much a covariance that takes the errors for small and Gaussian must grow to hold the truth.
+
+        A rough outline's errors are neither. Fitted to 240 made frames of all levels, where the 90 % intervals then
+        hold the truth in 85 to 100 % of each level's frames.
+        """
+        return 1.0 + (self.sigma / 1.2) ** 2
+
 
 def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Distance in px to a mask's outline, negative inside, (H, W); the mask must be neither empty nor full."""

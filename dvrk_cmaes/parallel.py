@@ -23,7 +23,7 @@ def each(function: Callable[[A], B], items: Sequence[A], threads: int) -> list[B
 
 
 def batches(items: Sequence[A], size: int) -> list[Sequence[A]]:
-    """Cut items into batches of nearly equal length, at most ``size`` long and at least two where there are two."""
-    count = max(-(-len(items) // size), min(2, len(items)))
+    """Cut items into batches of nearly equal length, at most ``size`` long."""
+    count = -(-len(items) // size)
     edges = [round(i * len(items) / count) for i in range(count + 1)] if count else []
     return [items[a:b] for a, b in pairwise(edges)]

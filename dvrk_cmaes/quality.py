@@ -144,6 +144,9 @@ def judge(
             )
     if instrument.jaw_tips and _tips_out_of_view(best, instrument, evidence):
         reasons.append("tip out of view: a jaw tip lies outside the image")
+    together = float(np.nansum(off**2))
+    if together > trust.largest_reading_sum and not (off > trust.largest_reading_sigmas).any():
+        reasons.append("far from the readings: all joints together are farther off than readings are")
     if instrument.shaft is not None and not evidence.shaft_edges:
         reasons.append("shaft not found: no two edges in the mask could bound it")
     return reasons

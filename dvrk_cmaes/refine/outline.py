@@ -52,7 +52,7 @@ class OutlineConfig:
     cauchy: float = 0.25
     last_cauchy: float = 0.08
     correlation: float = 8.0
-    noise_floor: float = 0.3
+    noise_floor: float = 0.15
     keypoint_sigma: float = 2.0
     translation_step: float = 1e-4
     swing_step: float = 2e-3
