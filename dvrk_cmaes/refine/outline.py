@@ -45,11 +45,11 @@ class OutlineConfig:
     rad, and of the joints, rad.
     """
 
-    iterations: int = 15
+    iterations: int = 40
     blur: float = 1.2
     lines_per_pixel: int = 2
     outline_lines: int = 1
-    cauchy: float = 0.25
+    cauchy: float = 0.5
     last_cauchy: float = 0.08
     correlation: float = 8.0
     noise_floor: float = 0.15
