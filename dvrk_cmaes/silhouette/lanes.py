@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 LANES = 16
 """Poses handled together at most."""
 
+Float32 = NDArray[np.float32]
 Words = NDArray[np.unsignedinteger[Any]]
+
+_BLOCK = 2048
 
 _WORDS: dict[int, type[np.unsignedinteger[Any]]] = {
     1: np.uint8,
@@ -48,6 +51,15 @@ def groups_of(poses: int) -> list[slice]:
 def shift_of(lanes: int) -> int:
     """By how many bits an index is shifted to make room for the lane."""
     return lanes.bit_length() - 1
+
+
+def product(rows: Float32, columns: Float32, out: Float32) -> None:
+    """Matrix product of (N, 4) and (4, lanes), in blocks too small for a BLAS to start threads of its own.
+
+    Those would wait for each other wherever the other cores are at work, as with several threads of ours.
+    """
+    for begin in range(0, len(rows), _BLOCK):
+        np.matmul(rows[begin : begin + _BLOCK], columns, out=out[begin : begin + _BLOCK])
 
 
 def words_of(answers: NDArray[np.bool_]) -> Words:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.silhouette.grid import Projection
-from dvrk_cmaes.silhouette.lanes import answers_of, lanes_for, shift_of, words_of
+from dvrk_cmaes.silhouette.lanes import answers_of, lanes_for, product, shift_of, words_of
 from dvrk_cmaes.silhouette.near_plane import cut_link
 from dvrk_cmaes.silhouette.segments import Segments, bent
 from dvrk_cmaes.silhouette.topology import MeshTopology
@@ -38,7 +38,7 @@ def _looks(topology: MeshTopology, camera_from_link: NDArray[np.float64], lanes:
     side = np.empty((len(topology.planes), lanes), dtype=np.float32)
     for link in range(topology.links):
         faces = slice(topology.face_start[link], topology.face_start[link + 1])
-        np.matmul(topology.planes[faces], eye[link], out=side[faces])
+        product(topology.planes[faces], eye[link], side[faces])
     return side > 0
 
 

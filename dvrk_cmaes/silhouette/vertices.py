@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.silhouette.grid import Float32, Projection
-from dvrk_cmaes.silhouette.lanes import lanes_for
+from dvrk_cmaes.silhouette.lanes import lanes_for, product
 from dvrk_cmaes.silhouette.scenes import NEAR
 from dvrk_cmaes.silhouette.segments import Segments
 from dvrk_cmaes.silhouette.topology import MeshTopology
@@ -37,7 +37,7 @@ class ProjectedVertices:
         for link in range(topology.links):
             part = slice(topology.vertex_start[link], topology.vertex_start[link + 1])
             for row, out in zip(matrix[link], homogeneous, strict=True):
-                np.matmul(topology.vertices[part], row, out=out[part])
+                product(topology.vertices[part], row, out[part])
             if nearest[link] < 1.01 * NEAR:
                 behind = depth[part] < NEAR
                 if behind.any():
