@@ -40,13 +40,13 @@ class SearchConfig:
     samples: int = 768
     starts: int = 4
     evaluations: int = 64
-    spares: int = 26
+    spares: int = 22
     width_px: int = 160
     detail_m: float = 3e-4
     use_edges: bool = True
     free_share: float = 0.15
     unread_share: float = 0.25
-    unread_spares: int = 6
+    unread_spares: int = 5
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RefineConfig:
     method: str = "gauss-newton"
     evaluations: int = 400
     first_steps: int = 3
-    small_modes: int = 12
+    small_modes: int = 10
     half_size_modes: int = 3
     modes: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)

@@ -19,8 +19,7 @@ from dvrk_cmaes.objective import Objective, Readings
 from dvrk_cmaes.parallel import batches
 from dvrk_cmaes.refine.direct import refine_direct
 from dvrk_cmaes.refine.outline import OutlineFit, OutlineRefiner
-from dvrk_cmaes.silhouette import Renderer
-from dvrk_cmaes.silhouette.crossings import LANES
+from dvrk_cmaes.silhouette import LANES, Renderer
 
 Float64 = NDArray[np.float64]
 
@@ -62,6 +61,8 @@ class LocalSearch:
         outline = self._config.refine.outline
         if correlation is not None:
             outline = replace(outline, correlation=correlation)
+        if shrink > 1:
+            outline = replace(outline, cauchy=outline.small_cauchy)
         renderer = self._coarse if shrink > 2 else self._renderer
         return OutlineRefiner(renderer, self._evidence, self._readings, outline, shrink=shrink)
 

@@ -39,10 +39,11 @@ class OutlineConfig:
     """How the outline is fitted.
 
     ``blur`` px of the level's image; ``cauchy`` is the coverage difference beyond which a residual counts less,
-    ``last_cauchy`` that of the last steps at full size, when all but a segmenter's mistakes is small;
-    ``correlation`` px of outline make one measurement; ``noise_floor`` px, the least error an outline is given;
-    ``keypoint_sigma`` px of given tips. ``steps`` are those of the differences: along the root's axes, m, about them,
-    rad, and of the joints, rad.
+    ``small_cauchy`` that on smaller images, ``last_cauchy`` that of the last steps at full size, when all but a
+    segmenter's mistakes is small; ``correlation`` px of outline make one measurement until the frame's own length is
+    known; ``noise_floor`` px, the least error an outline is given; ``keypoint_sigma`` px of given tips; ``tolerance``
+    in standard deviations, below which a step is the last. ``steps`` are those of the differences: along the root's
+    axes, m, about them, rad, and of the joints, rad.
     """
 
     iterations: int = 40
@@ -50,6 +51,7 @@ class OutlineConfig:
     lines_per_pixel: int = 2
     outline_lines: int = 1
     cauchy: float = 0.5
+    small_cauchy: float = 0.25
     last_cauchy: float = 0.08
     correlation: float = 8.0
     noise_floor: float = 0.15
@@ -192,36 +194,40 @@ class OutlineRefiner:
         outline = self._renderer.outlines(poses, joints, lines_per_pixel=config.outline_lines)
         count = len(self.steps)
         information, gradient = np.zeros((len(poses), count, count)), np.zeros((len(poses), count))
-        for i, (pose, joint, image) in enumerate(zip(poses, joints, images, strict=True)):
+        speeds = self._speeds(outline, poses, joints)
+        lengths = np.linalg.norm(outline.normals, axis=1)
+        for i, image in enumerate(images):
             mine = np.flatnonzero(outline.pose == i)
-            speed = self._speed(outline, mine, pose, joint)
+            speed = speeds[:, mine]
             r = (image - self._target.ravel()).reshape(self._target.shape)
             weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
             pull = sampled(self._blurred(weight * r), outline.pixels[mine])
             trust = sampled(self._blurred(weight), outline.pixels[mine])
-            length = np.linalg.norm(outline.normals[mine], axis=1)
-            information[i] = (speed * (trust / (2 * np.sqrt(np.pi) * config.blur * length))) @ speed.T
+            information[i] = (speed * (trust / (2 * np.sqrt(np.pi) * config.blur * lengths[mine]))) @ speed.T
             gradient[i] = speed @ pull
         return information, gradient
 
-    def _speed(self, outline: OutlinePoints, mine: NDArray[np.intp], pose: Float64, joints: Float64) -> Float64:
-        """How fast each outline point of a pose moves along its normal with each small change, (D, N).
+    def _speeds(self, outline: OutlinePoints, poses: Float64, joints: Float64) -> Float64:
+        """How fast the outline points of C poses move along their normals with each small change, (D, N).
 
-        Times the stretch of outline that the point stands for; by central differences of the projection of the point,
+        Times the stretch of outline that a point stands for; by central differences of the projection of the point,
         which stays where it is on the instrument.
         """
         count = len(self.steps)
         change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
-        links = self._renderer.body.camera_from_links(moved(pose, change[:, :6]), joints + change[:, 6:])
-        points = np.empty((2 * count, len(mine), 3))
-        for link in range(links.shape[1]):
-            on = np.flatnonzero(outline.link[mine] == link)
-            rotation, translation = links[:, link, :3, :3], links[:, link, None, :3, 3]
-            points[:, on] = outline.points[mine[on]] @ np.swapaxes(rotation, 1, 2) + translation
-        np.maximum(points[..., 2], 1e-4, out=points[..., 2])
+        changed = moved(poses[:, None], change[:, :6]).reshape(-1, 4, 4)
+        bent = (joints[:, None] + change[:, 6:]).reshape(len(changed), -1)
+        links = self._renderer.body.camera_from_links(changed, bent).astype(np.float32)
+        links = links.reshape(len(poses), 2 * count, -1, 4, 4).transpose(0, 2, 1, 3, 4)
+        to_camera = links[outline.pose, outline.link]
+        x, y, z = outline.points.astype(np.float32).T[:, :, None, None]
+        points = (
+            to_camera[..., :3, 0] * x + to_camera[..., :3, 1] * y + to_camera[..., :3, 2] * z + to_camera[..., :3, 3]
+        )
+        np.maximum(points[..., 2], np.float32(1e-4), out=points[..., 2])
         seen = self._camera.project(points)
-        rate = (seen[:count] - seen[count:]) / (2 * self.steps[:, None, None])
-        return np.asarray((rate * outline.normals[mine]).sum(axis=-1))
+        rate = (seen[:, :count] - seen[:, count:]) / (2 * self.steps[:, None])
+        return np.asarray((rate * outline.normals[:, None]).sum(axis=-1).T)
 
     def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
         """Information (D, D) that outline, readings and given tips hold about the small changes of a fitted pose.
@@ -234,8 +240,7 @@ class OutlineRefiner:
         )
         off = sampled(signed_distance(self._mask), outline.pixels)
         counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
-        every = np.arange(len(outline.pose))
-        speed = self._speed(outline, every, fit.camera_from_root, fit.joints)
+        speed = self._speeds(outline, fit.camera_from_root[None], fit.joints[None])
         length = np.linalg.norm(outline.normals, axis=1)
         information = (speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length)
         self._add_priors(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
