@@ -44,7 +44,8 @@ def run_nlopt(
 
     def evaluate(x: Float64, _gradient: Float64) -> float:
         nonlocal best, best_loss, count
-        if caught:
+        if caught or count >= evaluations:  # some algorithms look at their budget only between steps
+            optimiser.force_stop()
             return _LARGE
         point = np.array(x, dtype=np.float64)  # NLopt lends its own memory
         try:
