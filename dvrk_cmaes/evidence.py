@@ -104,3 +104,11 @@ def gather_evidence(
 def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
     """Average an image (H, W) down to another size."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def window_around(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
+    """Left, top, width, height of a mask's bounding box with a margin, px, within the image; it may not be empty."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, mask.shape[0])
+    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, mask.shape[1])
+    return int(left), int(top), int(right - left), int(bottom - top)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.distance_field import distance_field
 from dvrk_cmaes.evidence import Evidence, shrunk
 from dvrk_cmaes.instrument import Instrument
@@ -130,7 +131,15 @@ def pose_terms(
         pairs = [cylinder_loss(projected, pair.planes, camera, weights.line_offset) for pair in edges]
         cylinder = np.min(pairs, axis=0)
     if tips is not None and instrument.jaw_tips:
-        points = instrument.tips(joints) @ np.swapaxes(rotation, 1, 2) + translation[:, None]
-        points[..., 2] = np.maximum(points[..., 2], 1e-3)
-        keypoints = keypoint_loss(camera.project(points), tips) * (1.0 if evidence.tips_given else weights.found_tips)
+        keypoints = keypoint_loss(project_tips(instrument, camera, camera_from_root, joints), tips) * (
+            1.0 if evidence.tips_given else weights.found_tips
+        )
     return cylinder, keypoints, readings.cost(joints)
+
+
+def project_tips(instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64) -> Float64:
+    """Jaw tips of C candidates in the image, (C, 2, 2) px; one behind the eye is taken to be just before it."""
+    points = instrument.tips(joints) @ np.swapaxes(camera_from_root[:, :3, :3], 1, 2)
+    points = points + camera_from_root[:, None, :3, 3]
+    points[..., 2] = np.maximum(points[..., 2], 1e-3)
+    return np.asarray(camera.project(points))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.distance_field import distance_field
-from dvrk_cmaes.evidence import Evidence
+from dvrk_cmaes.evidence import Evidence, window_around
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.local_search import is_twin
 from dvrk_cmaes.losses import LossWeights, Terms, dist_loss, mse_loss, scale_loss
@@ -31,14 +31,6 @@ def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float6
     return np.abs(sampled(signed_distance(silhouette), points))
 
 
-def _window(shape: tuple[int, int], masks: Sequence[NDArray[np.bool_]]) -> tuple[int, int, int, int]:
-    """Left, top, width, height of a window around all masks, a little wider, within the image."""
-    union = np.logical_or.reduce(masks)
-    rows, columns = np.flatnonzero(union.any(axis=1)), np.flatnonzero(union.any(axis=0))
-    top, left = max(rows[0] - 2, 0), max(columns[0] - 2, 0)
-    return left, top, min(columns[-1] + 3, shape[1]) - left, min(rows[-1] + 3, shape[0]) - top
-
-
 def measure_quality(
     renderer: Renderer,
     evidence: Evidence,
@@ -55,7 +47,7 @@ def measure_quality(
     """
     poses, joints = np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
     masks, rays = confirmed(renderer, poses, joints, renderer.masks(poses, joints))
-    left, top, width, height = _window(evidence.mask.shape, [evidence.mask, *masks])
+    left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
     window = np.s_[top : top + height, left : left + width]
     mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
     around = np.pad(mask, 1)  # the field needs some background

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence import Evidence, shrunk
+from dvrk_cmaes.evidence import Evidence, shrunk, window_around
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.noise import OutlineNoise, sampled, signed_distance
-from dvrk_cmaes.objective import LIMIT_SPREAD, Readings
+from dvrk_cmaes.objective import LIMIT_SPREAD, Readings, project_tips
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
@@ -80,14 +80,6 @@ class OutlineFit:
     information: Float64
 
 
-def _box(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
-    """Left, top, width, height of a mask's bounding box with a margin, within the image."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, mask.shape[0])
-    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, mask.shape[1])
-    return int(left), int(top), int(right - left), int(bottom - top)
-
-
 class OutlineRefiner:
     """Refines poses against one frame's mask at one image size (1 / ``shrink`` of the full one)."""
 
@@ -108,9 +100,9 @@ class OutlineRefiner:
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
         if shrink > 1:
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
-        self._left, self._top, width, height = _box(mask > 0, 48 // shrink + 8)
-        window = np.s_[self._top : self._top + height, self._left : self._left + width]
-        self._camera: Camera = camera.cropped(self._left, self._top, width, height)
+        left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
+        window = np.s_[top : top + height, left : left + width]
+        self._camera: Camera = camera.cropped(left, top, width, height)
         self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
         self._config = config
         self._weight = np.ascontiguousarray(weight[window])
@@ -150,12 +142,9 @@ class OutlineRefiner:
 
     def _keypoint_residuals(self, poses: Float64, joints: Float64) -> Float64:
         """Given tips against projected ones in the better pairing, in units of their spread, (C, 4)."""
-        points = self._renderer.body.instrument.tips(joints) @ np.swapaxes(poses[:, :3, :3], 1, 2)
-        points = points + poses[:, None, :3, 3]
-        points[..., 2] = np.maximum(points[..., 2], 1e-3)
         tips = self._evidence.tips
         assert tips is not None
-        seen = self._full.project(points)
+        seen = project_tips(self._renderer.body.instrument, self._full, poses, joints)
         straight, crossed = seen - tips, seen - tips[::-1]
         better = (straight**2).sum(axis=(1, 2)) <= (crossed**2).sum(axis=(1, 2))
         chosen = np.where(better[0], straight, crossed)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -58,7 +57,6 @@ class LinkScenes:
         camera_from_link: NDArray[np.float64],
         pose: NDArray[np.intp],
         directions: NDArray[np.float64],
-        links: Sequence[int] | None = None,
     ) -> NDArray[np.bool_]:
         """Whether any link covers each viewing direction.
 
@@ -66,7 +64,7 @@ class LinkScenes:
         (N, 3) are in the camera's frame with z = 1. A link that a ray has met is not asked about again.
         """
         result = np.zeros(len(directions), dtype=np.bool_)
-        for link in range(len(self)) if links is None else links:
+        for link in range(len(self)):
             ask = np.flatnonzero(~result)
             rotation = camera_from_link[:, link, :3, :3]
             eye = -np.einsum("cji,cj->ci", rotation, camera_from_link[:, link, :3, 3])
