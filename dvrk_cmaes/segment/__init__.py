@@ -1,0 +1,71 @@
+"""From an image to the instrument's mask.
+
+`segment` finds the instrument with or without prompts (a box, points on it, points beside it) by one of two models:
+``classic``, which needs nothing but the image, or ``sam2``, which needs a checkpoint of Segment Anything 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation, check_prompts
+
+__all__ = ["MODELS", "Box", "Model", "Pixel", "Segmentation", "segment"]
+
+Model = Literal["classic", "sam2"]
+MODELS: tuple[Model, ...] = get_args(Model)
+
+
+def segment(
+    image: NDArray[np.uint8],
+    *,
+    box: Box | None = None,
+    points: Sequence[Pixel] = (),
+    not_points: Sequence[Pixel] = (),
+    model: Model = "classic",
+    weights: str | Path | None = None,
+    threads: int = 2,
+) -> Segmentation:
+    """Find the instrument in an image.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8, BGR.
+    box
+        Left, top, right, bottom of a box around the instrument, px.
+    points, not_points
+        Pixels (u, v) on the instrument, and pixels that are not.
+    model
+        ``classic`` or ``sam2``.
+    weights
+        Folder of a checkpoint's exported files, for ``sam2``.
+    threads
+        How many threads to use.
+
+    Raises
+    ------
+    InputError
+        Prompts outside the image, an unknown model, weights that are missing or not wanted.
+    """
+    image = np.asarray(image)
+    check_prompts(image, box, points, not_points)
+    if model == "classic":
+        if weights is not None:
+            raise InputError("weights: the classic model has none; expected them only with model sam2")
+        from dvrk_cmaes.segment.classic import segment_classic
+
+        return segment_classic(image, box=box, points=points, not_points=not_points)
+    if model == "sam2":
+        if weights is None:
+            raise InputError("weights: model sam2 needs the folder of an exported checkpoint")
+        from dvrk_cmaes.segment.sam2 import Sam2
+
+        return Sam2(Path(weights), threads).segment(image, box, points, not_points)
+    raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")

@@ -1,0 +1,69 @@
+"""What every way of finding the instrument in an image returns, and the prompts that all of them take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+
+Pixel = tuple[float, float]
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """The instrument in an image, and how far it can be trusted.
+
+    mask : (H, W) bool, True on the instrument.
+    score : (H, W) float32, how much each pixel looks like instrument, 0 to 1; None where the model has no such thing.
+    confidence : 0 to 1; below a half, the mask is a guess.
+    notes : what a person should know of the mask, in words.
+    """
+
+    mask: NDArray[np.bool_]
+    score: NDArray[np.float32] | None = None
+    confidence: float = 1.0
+    notes: tuple[str, ...] = field(default=())
+
+
+def check_prompts(
+    image: NDArray[np.uint8], box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]
+) -> None:
+    """Refuse an image or prompts that no model can work with.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8, BGR.
+    box
+        Left, top, right, bottom in pixels, or None.
+    points, not_points
+        Pixels (u, v) on the instrument and beside it.
+
+    Raises
+    ------
+    InputError
+        An array that is no colour image, a point outside the image, a box that is not one or lies outside.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
+        raise InputError(f"image: expected (H, W, 3) uint8, got {image.shape} {image.dtype}")
+    height, width = image.shape[:2]
+    size = f"the {width} x {height} image"
+    for name, pixels in (("point", points), ("not-point", not_points)):
+        for u, v in pixels:
+            if not (math.isfinite(u) and math.isfinite(v) and -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+                raise InputError(f"{name}: expected a pixel of {size}, got {u:g},{v:g}")
+    if box is None:
+        return
+    left, top, right, bottom = box
+    if not all(math.isfinite(value) for value in box) or right <= left or bottom <= top:
+        raise InputError(
+            f"box: expected x0,y0,x1,y1 with x0 < x1 and y0 < y1, got {','.join(f'{value:g}' for value in box)}"
+        )
+    if left >= width - 0.5 or top >= height - 0.5 or right < -0.5 or bottom < -0.5:
+        raise InputError(f"box: expected one that meets {size}, got {','.join(f'{value:g}' for value in box)}")
