@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Float64 = NDArray[np.float64]
 
@@ -43,6 +44,13 @@ def moved(pose: Float64, change: ArrayLike) -> Float64:
     """Poses (..., 4, 4) after small changes (..., 6) = [tx ty tz rx ry rz] in the moved body's own axes, m and rad."""
     c = np.asarray(change, dtype=np.float64)
     return np.asarray(pose @ transform(exp_rotation(c[..., 3:6]), c[..., :3]))
+
+
+def change_between(pose: Float64, other: Float64) -> Float64:
+    """Small changes (..., 6) = [tx ty tz rx ry rz] that lead from one pose to another: ``moved(pose, change)``."""
+    apart = inverse(pose) @ other
+    turn = Rotation.from_matrix(apart[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*apart.shape[:-2], 3)
+    return np.concatenate([apart[..., :3, 3], turn], axis=-1)
 
 
 def inverse(pose: Float64) -> Float64:

@@ -2,7 +2,7 @@
 
 The residuals are the differences of antialiased coverage and mask, both slightly blurred, so that they answer smoothly
 to a step of a fraction of a pixel. Large ones count little (Cauchy), so that a wrong stretch of outline does not drag
-the pose. Readings, and jaw tips that a user has given, are further residuals with their own spread.
+the pose. Readings, given jaw tips and a session's prediction are further residuals with their own spread.
 
 Moving the outline by e along its normal adds e to the coverage under it, so the sum's gradient is an integral along the
 outline: of the outline's speed, by central differences of the projection of its points on the instrument, times the
@@ -26,7 +26,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence import Evidence, shrunk, window_around
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.noise import OutlineNoise, sampled, signed_distance
-from dvrk_cmaes.objective import LIMIT_SPREAD, Readings, project_tips
+from dvrk_cmaes.objective import Readings
+from dvrk_cmaes.refine.priors import PosePrior, Priors
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
@@ -91,9 +92,9 @@ class OutlineRefiner:
         config: OutlineConfig,
         *,
         shrink: int = 1,
+        expected: PosePrior | None = None,
     ) -> None:
         camera = evidence.camera
-        self._full = camera
         if shrink > 1:
             camera = camera.scaled(max(camera.width // shrink, 8), max(camera.height // shrink, 8))
         size = (camera.width, camera.height)
@@ -108,8 +109,6 @@ class OutlineRefiner:
         self._weight = np.ascontiguousarray(weight[window])
         self._mask = mask[window] > 0.5
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
-        self._readings = readings
-        self._evidence = evidence
         self._shrink = shrink
         self._tolerance = config.tolerance * (1 if shrink == 1 else 4)  # smaller images only tell modes apart
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
@@ -118,9 +117,14 @@ class OutlineRefiner:
         self.steps = np.array(
             [c.translation_step] * 3 + [c.swing_step] * 2 + [c.turn_step] + [c.joint_step] * joints
         ) * np.array([shrink] * 3 + [shrink] * 2 + [min(shrink, 3)] + [min(shrink, 3)] * joints)
-        known = ~np.isnan(readings.values)
-        self._prior = np.where(known, 1 / readings.spread**2, 0.0)
-        self._centre = np.where(known, readings.values, 0.0)
+        self._priors = Priors(
+            renderer.body.instrument,
+            evidence,
+            readings,
+            keypoint_sigma=c.keypoint_sigma,
+            steps=self.steps,
+            expected=expected,
+        )
 
     @property
     def silhouettes(self) -> int:
@@ -140,16 +144,6 @@ class OutlineRefiner:
         coverage = self._renderer.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
         return np.stack([self._blurred(image).ravel() for image in coverage])
 
-    def _keypoint_residuals(self, poses: Float64, joints: Float64) -> Float64:
-        """Given tips against projected ones in the better pairing, in units of their spread, (C, 4)."""
-        tips = self._evidence.tips
-        assert tips is not None
-        seen = project_tips(self._renderer.body.instrument, self._full, poses, joints)
-        straight, crossed = seen - tips, seen - tips[::-1]
-        better = (straight**2).sum(axis=(1, 2)) <= (crossed**2).sum(axis=(1, 2))
-        chosen = np.where(better[0], straight, crossed)
-        return np.asarray(chosen.reshape(len(poses), 4) / self._config.keypoint_sigma)
-
     def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
         """Cauchy's loss of a blurred image (N,): a sum of squares while all is small."""
         r = (image - self._target.ravel()) / np.float32(cauchy)
@@ -160,14 +154,6 @@ class OutlineRefiner:
         c = self._config
         floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
         return float(self._length / c.correlation * self._shrink / max(loss, floor))
-
-    def _prior_cost(self, joints: Float64) -> float:
-        return float(self._readings.cost(joints))
-
-    def _keypoint_cost(self, pose: Float64, joints: Float64) -> float:
-        if not self._evidence.tips_given or self._evidence.tips is None:
-            return 0.0
-        return float((self._keypoint_residuals(pose[None], joints[None]) ** 2).sum())
 
     def _outline_score(self, loss: float) -> float:
         """Negative log-likelihood of the outline up to a constant, its error unknown."""
@@ -232,23 +218,8 @@ class OutlineRefiner:
         speed = self._speeds(outline, fit.camera_from_root[None], fit.joints[None])
         length = np.linalg.norm(outline.normals, axis=1)
         information = (speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length)
-        self._add_priors(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+        self._priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
         return np.asarray(information + np.diag([1 / _ANYWHERE**2] * 3 + [1 / _ANY_TURN**2] * (len(self.steps) - 3)))
-
-    def _add_priors(self, information: Float64, slope: Float64, pose: Float64, joints: Float64) -> None:
-        """Add what readings and given tips say to an information (D, D) and a slope (D,), in place."""
-        information[6:, 6:] += np.diag(self._prior)
-        slope[6:] += self._prior * (joints - self._centre)
-        low, high = self._readings.low - joints, joints - self._readings.high
-        information[6:, 6:] += np.diag(((low > 0) | (high > 0)) / LIMIT_SPREAD**2)
-        slope[6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SPREAD**2
-        if self._evidence.tips_given and self._evidence.tips is not None:
-            count = len(self.steps)
-            change = np.concatenate([np.zeros((1, count)), np.diag(self.steps), -np.diag(self.steps)])
-            residuals = self._keypoint_residuals(moved(pose, change[:, :6]), joints + change[:, 6:])
-            jacobian = (residuals[1 : count + 1] - residuals[count + 1 :]) / (2 * self.steps[:, None])
-            information += jacobian @ jacobian.T
-            slope += jacobian @ residuals[0]
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) as they are."""
@@ -276,8 +247,8 @@ class OutlineRefiner:
             improved = []
             for state, (pose, joint, step), image in zip(active, trials, images, strict=True):
                 loss = self._loss(image, width)
-                cost = state.scale * loss + self._other_costs(pose, joint)
-                gain = state.scale * state.loss + self._other_costs(state.pose, state.joints) - cost
+                cost = state.scale * loss + self._priors.cost(pose, joint)
+                gain = state.scale * state.loss + self._priors.cost(state.pose, state.joints) - cost
                 if gain <= 0:
                     state.damping *= 8
                     state.finished = state.damping > 1e4
@@ -292,7 +263,7 @@ class OutlineRefiner:
         for state in states:
             loss = self._loss(state.image, self._config.cauchy)
             alone = self._outline_score(loss)
-            score = alone + 0.5 * self._other_costs(state.pose, state.joints)
+            score = alone + 0.5 * self._priors.cost(state.pose, state.joints)
             fits.append(OutlineFit(state.pose, state.joints, score, alone, loss, state.information))
         return fits
 
@@ -305,7 +276,7 @@ class OutlineRefiner:
         for i, state in enumerate(states):
             state.scale = self._scale(state.loss)
             state.information, state.slope = state.scale * outline[i], state.scale * gradient[i]
-            self._add_priors(state.information, state.slope, state.pose, state.joints)
+            self._priors.add(state.information, state.slope, state.pose, state.joints)
 
     def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
         """Damped Gauss-Newton: the next pose, joints, and the step."""
@@ -313,8 +284,6 @@ class OutlineRefiner:
         step = np.asarray(-np.linalg.solve(damped, state.slope), dtype=np.float64)
         return moved(state.pose, step[:6]), state.joints + step[6:], step
 
-    def _other_costs(self, pose: Float64, joints: Float64) -> float:
-        return self._prior_cost(joints) + self._keypoint_cost(pose, joints)
 
 
 @dataclass(eq=False)
