@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.document import Fields
+
 Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
+Relation = Literal["mirror twin", "other mode"]
+Source = Literal["frame", "session"]
 
 SCHEMA = 1
+POSE_AXES: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
+"""Order of a covariance's axes, before the joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +31,7 @@ class Alternative:
     joints: dict[str, float]
     loss: float
     iou: float
-    relation: Literal["mirror twin", "other mode"]
+    relation: Relation
     reading_distance_deg: float | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -74,7 +80,7 @@ class Result:
     warnings: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     camera_from_base: Float64 | None = None
-    source: Literal["frame", "session"] = "frame"
+    source: Source = "frame"
     change: dict[str, Any] | None = None
     quality: Quality | None = None
     covariance: Float64 | None = None
@@ -85,6 +91,49 @@ class Result:
     seed: int = 0
     version: str = ""
     config: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_dict(cls, document: object, *, where: str = "result") -> Result:
+        """Take a result from a document in the schema of ``to_dict``.
+
+        Only ``camera_from_root`` (null for a failed frame), ``joints`` and ``seconds`` must be there; the rest has
+        defaults. Standard deviations follow from the covariance; fields of other names are not looked at.
+
+        Raises
+        ------
+        InputError
+            Beginning with ``where``: names the field and what was expected.
+        """
+        fields = Fields.of(where, document)
+        if fields.count("schema", SCHEMA) != SCHEMA:
+            raise fields.refuse("schema", f"{SCHEMA}, the only one known to this version")
+        status = cast(Status, fields.choice("status", get_args(Status), "ok"))
+        joints = fields.numbers("joints", required=True)
+        change, config = fields.inner("change"), fields.inner("config")
+        return cls(
+            frame=fields.text("frame"),
+            status=status,
+            reasons=fields.texts("reasons"),
+            instrument=fields.text("instrument"),
+            root_link=fields.text("root_link", "roll_link"),
+            camera_from_root=fields.pose("camera_from_root", required=status != "failed"),
+            joints=joints,
+            readings=fields.numbers("readings"),
+            warnings=fields.texts("warnings"),
+            unused=fields.texts("unused"),
+            camera_from_base=fields.pose("camera_from_base"),
+            source=cast(Source, fields.choice("source", get_args(Source), "frame")),
+            change=None if change is None else dict(change.values),
+            quality=_quality(fields.inner("quality")),
+            covariance=_covariance(fields.inner("covariance"), joints),
+            alternatives=tuple(_alternative(entry) for entry in fields.inners("alternatives")),
+            seconds=fields.number("seconds"),
+            evaluations=fields.count("evaluations"),
+            rays=fields.count("rays"),
+            seed=fields.count("seed"),
+            version=fields.text("version"),
+            config={} if config is None else dict(config.values),
+        )
 
     @property
     def std_translation_mm(self) -> Float64 | None:
@@ -115,7 +164,7 @@ class Result:
             }
         covariance = None
         if self.covariance is not None:
-            axes = ["tx", "ty", "tz", "rx", "ry", "rz", *self.joints]
+            axes = [*POSE_AXES, *self.joints]
             covariance = {"axes": axes, "matrix": [[float(f"{v:.6e}") for v in row] for row in self.covariance]}
         quality = None
         if self.quality is not None:
@@ -152,6 +201,44 @@ class Result:
             "version": self.version,
             "config": self.config,
         }
+
+
+def _quality(fields: Fields | None) -> Quality | None:
+    if fields is None:
+        return None
+    return Quality(
+        iou=fields.number("iou"),
+        loss=fields.number("loss"),
+        terms=fields.numbers("terms"),
+        contour_px_median=fields.number("contour_px_median"),
+        contour_px_95=fields.number("contour_px_95"),
+    )
+
+
+def _covariance(fields: Fields | None, joints: dict[str, float]) -> Float64 | None:
+    """Matrix of a covariance, whose axes must be in the documented order."""
+    if fields is None:
+        return None
+    axes = (*POSE_AXES, *joints)
+    if fields.texts("axes") != axes:
+        raise fields.refuse("axes", ", ".join(axes))
+    matrix = fields.array("matrix", (len(axes), len(axes)))
+    if matrix is None or (np.diag(matrix) < 0).any():
+        raise fields.refuse("matrix", f"{len(axes)} rows of {len(axes)} finite numbers, no negative variance")
+    return matrix
+
+
+def _alternative(fields: Fields) -> Alternative:
+    pose = fields.pose("camera_from_root", required=True)
+    assert pose is not None
+    return Alternative(
+        camera_from_root=pose,
+        joints=fields.numbers("joints", required=True),
+        loss=fields.number("loss"),
+        iou=fields.number("iou"),
+        relation=cast(Relation, fields.choice("relation", get_args(Relation))),
+        reading_distance_deg=fields.number("reading_distance_deg") if fields.has("reading_distance_deg") else None,
+    )
 
 
 def _number(value: float) -> float:
