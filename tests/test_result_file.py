@@ -150,6 +150,13 @@ def test_a_folder_of_result_files_alone_will_do(tmp_path: Path) -> None:
     assert results.summary == {"frames": 1}
 
 
+def test_two_files_of_one_frame_are_refused(tmp_path: Path) -> None:
+    for name in ("x", "y"):
+        write(tmp_path / f"{name}.json", {**LEAST, "frame": "x"})
+    with pytest.raises(InputError, match=r"y.json: frame: expected a name of its own, got 'x', as another file$"):
+        read_results(tmp_path)
+
+
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected results, frames/FRAME.json or FRAME.json, got none$"):
         read_results(tmp_path)

@@ -9,6 +9,7 @@ from typing import Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.result_file import read_result
+from dvrk_cmaes.io.shown import shown
 from dvrk_cmaes.result import Result
 
 SUMMARY = "summary.json"
@@ -45,7 +46,7 @@ def read_results(folder: str | Path) -> ResultsFolder:
         raise InputError(f"{folder}: expected results, frames/FRAME.json or FRAME.json, got none")
     return ResultsFolder(
         folder=root,
-        frames={path.stem: read_result(path) for path in paths},
+        frames=_by_name(paths),
         summary=_document(root / SUMMARY, "the summary of a session's results (summary.json)"),
         session=_document(root / SESSION, "a session calibration (session.json)"),
     )
@@ -62,6 +63,16 @@ def result_paths(root: Path) -> list[Path]:
         and not path.name.startswith(".")
         and (source is inner or path.name not in _NO_RESULTS)
     )
+
+
+def _by_name(paths: list[Path]) -> dict[str, Result]:
+    results: dict[str, Result] = {}
+    for path in paths:
+        result = read_result(path)
+        if result.frame in results:
+            raise InputError(f"{path}: frame: expected a name of its own, got {shown(result.frame)}, as another file")
+        results[result.frame] = result
+    return dict(sorted(results.items()))
 
 
 def _document(path: Path, expected: str) -> dict[str, Any] | None:

@@ -1,0 +1,93 @@
+"""A table of poses for spreadsheets: one row a frame, one column a number, with the unit in the column's name.
+
+``camera_from_root_*`` and ``camera_from_base_*`` map points of the instrument's root link and of the arm's base into
+the camera (OpenCV's axes): translation in mm, quaternion in ROS's order. ``std_t*`` and ``std_r*`` are along and about
+the root's own axes. Joints are as found, ``*_read_*`` as read, in deg, insertion in mm.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.export.rotations import quaternion_xyzw
+from dvrk_cmaes.result import POSE_AXES, Result
+
+_PRISMATIC = ("insertion",)
+_DIGITS = 6  # a nanometre
+
+
+def pose_rows(results: Iterable[Result]) -> list[dict[str, Any]]:
+    """Rows of the table, all with the same columns in the same order; None where there is no value.
+
+    A joint has its columns if any of the results knows it.
+    """
+    results = list(results)
+    joints = list(dict.fromkeys(name for result in results for name in result.joints))
+    readings = list(dict.fromkeys(name for result in results for name in result.readings))
+    return [dict(_row(result, joints, readings)) for result in results]
+
+
+def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Write rows of equal columns as CSV, None as a blank cell; empty for no rows."""
+    if not rows:
+        return ""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    quality = result.quality
+    yield "frame", result.frame
+    yield "status", result.status
+    yield from _pose("camera_from_root", result.camera_from_root)
+    for name in joints:
+        yield _scaled(name, "", result.joints.get(name))
+    for name in readings:
+        yield _scaled(name, "_read", result.readings.get(name))
+    yield from _deviations(result, joints)
+    yield "iou", None if quality is None else quality.iou
+    yield "loss", None if quality is None else quality.loss
+    yield "contour_px_median", None if quality is None else quality.contour_px_median
+    yield "contour_px_95", None if quality is None else quality.contour_px_95
+    yield from _pose("camera_from_base", result.camera_from_base)
+    yield "source", result.source
+    yield "alternatives", len(result.alternatives)
+    yield "seconds", result.seconds
+    yield "reasons", "; ".join(result.reasons)
+    yield "warnings", "; ".join(result.warnings)
+    yield "unused", "; ".join(result.unused)
+
+
+def _pose(name: str, pose: NDArray[np.float64] | None) -> Iterator[tuple[str, float | None]]:
+    translation = [None] * 3 if pose is None else np.round(1e3 * pose[:3, 3], _DIGITS).tolist()
+    quaternion = [None] * 4 if pose is None else np.round(quaternion_xyzw(pose), 9).tolist()
+    yield from ((f"{name}_{axis}_mm", value) for axis, value in zip("xyz", translation, strict=True))
+    yield from ((f"{name}_q{axis}", value) for axis, value in zip("xyzw", quaternion, strict=True))
+
+
+def _scaled(name: str, suffix: str, value: float | None) -> tuple[str, float | None]:
+    """Column of a joint's value, rad or m, in deg or mm."""
+    unit, factor = ("mm", 1e3) if name in _PRISMATIC else ("deg", float(np.degrees(1.0)))
+    return f"{name}{suffix}_{unit}", None if value is None else round(factor * value, _DIGITS)
+
+
+def _deviations(result: Result, joints: Sequence[str]) -> Iterator[tuple[str, float | None]]:
+    translation, rotation, joint = result.std_translation_mm, result.std_rotation_deg, result.std_joints_deg or {}
+    blank = [None] * 3
+    values = [
+        *(blank if translation is None else np.round(translation, _DIGITS).tolist()),
+        *(blank if rotation is None else np.round(rotation, _DIGITS).tolist()),
+    ]
+    for axis, value in zip(POSE_AXES, values, strict=True):
+        yield f"std_{axis}_{'mm' if axis.startswith('t') else 'deg'}", value
+    for name in joints:
+        yield f"std_{name}_deg", round(joint[name], _DIGITS) if name in joint else None
