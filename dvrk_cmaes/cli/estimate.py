@@ -10,10 +10,12 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.describe import describe
 from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     FRAME,
     OUTPUT,
+    CameraOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
@@ -34,7 +36,6 @@ _Hyphens = Parameter(allow_leading_hyphen=True)
 def estimate(
     *,
     mask: Annotated[Path, Parameter(group=FRAME)],
-    camera: Annotated[Path, Parameter(group=FRAME)],
     joints: Annotated[str, Parameter(group=FRAME)],
     frame: Annotated[str | None, Parameter(group=FRAME)] = None,
     image: Annotated[Path | None, Parameter(group=FRAME)] = None,
@@ -42,7 +43,7 @@ def estimate(
     keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
     label: Annotated[int | None, Parameter(group=FRAME)] = None,
     pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
-    rectified: Annotated[Flag, Parameter(group=FRAME)] = False,
+    camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
@@ -60,8 +61,6 @@ def estimate(
     ----------
     mask
         The instrument's mask: 8-bit PNG or JPEG, above 127 is instrument.
-    camera
-        Intrinsics and lens distortion: ROS camera_info YAML.
     joints
         Readings: a joints.csv, or wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m), or none.
     frame
@@ -76,8 +75,8 @@ def estimate(
         The mask is one of labels: the instrument is where it has this value.
     pick
         Of several things in the mask, the one at the pixel u,v.
-    rectified
-        The images are rectified: use the camera's projection matrix, without distortion.
+    camera
+        Which camera.
     instrument
         Which instrument.
     method
@@ -93,16 +92,15 @@ def estimate(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     from dvrk_cmaes.frame_run import run_frame
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.camera_file import read_camera
     from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
     from dvrk_cmaes.io.keypoints import parse_keypoints
 
     settings = method.resolve()
-    lens = read_camera(camera, rectified=rectified)
+    lens = camera.read()
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
-    files = FrameFiles(mask.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
-    data = read_frame(files, lens)
+    files = FrameFiles(mask.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked, lens.notes)
+    data = read_frame(files, lens.camera)
     body = instrument.load()
     files = replace(files, readings=_readings(joints, frame, mask.stem, body.instrument.joint_names))
     run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out)

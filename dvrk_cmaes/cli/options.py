@@ -13,14 +13,45 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.io.camera_file import CameraFile
     from dvrk_cmaes.silhouette import Body
 
 FRAME = Group.create_ordered("Frame")
+CAMERA = Group.create_ordered("Camera")
 INSTRUMENT = Group.create_ordered("Instrument")
 METHOD = Group.create_ordered("Method")
 OUTPUT = Group.create_ordered("Output")
 
 Flag = Annotated[bool, Parameter(negative=())]
+
+
+@Parameter(name="*", group=CAMERA)
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """The camera, from a file of any kind that calibration tools write.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics and lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain YAML. A session
+        folder's own camera.yaml unless given.
+    rectified
+        The images are rectified: use the camera's projection matrix, without distortion.
+    side
+        Which camera of a stereo pair.
+    """
+
+    camera: Path | None = None
+    rectified: Flag = False
+    side: Literal["left", "right"] = "left"
+
+    def read(self, size: tuple[int, int] | None = None) -> CameraFile:
+        """Read the file; ``size`` is that of the images, px, for a file that does not state it."""
+        from dvrk_cmaes.io.camera_file import read_camera_file
+
+        if self.camera is None:
+            raise InputError("--camera: expected a camera file, got none")
+        return read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
 
 
 @Parameter(name="*", group=INSTRUMENT)
@@ -120,6 +151,7 @@ class MethodOptions:
         return settings
 
 
+DEFAULT_CAMERA = CameraOptions()
 DEFAULT_INSTRUMENT = InstrumentOptions()
 DEFAULT_METHOD = MethodOptions()
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError, nearest_first
@@ -32,19 +33,44 @@ _DISTORTION = ("distortion_coefficients", "D", "d")
 _RECTIFIED = ("projection_matrix", "P", "p")
 
 
-def read_camera(path: str | Path, *, rectified: bool = False) -> Camera:
-    """Read a camera file.
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """A camera and where it is from: ``kind`` of file in words, and in ``notes`` what had to be decided by a rule."""
+
+    camera: Camera
+    kind: str
+    notes: tuple[str, ...] = ()
+
+
+def read_camera(
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: tuple[int, int] | None = None
+) -> Camera:
+    """Read a camera file, as ``read_camera_file`` does, for the camera alone."""
+    return read_camera_file(path, rectified=rectified, side=side, size=size).camera
+
+
+def read_camera_file(
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: tuple[int, int] | None = None
+) -> CameraFile:
+    """Read a camera file of any kind, told by its content.
 
     Parameters
     ----------
     path
-        A ROS camera_info YAML file.
+        The file.
     rectified
         Whether the images are rectified; raw ones otherwise.
+    side
+        Which camera of a stereo pair.
+    size
+        Width and height in pixels of the images, for a file that does not state them.
 
     Returns
     -------
-    Camera
+    CameraFile
         Pixels as in the file, at the size of its images.
 
     Raises
@@ -58,7 +84,7 @@ def read_camera(path: str | Path, *, rectified: bool = False) -> Camera:
             f"{path}: expected a ROS camera_info file with camera_matrix and projection_matrix "
             f"(or K and P, or k and p), got the fields {listed(document) or '(none)'}"
         )
-    return _camera_info(path, document, rectified=rectified)
+    return CameraFile(_camera_info(path, document, rectified=rectified), "ROS camera_info")
 
 
 def _camera_info(path: str | Path, document: Mapping[str, Any], *, rectified: bool) -> Camera:

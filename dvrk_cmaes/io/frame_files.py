@@ -19,20 +19,22 @@ from dvrk_cmaes.io.images import match_size, read_ignore, read_image, read_mask
 
 @dataclass(frozen=True, eq=False)
 class FrameFiles:
-    """Where the parts of a frame lie.
+    """Where the parts of a frame lie; a frame without a mask has an image that is still to be segmented.
 
     ``readings`` are by joint, rad or m; ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and
-    ``pick`` say which part of the mask is the instrument, as in ``read_mask``.
+    ``pick`` say which part of the mask is the instrument, as in ``read_mask``. ``notes`` say what was decided about
+    camera and readings when they were found.
     """
 
     name: str
-    mask: Path
+    mask: Path | None
     readings: Mapping[str, float] = field(default_factory=dict)
     image: Path | None = None
     ignore: Path | None = None
     keypoints: NDArray[np.float64] | None = None
     label: int | None = None
     pick: tuple[float, float] | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,8 @@ def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
     InputError
         A file that cannot be read, or of a size that does not fit the others: names the file.
     """
+    if files.mask is None:
+        raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
     mask = read_mask(files.mask, label=files.label, pick=files.pick)
     try:
         fitted, note = match_size(camera, (mask.shape[0], mask.shape[1]))
@@ -74,7 +78,7 @@ def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
             f"{files.image}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
             f"got {_size(image.shape)}"
         )
-    return FrameData(mask, fitted, ignore, image, () if note is None else (note,))
+    return FrameData(mask, fitted, ignore, image, files.notes if note is None else (*files.notes, note))
 
 
 def _size(shape: tuple[int, ...]) -> str:

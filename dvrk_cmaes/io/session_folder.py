@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.camera_file import read_camera
+from dvrk_cmaes.io.camera_file import Side, read_camera_file
 from dvrk_cmaes.io.frame_files import FrameFiles
 from dvrk_cmaes.io.golden_file import SessionTruth, read_golden
 from dvrk_cmaes.io.joints import read_joint_table
@@ -31,17 +31,26 @@ class Session:
     truth: SessionTruth
 
 
-def read_session(folder: str | Path, *, rectified: bool = False, known: Iterable[str] = ()) -> Session:
+def read_session(
+    folder: str | Path,
+    *,
+    camera: Path | None = None,
+    rectified: bool = False,
+    side: Side = "left",
+    known: Iterable[str] = (),
+) -> Session:
     """Find the frames of a session folder and read all of it but the pictures.
 
-    A frame is a file in ``masks``; one without a row in joints.csv has no readings.
+    A frame is a file in ``masks`` or in ``images``; one without a row in joints.csv has no readings.
 
     Parameters
     ----------
     folder
         The session.
-    rectified
-        Whether the images are rectified, as in ``read_camera``.
+    camera
+        The camera file, if it is not the session's own camera.yaml.
+    rectified, side
+        Whether the images are rectified, and which camera of a stereo pair, as in ``read_camera_file``.
     known
         Names of the instrument's own joints, as in ``read_joints``.
 
@@ -54,26 +63,28 @@ def read_session(folder: str | Path, *, rectified: bool = False, known: Iterable
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
     masks = _pictures(root / "masks")
-    if not masks:
-        raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
     images, ignore = _pictures(root / "images"), _pictures(root / "ignore")
+    if not masks and not images:
+        raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
+    lens = read_camera_file(camera or root / "camera.yaml", rectified=rectified, side=side)
     readings = read_joint_table(root / "joints.csv", known=known)
     tips = read_keypoints(root / "keypoints.csv") if (root / "keypoints.csv").exists() else {}
     frames = tuple(
         FrameFiles(
             name=name,
-            mask=masks[name],
+            mask=masks.get(name),
             readings=readings.get(name, {}),
             image=images.get(name),
             ignore=ignore.get(name),
             keypoints=tips.get(name),
+            notes=lens.notes,
         )
-        for name in sorted(masks)
+        for name in sorted({*masks, *images})
     )
     golden = root / "golden.json"
     return Session(
         folder=root,
-        camera=read_camera(root / "camera.yaml", rectified=rectified),
+        camera=lens.camera,
         frames=frames,
         truth=read_golden(golden) if golden.exists() else SessionTruth(),
     )
