@@ -41,10 +41,17 @@ def write_bytes(path: str | Path, data: bytes) -> None:
             with contextlib.suppress(OSError):
                 beside.unlink()
             raise
-    except OSError as error:
-        kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
-        reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
-        raise kind(f"{path}: not written ({reason}); expected a place to write a file") from None
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        raise not_written(path, error, "a file") from None
+
+
+def not_written(path: str | Path, error: OSError | ValueError, what: str) -> DvrkCmaesError:
+    """Error that says why something was not written: `InputError` where the place is at fault, not the machine."""
+    if isinstance(error, ValueError):
+        return InputError(f"{str(path)!r}: not written ({error}); expected a place to write {what}")
+    kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
+    reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
+    return kind(f"{path}: not written ({reason}); expected a place to write {what}")
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -69,12 +76,17 @@ def write_json(path: str | Path, obj: Any) -> None:
 
 
 def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> None:
-    """Write an image, (H, W) grey, (H, W, 3) BGR, or a bool mask as 0 and 255, by the extension of its name.
+    """Write an image by the extension of its name; images and errors as in ``encoded_image`` and ``write_bytes``."""
+    write_bytes(path, encoded_image(path, image))
+
+
+def encoded_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> bytes:
+    """Bytes of an image's file, (H, W) grey, (H, W, 3) BGR, or a bool mask as 0 and 255, by the extension of its name.
 
     Raises
     ------
     InputError
-        Another extension than .png, .jpg or .jpeg, and as in ``write_bytes``.
+        Another extension than .png, .jpg or .jpeg.
     """
     extension = Path(path).suffix.lower()
     if extension not in (".png", ".jpg", ".jpeg"):
@@ -83,4 +95,4 @@ def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) 
     encoded, data = cv2.imencode(extension, pixels)
     if not encoded:
         raise DvrkCmaesError(f"{path}: the image could not be encoded")
-    write_bytes(path, data.tobytes())
+    return data.tobytes()

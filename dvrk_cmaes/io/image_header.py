@@ -9,6 +9,9 @@ import struct
 import zlib
 from dataclasses import dataclass
 
+#: In an image that is decoded; more is refused.
+MOST_PIXELS = 100_000_000
+
 _PNG = b"\x89PNG\r\n\x1a\n"
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # those three are tables and a reserved code
 _WITHOUT_LENGTH = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG markers that stand alone

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import ImageHeader, read_header
+from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, read_header
 
 _LARGEST = 400_000_000  # bytes
-_MOST_PIXELS = 100_000_000
 _THRESHOLD = 127
 
 
@@ -111,9 +110,9 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     header = read_header(data)
     if header is None:
         raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
-    if header.width * header.height > _MOST_PIXELS:
+    if header.width * header.height > MOST_PIXELS:
         raise InputError(
-            f"{path}: expected at most {_MOST_PIXELS // 1_000_000} megapixels, got {header.width} x {header.height}"
+            f"{path}: expected at most {MOST_PIXELS // 1_000_000} megapixels, got {header.width} x {header.height}"
         )
     if not header.whole:
         raise InputError(f"{path}: expected {expected}, got one that is cut off or damaged")
