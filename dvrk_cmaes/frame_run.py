@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dvrk_cmaes.arm import Arm
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
@@ -35,7 +38,15 @@ def run_frame(
     """
     if out is not None:
         check_output(out, files.name)
-    result = estimate(
+    result = estimate_frame(files, data, body, arm=arm, config=config)
+    if out is None:
+        return FrameRun(result, ())
+    return FrameRun(result, write_frame(out, result, draw_frame(result, files, data, body)))
+
+
+def estimate_frame(files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, config: EstimateConfig) -> Result:
+    """Estimate the pose in a frame that was read from its files; errors as `estimate`."""
+    return estimate(
         data.mask,
         data.camera,
         files.readings,
@@ -47,9 +58,10 @@ def run_frame(
         config=config,
         warnings=data.notes,
     )
-    if out is None:
-        return FrameRun(result, ())
-    overlay = draw_overlay(
+
+
+def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -> NDArray[np.uint8]:
+    """Draw a frame's result over its image, or where there is none, over its mask: (H, W, 3) BGR."""
+    return draw_overlay(
         result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
     )
-    return FrameRun(result, write_frame(out, result, overlay))
