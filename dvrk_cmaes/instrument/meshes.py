@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.library_errors import one_line
-from dvrk_cmaes.instrument.plain_xml import parse_xml
+from dvrk_cmaes.io.plain_xml import parse_xml
 
 #: Kinds of mesh file that can be read.
 SUFFIXES = (".stl", ".obj", ".dae", ".ply")

@@ -13,7 +13,7 @@ from typing import Any
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.library_errors import one_line
-from dvrk_cmaes.instrument.plain_xml import parse_xml
+from dvrk_cmaes.io.plain_xml import parse_xml
 
 #: Largest URDF that is read, bytes. Real ones have some ten thousand.
 LARGEST_URDF = 20_000_000

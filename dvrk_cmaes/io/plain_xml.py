@@ -1,6 +1,6 @@
 """XML from files of others, parsed without document types.
 
-No robot or mesh needs one, and the entities declared in it can expand without end or name other files.
+No robot, mesh or calibration needs one, and the entities declared in it can expand without end or name other files.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NoReturn
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.library_errors import one_line
 
 
 class _NoDoctype(ElementTree.TreeBuilder):
@@ -35,5 +34,5 @@ def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: not well-formed XML: {one_line(error)}") from None
+        raise InputError(f"{path}: not well-formed XML: {' '.join(str(error).split())}") from None
     return root
