@@ -11,13 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 from accuracy_cases import Run, by_level
-from numpy.typing import NDArray
 
-from dvrk_cmaes.arm import INSERTION_OFFSET, ROLL_OFFSET
 from dvrk_cmaes.comparison import compare_poses
+from dvrk_cmaes.evaluate.consistency import converge_shafts, rcm_spread
 from dvrk_cmaes.instrument import Instrument
-
-Float64 = NDArray[np.float64]
 
 RIGHT_MODE_DEG: Final = 30.0
 
@@ -67,20 +64,11 @@ def session_spread(runs: Sequence[Run]) -> dict[str, float]:
     if len(runs) < 3:
         return {}
     poses = np.stack([run.pose for run in runs])
-    points, directions = poses[:, :3, 3], poses[:, :3, 2]
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    meeting = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, points))
-    distances = np.linalg.norm(np.einsum("nij,nj->ni", across, points - meeting), axis=1)
-    spread = {
-        "sigma_mm": 1e3 * float(distances.std()),
-        "sigma_rms_mm": 1e3 * float(np.sqrt(np.mean(distances**2))),
-    }
+    axes = converge_shafts(poses)
+    spread = {"sigma_mm": 1e3 * axes.sigma, "sigma_rms_mm": 1e3 * axes.rms}
     insertion = [run.case.readings.get("insertion") for run in runs]
     if all(value is not None for value in insertion):
-        beyond = np.array(insertion, dtype=np.float64) + INSERTION_OFFSET["classic"] + ROLL_OFFSET
-        centres = points - beyond[:, None] * directions
-        off = np.linalg.norm(centres - centres.mean(axis=0), axis=1)
-        spread["rcm_mm"] = 1e3 * float(np.sqrt(np.mean(off**2)))
+        spread["rcm_mm"] = 1e3 * rcm_spread(poses, np.array(insertion, dtype=np.float64)).rms
     return spread
 
 

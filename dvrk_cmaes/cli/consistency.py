@@ -1,0 +1,127 @@
+"""``dvrk-cmaes consistency``: how well results agree over the frames of a session, beside the paper's figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from dvrk_cmaes.cli.options import OUTPUT, Flag
+from dvrk_cmaes.cli.terminal import Line, show, warn
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.evaluate.agreement import Agreement
+
+
+def consistency(
+    *results: Path,
+    session: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = (),
+    arm: Literal["classic", "si"] = "classic",
+    picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Measure how well the frames of a session agree, without any truth: the paper's Table I, and what it forgives.
+
+    While the arm moves about its remote centre of motion (RCM), the shafts' axes should meet in one point x*. Sigma is
+    the standard deviation of their distances from it, in m as the paper states it; rms, their root mean square, does
+    not forgive a constant distance. Where the axes hardly turn, x* slides along them and is not the RCM. With the
+    readings of the insertion, the RCM of each frame should be one point;
+    with those of all outer joints, the arm's base should be one.
+
+    Frames that were solved together (source "session") agree by construction: only those solved one by one compare
+    with the paper.
+
+    Example:
+
+    `dvrk-cmaes consistency out/easy out/medium --picture axes.png`
+
+    Parameters
+    ----------
+    results
+        Folders of results, of this program or any other that writes camera_from_root, joints and seconds; or the
+        paper's poses as a published.csv.
+    session
+        Session folder or joints.csv to take readings from, instead of those in the results. May be given once for
+        all, or once for each of the results in their order.
+    arm
+        The arm's kinematics.
+    picture
+        Draw the axes where they meet: .png, .pdf, .svg or .jpg.
+    json
+        Print the measures as JSON, and nothing else, on stdout.
+    """
+    from dvrk_cmaes.evaluate.agreement import measure_agreement
+    from dvrk_cmaes.evaluate.consistency_picture import draw_axes
+    from dvrk_cmaes.evaluate.paper import TABLE_ONE
+    from dvrk_cmaes.evaluate.result_set import ONE_BY_ONE, read_result_set
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.report.figure import check_figure_path, write_figure
+
+    if not results:
+        raise InputError("RESULTS: expected at least one folder of results, got none")
+    if len(session) not in (0, 1, len(results)):
+        raise InputError(f"--session: expected one, or one for each of the {len(results)} results, got {len(session)}")
+    if picture is not None:
+        check_figure_path(picture)
+    sources = session * len(results) if len(session) == 1 else session or (None,) * len(results)
+    found = [
+        measure_agreement(read_result_set(path, source), arm) for path, source in zip(results, sources, strict=True)
+    ]
+    if picture is not None:
+        write_figure(picture, draw_axes(found))
+    if json:
+        paper = {level: asdict(row) for level, row in TABLE_ONE.items()}
+        print(json_text({"sets": [one.to_dict() for one in found], "paper": paper}), end="")
+    else:
+        show(_table(found, picture))
+    for one in found:
+        if one.results.solved != ONE_BY_ONE:
+            warn(
+                f"{one.results.name}: solved {one.results.solved}: such frames agree by construction; "
+                "no comparison with the paper's"
+            )
+    return 0
+
+
+def _table(found: Sequence[Agreement], picture: Path | None) -> Iterator[Line]:
+    """One row a set, then the paper's."""
+    from dvrk_cmaes.evaluate.paper import TABLE_ONE
+
+    names = [one.results.name for one in found] + [f"paper, {level}, PnP" for level in TABLE_ONE]
+    width = max(len(name) for name in names)
+    yield Line("How well frames agree: sigma as the paper's Table I, the rest in mm and degrees", "bold")
+    yield Line(
+        f"{'results':<{width}}  frames  solved      sigma, m     rms  axes' turn  RCM spread  "
+        "base, median  largest  x* in the camera",
+        "bold",
+    )
+    for one in found:
+        results, axes, rcm, base = one.results, one.axes, one.rcm, one.base
+        cells = (
+            f"{results.name:<{width}}",
+            f"{len(results.frames):>6d}",
+            f"{results.solved:<10s}",
+            f"{axes.sigma:>8.5f}",
+            f"{1e3 * axes.rms:>6.2f}",
+            f"{math.degrees(axes.turn):>10.1f}",
+            f"{'-' if rcm is None else f'{1e3 * rcm.rms:.2f}':>10s}",
+            f"{'-' if base is None else f'{base.median_deg:.1f}':>12s}",
+            f"{'-' if base is None else f'{base.largest_deg:.1f}':>7s}",
+            " ".join(f"{1e3 * value:6.1f}" for value in axes.point),
+        )
+        yield Line("  ".join(cells))
+    for level, row in TABLE_ONE.items():
+        for name, sigma in ((f"paper, {level}", row.sigma_m), (f"paper, {level}, PnP", row.pnp_sigma_m)):
+            yield Line(f"{name:<{width}}  {10:>6d}  {'one by one':<10s}  {sigma:>8.5f}")
+    for one in found:
+        if one.results.failed:
+            yield Line(f"{one.results.name}: without a pose, left out: {', '.join(one.results.failed)}", "yellow")
+        if one.results.doubtful:
+            yield Line(f"{one.results.name}: doubtful, counted: {', '.join(one.results.doubtful)}", "yellow")
+    if picture is not None:
+        yield Line(f"written: {picture}")

@@ -1,0 +1,75 @@
+"""All measures of agreement of one set of results, and as plain values for JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dvrk_cmaes.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.consistency import (
+    BaseSpread,
+    Convergence,
+    PointSpread,
+    base_spread,
+    converge_shafts,
+    rcm_spread,
+)
+from dvrk_cmaes.evaluate.result_set import ResultSet
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How well the frames of a set agree; ``rcm`` needs the insertion of every frame, ``base`` all outer joints."""
+
+    results: ResultSet
+    axes: Convergence
+    rcm: PointSpread | None
+    base: BaseSpread | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON: m and degrees, positions in the camera."""
+        results, rcm, base = self.results, self.rcm, self.base
+        return {
+            "results": results.name,
+            "solved": results.solved,
+            "frames": list(results.frames),
+            "failed": list(results.failed),
+            "doubtful": list(results.doubtful),
+            "converging_point_m": _rounded(self.axes.point.tolist()),
+            "sigma_m": _rounded(self.axes.sigma),
+            "rms_m": _rounded(self.axes.rms),
+            "turn_deg": _rounded(np.degrees(self.axes.turn)),
+            "distances_m": dict(zip(results.frames, _rounded(self.axes.distances.tolist()), strict=True)),
+            "rcm": None if rcm is None else {"mean_m": _rounded(rcm.centre.tolist()), "spread_m": _rounded(rcm.rms)},
+            "base": None
+            if base is None
+            else {
+                "rotation_deg_median": _rounded(base.median_deg),
+                "rotation_deg_max": _rounded(base.largest_deg),
+                "rotation_deg": dict(zip(results.frames, _rounded(base.angles_deg.tolist()), strict=True)),
+            },
+        }
+
+
+def measure_agreement(results: ResultSet, arm: Arm = "classic") -> Agreement:
+    """Measure all that a set allows; InputError, naming the set, where its axes cannot be said to meet."""
+    poses = results.camera_from_root
+    try:
+        axes = converge_shafts(poses)
+    except InputError as error:
+        raise InputError(f"{results.name}: {error}") from None
+    insertion, outer = results.outer("insertion"), results.outer(*OUTER_JOINTS)
+    return Agreement(
+        results=results,
+        axes=axes,
+        rcm=None if insertion is None else rcm_spread(poses, insertion[:, 0], arm),
+        base=None if outer is None else base_spread(poses, outer, arm),
+    )
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to nine decimals, as results have them."""
+    return [_rounded(v) for v in value] if isinstance(value, list) else round(float(value), 9)

@@ -1,0 +1,102 @@
+"""Poses of one session from wherever they come, as the measures of agreement want them.
+
+A set is a folder of results (any program's, with ``camera_from_root``, ``joints`` and ``seconds``), or a published.csv:
+the paper's poses as a table of axis-angle vectors and translations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.joints import read_joint_table
+from dvrk_cmaes.io.published_poses import read_published_poses
+from dvrk_cmaes.io.results_folder import read_results
+from dvrk_cmaes.io.session_folder import read_session
+
+Float64 = NDArray[np.float64]
+Readings = Mapping[str, Mapping[str, float]]
+
+ONE_BY_ONE = "one by one"
+TOGETHER = "together"
+
+
+@dataclass(frozen=True, eq=False)
+class ResultSet:
+    """Frames of one session that have a pose.
+
+    frames : names, N of them. camera_from_root : (N, 4, 4).
+    solved : ``one by one`` or ``together``, or how many of each.
+    readings : by frame and joint, rad and m, as far as known.
+    failed : names of the frames without a pose. doubtful : of those with one that is not to be trusted.
+    """
+
+    name: str
+    frames: tuple[str, ...]
+    camera_from_root: Float64
+    solved: str = ONE_BY_ONE
+    readings: Readings = field(default_factory=dict)
+    failed: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
+
+    def outer(self, *joints: str) -> Float64 | None:
+        """Give the readings (N, K) of K outer joints, or None unless all of them are known in every frame."""
+        rows = [self.readings.get(frame, {}) for frame in self.frames]
+        if any(joint not in row for row in rows for joint in joints):
+            return None
+        return np.array([[row[joint] for joint in joints] for row in rows], dtype=np.float64)
+
+
+def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
+    """Read a set of results.
+
+    Parameters
+    ----------
+    path
+        A folder of results, or a published.csv.
+    readings_from
+        A session folder or a joints.csv whose readings count, instead of those in the results; those beside a
+        published.csv otherwise.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or wrong, naming it; no frame with a pose.
+    """
+    given = None if readings_from is None else read_readings(readings_from)
+    if path.suffix.lower() == ".csv":
+        table = read_published_poses(path)
+        beside = path.with_name("joints.csv")
+        if given is None and beside.exists():
+            given = read_joint_table(beside)
+        poses = np.stack([entry.camera_from_root for entry in table.values()])
+        return ResultSet(str(path), tuple(table), poses, readings=given or {})
+    results = read_results(path).frames
+    posed = {name: result.camera_from_root for name, result in results.items() if result.camera_from_root is not None}
+    if not posed:
+        raise InputError(f"{path}: camera_from_root: expected a pose in at least one frame, got none")
+    together = sum(results[name].source == "session" for name in posed)
+    solved = f"{together} of {len(posed)} {TOGETHER}"
+    if together in (0, len(posed)):
+        solved = TOGETHER if together else ONE_BY_ONE
+    return ResultSet(
+        name=str(path),
+        frames=tuple(posed),
+        camera_from_root=np.stack(list(posed.values())),
+        solved=solved,
+        readings=given if given is not None else {name: result.readings for name, result in results.items()},
+        failed=tuple(name for name in results if name not in posed),
+        doubtful=tuple(name for name in posed if results[name].status == "doubtful"),
+    )
+
+
+def read_readings(path: Path) -> Readings:
+    """Read the readings of a session folder or a joints.csv, by frame; InputError as their readers raise it."""
+    if path.is_dir() and not (path / "joints.csv").exists():
+        return {frame.name: frame.readings for frame in read_session(path).frames}
+    return read_joint_table(path / "joints.csv" if path.is_dir() else path)

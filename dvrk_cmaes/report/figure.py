@@ -1,0 +1,48 @@
+"""Figures drawn with matplotlib: none of it is needed unless somebody wants a picture."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.io.atomic import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS: Final = (".png", ".pdf", ".svg", ".jpg")
+
+_STABLE: Final[dict[str, dict[str, Any]]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+
+
+def check_figure_path(path: Path) -> None:
+    """Refuse, before any work is done, a picture's name of another ending than ``FORMATS``; InputError."""
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"{path}: expected a picture's name to end in {', '.join(FORMATS)}, got {path.suffix!r}")
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches.
+
+    Raises
+    ------
+    DvrkCmaesError
+        matplotlib is not installed.
+    """
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        raise DvrkCmaesError("pictures need matplotlib: pip install 'dvrk-cmaes[plots]'") from None
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def write_figure(path: str | Path, figure: Figure, dots_per_inch: int = 110) -> None:
+    """Write a figure in the format that its name ends in; errors as in ``dvrk_cmaes.io.atomic.write_bytes``."""
+    suffix = Path(path).suffix.lower()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=suffix[1:], dpi=dots_per_inch, metadata=_STABLE.get(suffix))
+    write_bytes(path, buffer.getvalue())
