@@ -224,28 +224,28 @@ def test_a_part_of_the_sensor_is_refused_for_its_shifted_pixels(tmp_path: Path) 
 
 
 def test_an_unknown_layout_is_told_what_was_expected_and_what_it_has(tmp_path: Path) -> None:
-    text = "cam0:\n  camera_model: pinhole\n  intrinsics: [1, 2, 3, 4]\n"
-    assert message(written(tmp_path, text)) == (
-        "expected a ROS camera_info file with camera_matrix and projection_matrix (or K and P, or k and p), "
-        "got the fields cam0"
+    assert message(written(tmp_path, "lens:\n  intrinsics: [1, 2, 3, 4]\n")) == (
+        "expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
+        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0) or plain (intrinsic), "
+        "got the fields lens"
     )
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "expected a camera file (ROS camera_info YAML), got an empty file"),
-        ("# nothing\n", "expected a camera file (ROS camera_info YAML), got no mapping of names to values"),
-        ("- 1\n- 2\n", "expected a camera file (ROS camera_info YAML), got no mapping of names to values"),
-        (b"\xff\xfe\x00", "expected a camera file (ROS camera_info YAML) in UTF-8, got other bytes at 0"),
+        ("", "expected a camera file (YAML or XML), got an empty file"),
+        ("# nothing\n", "expected a camera file (YAML or XML), got no mapping of names to values"),
+        ("- 1\n- 2\n", "expected a camera file (YAML or XML), got no mapping of names to values"),
+        (b"\xff\xfe\x00", "expected a camera file (YAML or XML) in UTF-8, got other bytes at 0"),
         (
             "width: [1, 2\nheight: 2]: 3\n",
-            "expected a camera file (ROS camera_info YAML), got no valid YAML "
+            "expected a camera file (YAML or XML), got no valid YAML "
             "(line 2: expected ',' or ']', but got ':')",
         ),
         (
             "when: 2020-99-99\n",
-            "expected a camera file (ROS camera_info YAML), got no valid YAML (month must be in 1..12)",
+            "expected a camera file (YAML or XML), got no valid YAML (month must be in 1..12)",
         ),
         ("a: &x [1]\nb: *x\n", "expected plain values, got a YAML alias ('x')"),
         ("a: " + "[" * 30 + "]" * 30, "expected a small file, got YAML of more than 20 levels"),
@@ -253,7 +253,7 @@ def test_an_unknown_layout_is_told_what_was_expected_and_what_it_has(tmp_path: P
         ("a: " + "7" * 5000, "expected a small file, got a YAML value of 5000 characters"),
         (
             "a: " + "x " * 600_000,
-            "expected a camera file (ROS camera_info YAML) of at most 1 MB, got 1.2 MB",
+            "expected a camera file (YAML or XML) of at most 1 MB, got 1.2 MB",
         ),
     ],
 )
@@ -274,8 +274,8 @@ def test_yaml_never_runs_code(tmp_path: Path) -> None:
 
 
 def test_missing_files_directories_and_loops_of_links_are_refused(tmp_path: Path) -> None:
-    assert message(tmp_path / "none.yaml") == "no such file; expected a camera file (ROS camera_info YAML)"
-    assert message(tmp_path) == "expected a camera file (ROS camera_info YAML), got a directory"
+    assert message(tmp_path / "none.yaml") == "no such file; expected a camera file (YAML or XML)"
+    assert message(tmp_path) == "expected a camera file (YAML or XML), got a directory"
     loop = tmp_path / "loop.yaml"
     loop.symlink_to(loop)
     assert message(loop).startswith("not readable (")

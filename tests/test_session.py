@@ -98,7 +98,7 @@ def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
     ("damaged", "text", "expected"),
     [
         ("joints.csv", "frame,wrist_pich\n", "unknown joint 'wrist_pich'"),
-        ("camera.yaml", "image_width: 3\n", "expected a ROS camera_info file"),
+        ("camera.yaml", "image_width: 3\n", "expected a camera file: ROS camera_info"),
         ("keypoints.csv", "frame,u,v\n", "header: expected frame,tip_1_u"),
         ("keypoints.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0000,1,2,3\n", "line 2: expected a frame and four"),
         ("keypoints.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0000,1,2,3,x\n", "line 2: keypoints: expected four"),

@@ -1,39 +1,36 @@
-"""Camera files: intrinsics and lens distortion as calibration tools write them.
+"""Camera files: intrinsics and lens distortion as calibration tools write them, told apart by their content.
 
-Read so far: ROS camera_info YAML, as a calibration file (``image_width``, ``camera_matrix: {data}``, ...) and as a dump
-of the topic (``width``, ``K``, ``D``, ``P`` in ROS 1, ``k``, ``d``, ``p`` in ROS 2). A raw image goes with K and D; a
-rectified one with the left 3 x 3 part of P and no distortion.
+ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML; each kind has its own module beside this one.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.shown import listed, shown
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.camera_fields import Intrinsics, Side, Size, unknown_layout
+from dvrk_cmaes.io.camera_kalibr import is_camchain, read_camchain
+from dvrk_cmaes.io.camera_opencv import is_storage, read_storage, read_storage_xml
+from dvrk_cmaes.io.camera_plain import is_plain, read_plain
+from dvrk_cmaes.io.camera_ros import is_camera_info, read_camera_info
+from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.plain_xml import parse_xml
 from dvrk_cmaes.io.yaml_file import read_yaml_mapping
 
-_MODELS = {
-    "plumb_bob": "plumb_bob",
-    "rational_polynomial": "rational_polynomial",
-    "equidistant": "equidistant",
-    "fisheye": "equidistant",
-}
+__all__ = ["CameraFile", "Side", "Size", "read_camera", "read_camera_file", "read_intrinsics"]
 
-# what a field is called in a calibration file, in ROS 1's message and in ROS 2's
-_WIDTH = ("image_width", "width")
-_HEIGHT = ("image_height", "height")
-_RAW = ("camera_matrix", "K", "k")
-_DISTORTION = ("distortion_coefficients", "D", "d")
-_RECTIFIED = ("projection_matrix", "P", "p")
+_EXPECTED = "a camera file (YAML or XML)"
+_LARGEST = 1_000_000  # bytes
 
-
-Side = Literal["left", "right"]
+_KINDS = (
+    (is_camchain, read_camchain),
+    (is_storage, read_storage),
+    (is_plain, read_plain),
+    (is_camera_info, read_camera_info),
+)
 
 
 @dataclass(frozen=True)
@@ -45,17 +42,15 @@ class CameraFile:
     notes: tuple[str, ...] = ()
 
 
-def read_camera(
-    path: str | Path, *, rectified: bool = False, side: Side = "left", size: tuple[int, int] | None = None
-) -> Camera:
+def read_camera(path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | None = None) -> Camera:
     """Read a camera file, as ``read_camera_file`` does, for the camera alone."""
     return read_camera_file(path, rectified=rectified, side=side, size=size).camera
 
 
 def read_camera_file(
-    path: str | Path, *, rectified: bool = False, side: Side = "left", size: tuple[int, int] | None = None
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | None = None
 ) -> CameraFile:
-    """Read a camera file of any kind, told by its content.
+    """Read a camera file of any kind.
 
     Parameters
     ----------
@@ -76,100 +71,40 @@ def read_camera_file(
     Raises
     ------
     InputError
-        Naming the file, the field and what was expected.
+        Naming the file, the field and what was expected; a size that is neither stated nor given, or a principal
+        point outside of images of the size given.
     """
-    document = read_yaml_mapping(path, expected="a camera file (ROS camera_info YAML)")
-    if not any(name in document for name in (*_RAW, *_RECTIFIED)):
-        raise InputError(
-            f"{path}: expected a ROS camera_info file with camera_matrix and projection_matrix "
-            f"(or K and P, or k and p), got the fields {listed(document) or '(none)'}"
-        )
-    return CameraFile(_camera_info(path, document, rectified=rectified), "ROS camera_info")
-
-
-def _camera_info(path: str | Path, document: Mapping[str, Any], *, rectified: bool) -> Camera:
-    """Camera of a ROS camera_info document."""
-    width, height = _size(path, document, _WIDTH), _size(path, document, _HEIGHT)
-    _refuse_region(path, document, width, height)
-    name, entry = _field(path, document, _RECTIFIED if rectified else _RAW)
-    columns = 4 if rectified else 3
-    matrix = _numbers(path, name, entry, count=3 * columns)
-    fx, skew, cx = matrix[:3]
-    below, fy, cy = matrix[columns : columns + 3]
-    if fx <= 0 or fy <= 0:
-        raise InputError(f"{path}: {name}: expected positive focal lengths in pixels, got fx {fx:g}, fy {fy:g}")
-    if max(abs(skew), abs(below)) > 1e-6 * fx or matrix[2 * columns : 2 * columns + 3] != [0, 0, 1]:
-        raise InputError(f"{path}: {name}: expected rows fx 0 cx, 0 fy cy, 0 0 1 (no skew), got {matrix}")
-    model, distortion = ("plumb_bob", ()) if rectified else _distortion(path, document)
+    found = read_intrinsics(path, rectified=rectified, side=side)
+    notes = found.notes
+    if found.size is None:
+        if size is None:
+            raise InputError(f"{path}: image size: not stated in the file; expected it to be given, in pixels")
+        if not (0 <= found.cx < size[0] and 0 <= found.cy < size[1]):
+            raise InputError(
+                f"{path}: principal point: expected one within images of {size[0]} x {size[1]}, "
+                f"got {found.cx:g}, {found.cy:g}: the calibration is of another size, which the file does not state"
+            )
+        notes = (*notes, f"the camera file states no image size: taken to be {size[0]} x {size[1]}, that of the frames")
+    width, height = found.size or size or (0, 0)
     try:
-        return Camera(width, height, fx, fy, cx, cy, distortion, model)
+        camera = Camera(width, height, found.fx, found.fy, found.cx, found.cy, found.distortion, found.model)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    return CameraFile(camera, found.kind, notes)
 
 
-def _distortion(path: str | Path, document: Mapping[str, Any]) -> tuple[str, tuple[float, ...]]:
-    """Distortion model and its coefficients; an unnamed model will do where there is no distortion."""
-    name, entry = _field(path, document, _DISTORTION)
-    coefficients = tuple(_numbers(path, name, entry))
-    given = document.get("distortion_model")
-    if given in (None, "") and not any(coefficients):
-        return "plumb_bob", ()
-    if not isinstance(given, str) or given not in _MODELS:
-        names = ", ".join(nearest_first(given[:60], _MODELS) if isinstance(given, str) else _MODELS)
-        raise InputError(f"{path}: distortion_model: expected one of {names}, got {shown(given)}")
-    return _MODELS[given], coefficients
+def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
+    """Read what a camera file states, as ``read_camera_file`` does, without need of the images' size."""
+    where, document = str(path), _document(path)
+    for is_kind, read_kind in _KINDS:
+        if is_kind(document):
+            return read_kind(where, document, rectified=rectified, side=side)
+    raise unknown_layout(where, document)
 
 
-def _field(path: str | Path, document: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, Any]:
-    """Name and value of the first of several names that the document has."""
-    for name in names:
-        if document.get(name) is not None:
-            return name, document[name]
-    raise InputError(f"{path}: {names[0]}: missing (expected {' or '.join(names)})")
-
-
-def _size(path: str | Path, document: Mapping[str, Any], names: tuple[str, ...]) -> int:
-    name, value = _field(path, document, names)
-    number = _number(value)
-    if number is None or not math.isfinite(number) or number != int(number) or number <= 0:
-        raise InputError(f"{path}: {name}: expected a positive whole number of pixels, got {shown(value)}")
-    return int(number)
-
-
-def _numbers(path: str | Path, name: str, entry: Any, count: int | None = None) -> list[float]:
-    """Finite numbers of a flat list, or of the ``data`` of a mapping."""
-    if isinstance(entry, Mapping):
-        name, entry = f"{name}.data", entry.get("data")
-    expected = f"{count} numbers" if count else "a list of numbers"
-    if not isinstance(entry, list):
-        raise InputError(f"{path}: {name}: expected {expected}, got {shown(entry)}")
-    if count is not None and len(entry) != count:
-        raise InputError(f"{path}: {name}: expected {expected}, got {len(entry)}")
-    numbers = []
-    for value in entry:
-        number = _number(value)
-        if number is None or not math.isfinite(number):
-            raise InputError(f"{path}: {name}: expected finite numbers, got {shown(value)}")
-        numbers.append(number)
-    return numbers
-
-
-def _number(value: Any) -> float | None:
-    """Float of a number or of its text (YAML 1.1 takes 1e-05 for text), None of anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return None
-    try:
-        return float(value)
-    except (ValueError, OverflowError):
-        return None
-
-
-def _refuse_region(path: str | Path, document: Mapping[str, Any], width: int, height: int) -> None:
-    """Refuse a message whose images are a part of the sensor's: their pixels count from another corner."""
-    roi = document.get("roi")
-    if not isinstance(roi, Mapping):
-        return
-    sizes = {"x_offset": (0,), "y_offset": (0,), "width": (0, width), "height": (0, height)}
-    for key, whole in sizes.items():
-        if roi.get(key, 0) not in whole:
-            raise InputError(f"{path}: roi.{key}: expected images of the whole sensor, got {shown(roi[key])}")
+def _document(path: str | Path) -> dict[str, Any]:
+    """Read the fields of a YAML or XML file as plain values."""
+    data = read_bytes(path, expected=_EXPECTED, largest=_LARGEST)
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return read_storage_xml(str(path), parse_xml(Path(path), data))
+    return read_yaml_mapping(path, expected=_EXPECTED)

@@ -1,7 +1,11 @@
-"""Small YAML files from strangers: plain data only, and nothing that unfolds into more than was written."""
+"""Small YAML files from strangers: plain data only, and nothing that unfolds into more than was written.
+
+OpenCV's dialect is read too: its first line ``%YAML:1.0`` is no directive that YAML knows, and its matrices are tagged.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +19,19 @@ _LARGEST = 1_000_000  # bytes
 _DEEPEST = 20  # mappings and lists within each other
 _LONGEST = 1_000  # characters of a value; Python's integers take quadratic time to read
 _MOST_ITEMS = 20_000  # PyYAML takes seconds for a megabyte of tiny items
+_OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
+
+
+class _Loader(yaml.SafeLoader):
+    """A safe loader for which OpenCV's matrices are plain mappings."""
+
+
+def _matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    return loader.construct_mapping(node, deep=True)
+
+
+for _tag in ("opencv-matrix", "opencv-nd-matrix"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _matrix)
 
 
 def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
@@ -27,10 +44,10 @@ def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
     InputError
         Not readable, larger than 1 MB, not YAML, aliases, nested too deeply, or not a mapping.
     """
-    text = read_text(path, expected=expected, largest=_LARGEST)
+    text = _OPENCV_HEADER.sub("", read_text(path, expected=expected, largest=_LARGEST))
     try:
         _refuse_bombs(path, text)
-        document = next(iter(yaml.safe_load_all(text)), None)
+        document = next(iter(yaml.load_all(text, Loader=_Loader)), None)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({line}{error.problem})") from None
