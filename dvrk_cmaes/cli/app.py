@@ -12,6 +12,7 @@ from dvrk_cmaes import __version__
 from dvrk_cmaes.cli.consistency import consistency
 from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
+from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.terminal import complain
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
@@ -28,6 +29,7 @@ Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input,
 app.command(estimate)
 app.command(demo)
 app.command(consistency)
+app.command(import_recording, name="import")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

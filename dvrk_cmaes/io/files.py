@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -25,26 +27,38 @@ def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:
     InputError
         Missing, a directory or device, not readable, empty, or too large.
     """
-    file = Path(path)
+    with _reason_given(path, expected):
+        check_file(path, expected=expected, largest=largest)
+        data = Path(path).read_bytes()
+    if not data:
+        raise InputError(f"{path}: expected {expected}, got an empty file")
+    return data
+
+
+def check_file(path: str | Path, *, expected: str, largest: int | None = None) -> None:
+    """Refuse, unread, what is not a regular file or is larger than ``largest`` bytes; as ``read_bytes`` does."""
+    with _reason_given(path, expected):
+        status = Path(path).stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise InputError(f"{path}: expected {expected}, got a directory")
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path}: expected {expected}, got something that is not a regular file")
+    if largest is not None and status.st_size > largest:
+        raise InputError(
+            f"{path}: expected {expected} of at most {largest / 1e6:g} MB, got {status.st_size / 1e6:.1f} MB"
+        )
+
+
+@contextmanager
+def _reason_given(path: str | Path, expected: str) -> Iterator[None]:
+    """Say in one line why the system does not give a file."""
     try:
-        status = file.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise InputError(f"{path}: expected {expected}, got a directory")
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{path}: expected {expected}, got something that is not a regular file")
-        if status.st_size > largest:
-            raise InputError(
-                f"{path}: expected {expected} of at most {largest / 1e6:g} MB, got {status.st_size / 1e6:.1f} MB"
-            )
-        data = file.read_bytes()
+        yield
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; expected {expected}") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise InputError(f"{path}: not readable ({reason}); expected {expected}") from None
-    if not data:
-        raise InputError(f"{path}: expected {expected}, got an empty file")
-    return data
 
 
 def read_text(path: str | Path, *, expected: str, largest: int) -> str:

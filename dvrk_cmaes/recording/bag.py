@@ -1,0 +1,171 @@
+"""ROS recordings without ROS, read by the library rosbags: a .bag of ROS 1, a folder (sqlite3 or MCAP) of ROS 2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.library_errors import one_line
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
+from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
+from dvrk_cmaes.recording.reading_table import read_reading_table
+from dvrk_cmaes.recording.recording import RecordedImage, Recording
+from dvrk_cmaes.recording.topics import TopicChoice, Topics, choose_topics
+from dvrk_cmaes.timed_readings import TimedReadings
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+"""Of files that are ROS recordings; a folder may be one too."""
+
+
+@contextmanager
+def open_bag(
+    path: Path,
+    asked: TopicChoice,
+    *,
+    recorded_times: bool = False,
+    camera: Path | None = None,
+    joints: Path | None = None,
+) -> Iterator[Recording]:
+    """Open a ROS recording; readings and camera are read at once, images as they are asked for.
+
+    Parameters
+    ----------
+    path
+        A .bag, .mcap or .db3 file, or a folder with metadata.yaml.
+    asked
+        Topics that were asked for; the others are found.
+    recorded_times
+        Take the times at which messages were recorded instead of those in their headers. Also done, and noted, where
+        headers have none.
+    camera, joints
+        A camera file, and a table of readings over time, to take instead of the recording's topics.
+
+    Raises
+    ------
+    InputError
+        rosbags is not installed, the recording is damaged, a topic is missing or one of several, or a message will
+        not do.
+    """
+    with _open(path) as reader, _damage_refused(path):
+        types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
+        topics = choose_topics(path, types, asked, camera=camera is None, joints=joints is None)
+        used = [name for name in (topics.joints, topics.jaw) if name is not None]
+        notes = [f"images: {topics.image}"]
+        if "rect" in topics.image.rpartition("/")[2] or "_rect" in topics.image:
+            notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified to estimate")
+        lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
+        notes.append(f"camera: {camera or topics.camera}{changes}")
+        without = [name for name in (topics.image, *used) if stamp(_first(reader, name)) == 0]
+        if without and not recorded_times:
+            notes.append(f"times: those of recording, for headers on {', '.join(without)} have none")
+        else:
+            notes.append(f"times: {'those of recording' if recorded_times else 'those of the headers'}")
+        by_recording = recorded_times or bool(without)
+        readings = [_readings(reader, path, name, by_recording) for name in used]
+        if joints is not None:
+            readings.append(read_reading_table(joints))
+        notes += [f"{' '.join(one.joints)}: {one.source}" for one in readings]
+        if topics.joints is not None and topics.jaw is None:
+            notes.append("jaw: no topic beside the arm's, so no readings")
+        total = sum(one.msgcount for one in reader.connections if one.topic == topics.image)
+        images = _images(reader, path, topics.image, by_recording)
+        yield Recording(path, images, total, lens, tuple(readings), tuple(notes))
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[AnyReader]:
+    """Open a recording with rosbags."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise InputError(
+            f"{path}: ROS recordings are read by the library rosbags, which is not installed; "
+            "run: pip install 'rosbags>=0.11,<0.12'"
+        ) from None
+    if not path.is_dir():
+        check_file(path, expected="a ROS recording")
+    elif not (path / "metadata.yaml").is_file():
+        raise InputError(
+            f"{path}: expected a ROS 2 recording, got a folder without metadata.yaml "
+            "(give its .mcap or .db3 file, or run: ros2 bag reindex)"
+        )
+    with _damage_refused(path):
+        # before Iron, ROS 2 recorded no definitions; those of sensor_msgs have not changed since
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _damage_refused(path: Path) -> Iterator[None]:
+    """Refuse what the library stumbles over: parsers raise anything, from AssertionError to MemoryError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: expected a ROS recording, got one that cannot be read: {one_line(error)}") from None
+
+
+def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[int, Any]]:
+    """Messages of a topic in the order of the recording, with the time each was recorded at, ns."""
+    connections = [one for one in reader.connections if one.topic == topic]
+    for connection, time, data in reader.messages(connections):
+        yield time, reader.deserialize(data, connection.msgtype)
+
+
+def _first(reader: AnyReader, topic: str) -> Any:
+    for _, message in _messages(reader, topic):
+        return message
+    raise InputError(f"{topic}: expected messages, got none")
+
+
+def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
+    """Give the first camera file of a recording, and say so where later ones differ."""
+    assert topics.camera is not None
+    name = topics.image.strip("/").replace("/", "_")
+    first: bytes | None = None
+    others = 0
+    for _, message in _messages(reader, topics.camera):
+        file = camera_file(message, name)
+        others += first not in (None, file)
+        first = file if first is None else first
+    if first is None:
+        raise InputError(f"{path}: {topics.camera}: expected a message, got none")
+    return first, f" (the first: {others} later messages differ from it)" if others else ""
+
+
+def _readings(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> TimedReadings:
+    """Read all readings of a topic."""
+    where = f"{path}: {topic}"
+    names: tuple[str, ...] | None = None
+    times: list[int] = []
+    rows: list[list[float]] = []
+    for time, message in _messages(reader, topic):
+        names = names or joint_names(message, where)
+        rows.append(joint_values(message, names, where))
+        times.append(time if recorded_times else stamp(message))
+    return TimedReadings.of(topic, names or (), times, rows)
+
+
+def _images(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:
+    """Images of a topic; one is decoded and encoded only when it is loaded."""
+    with _damage_refused(path):
+        for number, (time, message) in enumerate(_messages(reader, topic)):
+            where = f"{path}: {topic}: image {number}"
+            yield RecordedImage(
+                number,
+                time if recorded_times else stamp(message),
+                lambda message=message, where=where: image_file(message, where),  # type: ignore[misc]
+            )

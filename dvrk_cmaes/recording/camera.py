@@ -1,0 +1,55 @@
+"""The camera file of a session: one that lies beside the recording, or what a CameraInfo message says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dvrk_cmaes.io.camera_file import read_camera_file
+from dvrk_cmaes.io.files import read_bytes
+
+_LARGEST = 1_000_000  # bytes
+
+
+def read_camera_bytes(path: Path) -> bytes:
+    """Read a camera file as it is, once it is known to be one; InputError if it is not."""
+    read_camera_file(path)
+    return read_bytes(path, expected="a camera file", largest=_LARGEST)
+
+
+def camera_file(message: Any, name: str) -> bytes:
+    """Camera of a sensor_msgs/CameraInfo as the YAML file that ROS' camera_calibration writes.
+
+    Parameters
+    ----------
+    message
+        Of ROS 1 (K, D, R, P) or ROS 2 (k, d, r, p).
+    name
+        The camera's, e.g. its frame.
+    """
+    shapes = {"K": (3, 3), "R": (3, 3), "P": (3, 4)}
+    fields = {"K": "camera_matrix", "R": "rectification_matrix", "P": "projection_matrix"}
+
+    def numbers(letter: str) -> list[float]:
+        values = getattr(message, letter, None)
+        return [float(v) for v in (getattr(message, letter.lower()) if values is None else values)]
+
+    distortion = numbers("D")
+    document: dict[str, Any] = {
+        "image_width": int(message.width),
+        "image_height": int(message.height),
+        "camera_name": name,
+        "distortion_model": str(message.distortion_model),
+        "distortion_coefficients": {"rows": 1, "cols": len(distortion), "data": distortion},
+    }
+    for letter, field in fields.items():
+        rows, columns = shapes[letter]
+        document[field] = {"rows": rows, "cols": columns, "data": numbers(letter)}
+    region = message.roi
+    document["roi"] = {key: int(getattr(region, key)) for key in ("x_offset", "y_offset", "height", "width")}
+    if not any(document["roi"].values()):
+        del document["roi"]
+    text: str = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    return text.encode("utf-8")

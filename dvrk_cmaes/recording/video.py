@@ -1,0 +1,98 @@
+"""A video, by OpenCV, and the camera and readings that lie beside it in files of their own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.image_header import MOST_PIXELS
+from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.messages import encoded
+from dvrk_cmaes.recording.reading_table import read_reading_table
+from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
+from dvrk_cmaes.timed_readings import NANOSECONDS
+
+_EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
+_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
+
+
+@contextmanager
+def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: float = 0.0) -> Iterator[Recording]:
+    """Open a video; images are decoded as they are asked for.
+
+    Parameters
+    ----------
+    path
+        The video.
+    camera, joints
+        Its camera file, and its readings over time; both are needed.
+    start
+        Time of the video's first frame on the clock of the readings, s.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or wrong, or a video of which no frame can be read.
+    """
+    check_file(path, expected=_EXPECTED)
+    if camera is None or joints is None:
+        missing = "--camera" if camera is None else "--joints"
+        raise InputError(f"{path}: {missing}: a video needs a camera file and a table of readings; got none")
+    lens, readings = read_camera_bytes(camera), read_reading_table(joints)
+    with _captured(path) as capture:
+        total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        notes = (
+            f"camera: {camera}",
+            f"{' '.join(readings.joints)}: {joints}",
+            f"times: the video's, its first frame at {start:g} s of the readings' clock",
+        )
+        images = _images(path, capture, round(start * NANOSECONDS))
+        yield Recording(path, images, total if total > 0 else None, lens, (readings,), notes)
+
+
+@contextmanager
+def _captured(path: Path) -> Iterator[Any]:
+    """Open a video with FFmpeg, which comes with OpenCV and is kept from printing; other readers guess at names."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    before = os.environ.get("OPENCV_FFMPEG_LOGLEVEL")
+    os.environ["OPENCV_FFMPEG_LOGLEVEL"] = before or _QUIET
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            raise InputError(f"{path}: expected {_EXPECTED}, got something else or a damaged file")
+        width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MOST_PIXELS:
+            raise InputError(f"{path}: expected at most {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
+        yield capture
+    finally:
+        capture.release()
+        cv2.utils.logging.setLogLevel(level)
+        if before is None:
+            del os.environ["OPENCV_FFMPEG_LOGLEVEL"]
+
+
+def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:
+    """Frames of a video, each at the time that the video states for it."""
+    number, before = 0, -1
+    while capture.grab():
+        time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+        if time <= before:
+            raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
+        yield RecordedImage(number, start + time, lambda number=number: _decoded(path, capture, number))  # type: ignore[misc]
+        number, before = number + 1, time
+
+
+def _decoded(path: Path, capture: Any, number: int) -> ImageFile:
+    found, pixels = capture.retrieve()
+    if not found:
+        raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
+    return encoded(np.asarray(pixels, np.uint8))
