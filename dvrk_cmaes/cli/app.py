@@ -12,7 +12,9 @@ from dvrk_cmaes import __version__
 from dvrk_cmaes.cli.consistency import consistency
 from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
+from dvrk_cmaes.cli.export import export
 from dvrk_cmaes.cli.import_recording import import_recording
+from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.terminal import complain
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
@@ -28,7 +30,9 @@ Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input,
 )
 app.command(estimate)
 app.command(demo)
+app.command(export)
 app.command(consistency)
+app.command(pnp)
 app.command(import_recording, name="import")
 
 

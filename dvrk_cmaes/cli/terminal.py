@@ -26,6 +26,11 @@ def warn(message: str) -> None:
     print("dvrk-cmaes: warning:", message, file=sys.stderr)
 
 
+def note(message: str) -> None:
+    """Say on stderr how a result came about that goes to stdout alone."""
+    print("dvrk-cmaes:", message, file=sys.stderr)
+
+
 def show(lines: Iterable[Line]) -> None:
     """Print lines on stdout, with their styles if that is a terminal."""
     if not sys.stdout.isatty():

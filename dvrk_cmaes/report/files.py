@@ -24,6 +24,12 @@ def overlay_path(out: Path, frame: str) -> Path:
     return out / "overlays" / f"{frame}.jpg"
 
 
+def check_frame_name(frame: str) -> None:
+    """Refuse, by `InputError`, a frame's name that files and folders cannot have."""
+    if not frame or "/" in frame or os.sep in frame or frame.startswith(".") or not frame.isprintable():
+        raise InputError(f"frame: expected a name that can be a file's (no slash, no leading dot), got {shown(frame)}")
+
+
 def check_output(out: Path, frame: str) -> None:
     """Refuse, before any work is done, a frame's name or a folder that its files cannot be written to.
 
@@ -32,8 +38,7 @@ def check_output(out: Path, frame: str) -> None:
     InputError
         A name that is not one of a file, a file where the folder should be, or a folder that may not be written to.
     """
-    if not frame or "/" in frame or os.sep in frame or frame.startswith(".") or not frame.isprintable():
-        raise InputError(f"frame: expected a name that can be a file's (no slash, no leading dot), got {shown(frame)}")
+    check_frame_name(frame)
     for folder in (result_path(out, frame).parent, overlay_path(out, frame).parent):
         there = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
         if not there.is_dir():

@@ -1,0 +1,38 @@
+"""A calibration as easy_handeye2 keeps it: ``NAME.calib``, type eye_on_base.
+
+Its transform is ``base_from_camera``: the camera's pose in the robot's base, the inverse of what all other exports say.
+Its publisher broadcasts it from the robot's base frame (parent) to the camera's (child).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.rotations import quaternion_xyzw
+from dvrk_cmaes.geometry import inverse
+
+
+def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
+    """Text of the file by its name; it belongs into ``~/.ros2/easy_handeye2/calibrations``."""
+    names.check_tf()
+    name = f"{names.arm}_camera"
+    base_from_camera = inverse(camera_from_base)
+    translation = base_from_camera[:3, 3].tolist()
+    document = {
+        "parameters": {
+            "name": name,
+            "calibration_type": "eye_on_base",
+            "robot_base_frame": names.base,
+            "robot_effector_frame": f"{names.arm}_tool",
+            "tracking_base_frame": names.camera,
+            "tracking_marker_frame": f"{names.arm}_instrument",
+        },
+        "transform": {
+            "translation": dict(zip("xyz", translation, strict=True)),
+            "rotation": dict(zip("xyzw", quaternion_xyzw(base_from_camera), strict=True)),
+        },
+    }
+    return {f"{name}.calib": yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}

@@ -1,0 +1,60 @@
+"""All formats by name: what each says, in which direction, and the files that it makes of a source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from dvrk_cmaes.export.base_choice import ChosenBase
+from dvrk_cmaes.export.bop import bop_files
+from dvrk_cmaes.export.dvrk_registration import registration_files
+from dvrk_cmaes.export.easy_handeye import calibration_file
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.pose_table import pose_rows, table_text
+from dvrk_cmaes.export.source import ExportSource
+from dvrk_cmaes.export.tf import publisher_file
+from dvrk_cmaes.export.tracker import tracker_files
+
+Format = Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker"]
+
+DIRECTIONS: Final[dict[Format, str]] = {
+    "dvrk": "camera_from_base, m, in OpenCV's and in the dVRK's camera axes",
+    "easy-handeye": "base_from_camera, m: the camera in the arm's base",
+    "tf": "camera_from_base, m: parent the camera, child the arm's base",
+    "bop": "camera_from_root, mm",
+    "csv": "camera_from_root and camera_from_base, mm, quaternions xyzw",
+    "tracker": "camera_from_root, axis times angle in rad, translation in m",
+}
+
+_BASE_FILES = {"dvrk": registration_files, "easy-handeye": calibration_file, "tf": publisher_file}
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """Contents of files by name, the choice of ``camera_from_base`` where they hold one, and frames without a pose."""
+
+    files: dict[str, bytes]
+    base: ChosenBase | None = None
+    left_out: tuple[str, ...] = ()
+
+
+def export(source: ExportSource, to: Format, names: FrameNames, *, scene: int = 0, obj: int = 1) -> Exported:
+    """Make the files of a format; ``scene`` and ``obj`` are BOP's ids.
+
+    Raises
+    ------
+    InputError
+        There is no ``camera_from_base`` or no frame, where the format wants it, or a name that it cannot take.
+    """
+    if to in _BASE_FILES:
+        base = source.base()
+        texts = _BASE_FILES[to](base.camera_from_base, names)
+        return Exported({name: text.encode() for name, text in texts.items()}, base)
+    results = source.poses()
+    left_out = tuple(result.frame for result in results if result.camera_from_root is None)
+    if to == "tracker":
+        return Exported(tracker_files(results), left_out=left_out)
+    if to == "bop":
+        texts = bop_files(results, scene=scene, obj=obj)
+        return Exported({name: text.encode() for name, text in texts.items()}, left_out=left_out)
+    return Exported({"poses.csv": table_text(pose_rows(results)).encode()})

@@ -1,0 +1,36 @@
+"""Names that other programs give to coordinate frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.shown import shown
+
+
+@dataclass(frozen=True)
+class FrameNames:
+    """An arm (``PSM1``), the camera's optical frame (x right, y down, z forward), and the arm's base frame.
+
+    Raises
+    ------
+    InputError
+        A name that is empty or holds a blank, a control character or, for the arm, a slash.
+    """
+
+    arm: str = "PSM1"
+    camera: str = "camera"
+    base: str = "PSM1_base"
+
+    def __post_init__(self) -> None:
+        for option, name in (("--arm", self.arm), ("--camera-frame", self.camera), ("--base-frame", self.base)):
+            if not name or not name.isprintable() or any(letter.isspace() for letter in name):
+                raise InputError(f"{option}: expected a name without blanks, got {shown(name)}")
+        if "/" in self.arm or self.arm.startswith("."):
+            raise InputError(f"--arm: expected a name that can begin a file's, e.g. PSM1, got {shown(self.arm)}")
+
+    def check_tf(self) -> None:
+        """Refuse what tf2 refuses: names that begin with a slash."""
+        for option, name in (("--camera-frame", self.camera), ("--base-frame", self.base)):
+            if name.startswith("/"):
+                raise InputError(f"{option}: expected a name as tf2 knows them, without a leading slash, got {name!r}")

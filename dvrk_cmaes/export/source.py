@@ -1,0 +1,85 @@
+"""What is exported: a folder of results, one result, or a session calibration, found by looking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_frames, base_of_session
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.results_folder import SESSION, read_results, result_paths
+from dvrk_cmaes.io.shown import listed, shown
+from dvrk_cmaes.report.files import check_frame_name
+from dvrk_cmaes.result import Result
+
+_EXPECTED = "a result or a session calibration (JSON), or a folder of them"
+
+
+@dataclass(frozen=True, eq=False)
+class ExportSource:
+    """Results in the order of their names, none for a calibration alone, and the calibration's document, if any.
+
+    ``single`` says that there is one result because only one was asked for.
+    """
+
+    path: Path
+    results: Sequence[Result]
+    session: dict[str, Any] | None
+    single: bool
+
+    def poses(self) -> Sequence[Result]:
+        """Results, of which there must be some whose names can be a file's; raises `InputError` otherwise."""
+        if not self.results:
+            raise InputError(f"{self.path}: expected results of frames, got a session calibration only")
+        for result in self.results:
+            check_frame_name(result.frame)
+        return self.results
+
+    def base(self) -> ChosenBase:
+        """Choose ``camera_from_base`` by the rule of ``base_choice``; raises `InputError` where there is none."""
+        if self.session is not None:
+            return base_of_session(str(self.path / SESSION if self.path.is_dir() else self.path), self.session)
+        if self.single:
+            return base_of_frame(str(self.path), self.results[0])
+        return base_of_frames(str(self.path), self.results)
+
+
+def read_source(path: Path, frame: str | None = None) -> ExportSource:
+    """Read what lies at a path; with ``frame``, that frame's result only.
+
+    A JSON file without ``camera_from_root`` that has a ``camera_from_base`` is a session calibration.
+
+    Raises
+    ------
+    InputError
+        As the readers; a frame that is not among the results.
+    """
+    if path.is_dir():
+        return _folder(path, frame)
+    document = read_json_object(path, expected=_EXPECTED)
+    if "camera_from_root" not in document and "camera_from_base" in document:
+        if frame is not None:
+            raise InputError(f"--frame: expected no frame of a session calibration, got {shown(frame)}")
+        return ExportSource(path, (), document, single=False)
+    if document.get("frame") is None:
+        document["frame"] = path.stem
+    result = Result.from_dict(document, where=str(path))
+    if frame is not None and frame != result.frame:
+        raise InputError(f"{path}: frame: expected {shown(frame)}, got {shown(result.frame)}")
+    return ExportSource(path, (result,), None, single=True)
+
+
+def _folder(path: Path, frame: str | None) -> ExportSource:
+    if frame is None and (path / SESSION).exists() and not result_paths(path):
+        session = read_json_object(path / SESSION, expected="a session calibration (session.json)")
+        return ExportSource(path, (), session, single=False)
+    folder = read_results(path)
+    if frame is None:
+        return ExportSource(path, tuple(folder.frames.values()), folder.session, single=False)
+    if frame not in folder.frames:
+        near = listed(nearest_first(frame, folder.frames))
+        raise InputError(f"{path}: frame: expected one of {len(folder.frames)} frames ({near}), got {shown(frame)}")
+    return ExportSource(path, (folder.frames[frame],), None, single=True)

@@ -1,0 +1,32 @@
+"""``camera_from_base`` as a static transform of ROS 2: parent the camera's optical frame, child the arm's base."""
+
+from __future__ import annotations
+
+import shlex
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.rotations import quaternion_xyzw
+
+
+def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) -> str:
+    """Give the shell command, one line, that publishes it; m, quaternion xyzw."""
+    names.check_tf()
+    values = [*camera_from_base[:3, 3].tolist(), *quaternion_xyzw(camera_from_base)]
+    options = (
+        f"--{name} {value:.12f}" for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), values, strict=True)
+    )
+    return " ".join(
+        (
+            "ros2 run tf2_ros static_transform_publisher",
+            *options,
+            f"--frame-id {shlex.quote(names.camera)} --child-frame-id {shlex.quote(names.base)}",
+        )
+    )
+
+
+def publisher_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
+    """Text of a file with the command, by the file's name."""
+    return {f"{names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}

@@ -1,0 +1,56 @@
+"""Where a tracker may start: the NumPy files that online_dvrk_tracking reads, a folder a frame.
+
+``optimized_ctr.npy`` (6,): ``camera_from_root`` as axis times angle (rad), then translation (m).
+``optimized_joint_angles.npy`` (4,): wrist pitch, wrist yaw, and the jaws' own angles, jaw_2 before jaw_1, each from the
+middle plane, so that the opening ``jaw`` is their sum; rad. Both float32, as that program writes them.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.export.rotations import rotation_vector
+from dvrk_cmaes.result import Result
+
+POSE, JOINTS = "optimized_ctr.npy", "optimized_joint_angles.npy"
+
+
+def tracker_files(results: Sequence[Result]) -> dict[str, bytes]:
+    """Contents of the files by ``FRAME/NAME``; frames without a pose have none.
+
+    Raises
+    ------
+    InputError
+        A result without wrist pitch, wrist yaw or jaw: the tracker knows no other instruments.
+    """
+    files: dict[str, bytes] = {}
+    for result in results:
+        if result.camera_from_root is not None:
+            files[f"{result.frame}/{POSE}"] = _npy(pose_vector(result.camera_from_root))
+            files[f"{result.frame}/{JOINTS}"] = _npy(joint_vector(result))
+    return files
+
+
+def pose_vector(camera_from_root: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Axis times angle, rad, then translation, m, (6,), of a pose (4, 4)."""
+    return np.concatenate([rotation_vector(camera_from_root), camera_from_root[:3, 3]]).astype(np.float32)
+
+
+def joint_vector(result: Result) -> NDArray[np.float32]:
+    """Wrist pitch, wrist yaw, jaw_2, jaw_1 (4,), rad; raises as ``tracker_files``."""
+    missing = [name for name in ("wrist_pitch", "wrist_yaw", "jaw") if name not in result.joints]
+    if missing:
+        raise InputError(f"{result.frame}: joints: expected wrist_pitch, wrist_yaw and jaw, got no {missing[0]}")
+    half = result.joints["jaw"] / 2  # this program's jaws open alike
+    return np.array([result.joints["wrist_pitch"], result.joints["wrist_yaw"], half, half], dtype=np.float32)
+
+
+def _npy(array: NDArray[np.float32]) -> bytes:
+    data = io.BytesIO()
+    np.save(data, array, allow_pickle=False)
+    return data.getvalue()
