@@ -65,7 +65,7 @@ def segment(
     if model == "sam2":
         if weights is None:
             raise InputError("weights: model sam2 needs the folder of an exported checkpoint")
-        from dvrk_cmaes.segment.sam2 import Sam2
+        from dvrk_cmaes.segment.sam2 import segment_sam2
 
-        return Sam2(Path(weights), threads).segment(image, box, points, not_points)
+        return segment_sam2(image, Path(weights), threads, box=box, points=points, not_points=not_points)
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")

@@ -1,0 +1,283 @@
+"""Finding the two files of a Segment Anything 2 export in a folder, whatever they are called.
+
+Every model in the folder is opened, and known by the names of its tensors; those that are opened are kept. What cannot
+serve is refused by name: other families, video modules, damaged or incomplete downloads, several sizes side by side.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.instrument.library_errors import one_line
+from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.segment.sam2_exports import FAMILIES, Family, Tensors
+from dvrk_cmaes.segment.sam2_images import SIDE
+
+INSTEAD = (
+    f"use an image encoder and decoder exported by {', '.join(family.name for family in FAMILIES[:-1])} "
+    f"or {FAMILIES[-1].name}"
+)
+_DTYPES = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+}
+_PRECISIONS = ("", "_fp16", "_quantized", "_int8", "_uint8", "_q4", "_q4f16", "_bnb4")  # of one model, best first
+_MOST_FILES = 8
+_INSTALL = "pip install 'onnxruntime>=1.20,<2'"
+_FOREIGN = (  # a tensor's name that gives away a part of another kind of export
+    (r"mem|obj_ptr|object_pointer|feats2", "a part of a video export, which needs the memory of earlier frames"),
+    (r"sparse_|dense_|image_pe", "a part of an export that keeps prompts and masks in files of their own"),
+    (r"image_positional_embeddings", "a part of an export of the first Segment Anything"),
+    (r"text|language|fpn_|vision_pos_enc|backbone_fpn", "a part of another export, of more than two files"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An open model: its file, onnxruntime's session, and its tensors' types and shapes by name, in their order."""
+
+    file: Path
+    session: Any
+    inputs: dict[str, tuple[str, list[int | str | None]]]
+    outputs: dict[str, tuple[str, list[int | str | None]]]
+
+    def run(self, tensors: Tensors) -> list[NDArray[Any]]:
+        """Run the model on what it takes of these tensors, in the types it declares.
+
+        Raises
+        ------
+        DvrkCmaesError
+            The model fails on them.
+        """
+        feeds = {name: tensors[name].astype(_DTYPES[kind], copy=False) for name, (kind, _) in self.inputs.items()}
+        try:
+            return [np.asarray(output) for output in self.session.run(None, feeds)]
+        except Exception as error:  # onnxruntime's errors have no base of their own
+            raise DvrkCmaesError(f"{self.file}: the model failed: {one_line(error)}") from None
+
+    def output(self, outputs: list[NDArray[Any]], key: str | int) -> NDArray[Any]:
+        """Pick one of the outputs of `run` by its name or position."""
+        return outputs[list(self.outputs).index(key) if isinstance(key, str) else key]
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """The encoder and the decoder of one export, and what was noticed in choosing them."""
+
+    family: Family
+    encoder: Model
+    decoder: Model
+    notes: tuple[str, ...]
+
+
+def open_export(folder: Path, threads: int) -> Export:
+    """Open the encoder and the decoder in a folder, or in ``onnx/`` below it.
+
+    Parameters
+    ----------
+    folder
+        Holds one export: two .onnx files, and the files beside them where they keep their weights apart.
+    threads
+        How many threads each model uses.
+
+    Raises
+    ------
+    InputError
+        onnxruntime is not installed, the folder is not there, or holds no pair that can be used; the message says
+        why, and what to use instead.
+    """
+    if importlib.util.find_spec("onnxruntime") is None:
+        raise InputError("model sam2: needs the library onnxruntime, which is not installed; run: " + _INSTALL)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected the folder of an exported checkpoint, got {_what(folder)}")
+    files = _models_in(folder) or _models_in(folder / "onnx")
+    if not files:
+        raise InputError(f"{folder}: expected an exported checkpoint, got no .onnx file; {INSTEAD}")
+    if len(files) > _MOST_FILES:
+        raise InputError(f"{folder}: expected one encoder and one decoder, got {len(files)} models; keep one pair")
+    models, broken, foreign = [], [], []
+    for file in files:
+        try:
+            models.append(_open(file, threads))
+        except InputError as error:
+            broken.append(str(error))
+    encoders: dict[str, list[Model]] = {}
+    decoders: dict[str, list[Model]] = {}
+    for model in models:
+        for family in FAMILIES:
+            if _is_encoder(model, family):
+                encoders.setdefault(family.name, []).append(model)
+                break
+            if _is_decoder(model, family):
+                decoders.setdefault(family.name, []).append(model)
+                break
+        else:
+            foreign.append(_why_not(model))
+    pairs = [family for family in FAMILIES if family.name in encoders and family.name in decoders]
+    if not pairs:
+        raise InputError(_unpaired(folder, encoders, decoders, broken, foreign))
+    found = [model for family in pairs for model in encoders[family.name]]
+    wanted = [model for family in pairs for model in _with_most_masks(decoders[family.name], family)]
+    if len(found) > 1 or len(wanted) > 1:
+        raise InputError(
+            f"{folder}: expected one encoder and one decoder, got the encoders {_names(found)} "
+            f"and the decoders {_names(wanted)}; keep one pair"
+        )
+    notes = tuple(f"not used: {reason}" for reason in (*broken, *foreign))
+    encoder, decoder = found[0], wanted[0]
+    _check(encoder, decoder, pairs[0])
+    return Export(pairs[0], encoder, decoder, notes)
+
+
+def _what(folder: Path) -> str:
+    return "a file" if folder.exists() else "no such folder"
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """List the models of a folder, each in its best precision only (model.onnx, not model_int8.onnx beside it)."""
+    best: dict[str, tuple[int, Path]] = {}
+    for file in sorted(folder.glob("*.onnx")):
+        suffix = next((end for end in _PRECISIONS[1:] if file.stem.endswith(end)), "")
+        rank = _PRECISIONS.index(suffix)
+        stem = file.stem.removesuffix(suffix)
+        if stem not in best or rank < best[stem][0]:
+            best[stem] = (rank, file)
+    return sorted(file for _, file in best.values())
+
+
+def _open(file: Path, threads: int) -> Model:
+    """Open one model; InputError if onnxruntime cannot read the file."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # fatal only: what fails is raised as well
+    options.use_deterministic_compute = True
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads leave the cores alone
+    try:
+        session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors have no base of their own
+        raise InputError(f"{file}: {_why_not_read(file, error, onnxruntime.__version__)}") from None
+    return Model(
+        file,
+        session,
+        {tensor.name: (tensor.type, tensor.shape) for tensor in session.get_inputs()},
+        {tensor.name: (tensor.type, tensor.shape) for tensor in session.get_outputs()},
+    )
+
+
+def _why_not_read(file: Path, error: Exception, version: str) -> str:
+    """Say why onnxruntime refused a file, and what to do."""
+    text = " ".join(str(error).split())
+    try:
+        with file.open("rb") as start:
+            pointer = start.read(64).startswith(b"version https://git-lfs")
+    except OSError as refused:
+        return f"not readable ({refused.strerror}); expected a model"
+    if pointer:
+        return "expected a model, got only Git LFS's pointer to it; download the file itself (git lfs pull)"
+    missing = re.search(r'External data path does not exist: "?([^"]+)"?', text)
+    if missing:
+        return f"its weights are missing: expected {Path(missing[1]).name} beside it; download that file too"
+    if re.search(r"[Oo]pset \d+ is under development|Unsupported model IR version", text):
+        return f"made for a newer onnxruntime than the {version} installed; pip install --upgrade onnxruntime"
+    if re.search(r"INVALID_PROTOBUF|No graph was found", text):
+        return "expected a model, got a file that is damaged, cut off or something else; download it again"
+    return f"onnxruntime {version} does not read it: {one_line(error)}"
+
+
+def _named(names: Sequence[str], keys: Iterable[str | int]) -> bool:
+    """Whether all these names and positions are among the tensors."""
+    return all(key in names if isinstance(key, str) else key < len(names) for key in keys)
+
+
+def _is_encoder(model: Model, family: Family) -> bool:
+    if list(model.inputs) != [family.image] or not _named(list(model.outputs), family.encoded):
+        return False
+    by_position = any(isinstance(key, int) for key in family.encoded)
+    return not by_position or len(model.outputs) == len(family.encoded)
+
+
+def _is_decoder(model: Model, family: Family) -> bool:
+    takes, needed = frozenset(model.inputs), family.decoder_inputs - family.optional
+    return needed <= takes <= family.decoder_inputs and _named(list(model.outputs), family.outputs.values())
+
+
+def _with_most_masks(decoders: list[Model], family: Family) -> list[Model]:
+    """Of decoders that differ in how many masks they propose, keep the one with the most (three, not one)."""
+    if len(decoders) < 2:
+        return decoders
+    counts = []
+    for decoder in decoders:
+        key = family.outputs["overlaps"]
+        _, shape = decoder.outputs[key] if isinstance(key, str) else list(decoder.outputs.values())[key]
+        counts.append(shape[-1] if shape and isinstance(shape[-1], int) else 0)
+    return [decoder for decoder, count in zip(decoders, counts, strict=True) if count == max(counts)]
+
+
+def _check(encoder: Model, decoder: Model, family: Family) -> None:
+    """Refuse tensors of a type or size that nothing here can fill."""
+    _, shape = encoder.inputs[family.image]
+    side = [length for length in shape[2:] if isinstance(length, int)]
+    if len(shape) != 4 or any(length != SIDE for length in side):
+        got = " x ".join(str(length) for length in shape)
+        raise InputError(f"{encoder.file}: expected an encoder of 1 x 3 x {SIDE} x {SIDE} pixels, got {got}; {INSTEAD}")
+    for model in (encoder, decoder):
+        for name, (kind, _) in model.inputs.items():
+            if kind not in _DTYPES:
+                raise InputError(f"{model.file}: {name}: expected float32 or integers, got {kind}; {INSTEAD}")
+
+
+def _why_not(model: Model) -> str:
+    """Say of a model that is neither encoder nor decoder what it seems to be."""
+    names = [*model.inputs, *model.outputs]
+    for family in FAMILIES:
+        if frozenset(family.features) <= frozenset(model.inputs):
+            extra = frozenset(model.inputs) - family.decoder_inputs
+            lacking = family.decoder_inputs - family.optional - frozenset(model.inputs)
+            if extra or lacking:
+                told = [f"wants {listed(sorted(extra))} besides"] if extra else []
+                told += [f"has no {listed(sorted(lacking))}"] if lacking else []
+                return f"{model.file}: like a decoder of {family.name}, but it {' and '.join(told)}"
+    for pattern, meaning in _FOREIGN:
+        if any(re.search(pattern, name) for name in names):
+            return f"{model.file}: {meaning}"
+    if "image_embeddings" in names and not any("high_res" in name for name in names):
+        return f"{model.file}: a part of an export of the first Segment Anything"
+    return f"{model.file}: neither encoder nor decoder of a known export (takes {listed(model.inputs)})"
+
+
+def _unpaired(
+    folder: Path,
+    encoders: dict[str, list[Model]],
+    decoders: dict[str, list[Model]],
+    broken: list[str],
+    foreign: list[str],
+) -> str:
+    """Say what is missing for a pair, and what is there instead."""
+    there = [f"{_names(models)} (encoder of {name})" for name, models in encoders.items()]
+    there += [f"{_names(models)} (decoder of {name})" for name, models in decoders.items()]
+    others = [*broken, *foreign]
+    instead = f"; {INSTEAD}" if foreign else ""
+    if not there:
+        return "; ".join(others[:2]) + instead
+    missing = "no decoder: " if not decoders else "no encoder: " if not encoders else ""
+    found = ", ".join([*there, *(reason.removeprefix(f"{folder}/") for reason in others)])
+    return f"{folder}: {missing}expected encoder and decoder of one export, got {found}{instead}"
+
+
+def _names(models: list[Model]) -> str:
+    return listed(model.file.name for model in models)

@@ -1,0 +1,51 @@
+"""An image and its prompts as Segment Anything 2 takes them, and its masks as the image takes them.
+
+The encoder sees every image as a square of 1024 pixels: both sides are stretched to it, whatever the aspect. Prompts
+are stretched along, u 1024 / width and v 1024 / height: the model's own predictor scales them so, and every export
+adds half a pixel itself before it normalises them. Mask logits, of whatever size, are stretched back to the image
+before anything is decided by them; deciding first would leave the steps of a 256-pixel mask in the outline.
+
+Source of the numbers: `SAM2Transforms` and `SAM2ImagePredictor` in facebookresearch/sam2.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+SIDE = 1024  # of the square that the encoder sees, px
+
+_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # of ImageNet, RGB, of values 0 to 1
+_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
+
+
+def encoder_input(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Make the encoder's input, (1, 3, 1024, 1024), RGB and normalised, of an image (H, W, 3) uint8 BGR.
+
+    A side that shrinks is averaged over, one that grows is interpolated: skipped pixels would alias.
+    """
+    height, width = image.shape[:2]
+    rgb = image[:, :, ::-1].astype(np.float32) / np.float32(255)
+    small = cv2.resize(rgb, (min(width, SIDE), min(height, SIDE)), interpolation=cv2.INTER_AREA)
+    square = cv2.resize(small, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(((square - _MEAN) / _DEVIATION).transpose(2, 0, 1)[None], np.float32)
+
+
+def to_square(pixels: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Scale pixels (N, 2) of an image of this height and width to the encoder's square."""
+    height, width = shape
+    return np.asarray(pixels * (SIDE / width, SIDE / height), np.float32)
+
+
+def stretch(logits: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Interpolate mask logits (h, w) bilinearly to an image's height and width."""
+    height, width = shape
+    if logits.shape == (height, width):
+        return logits
+    return np.asarray(cv2.resize(logits, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def probability(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Turn logits of any shape into probabilities by the logistic function."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -60, 60))), np.float32)
