@@ -1,0 +1,121 @@
+"""``dvrk-cmaes pnp``: the baseline, poses of a session from points, by OpenCV's solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from dvrk_cmaes.cli.options import DEFAULT_CAMERA, DEFAULT_INSTRUMENT, FRAME, OUTPUT, CameraOptions, InstrumentOptions
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.instrument import Instrument
+    from dvrk_cmaes.io.session_folder import Session
+    from dvrk_cmaes.result import Result
+
+
+def pnp(
+    session: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(group=OUTPUT)],
+    points: Annotated[Literal["markers", "tips"], Parameter(group=FRAME)] = "markers",
+    solver: Annotated[Literal["sqpnp", "ransac"], Parameter(group=FRAME)] = "sqpnp",
+    markers: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+) -> int:
+    """Find the poses of a session from points and readings, as earlier trackers start: a baseline to compare with.
+
+    The joints are those read: points do not correct them. Results go to OUT/frames/FRAME.json, in the schema of an
+    estimate, so that every comparison takes both. Exit codes: 0 ok, 1 every frame failed, 2 wrong usage or input,
+    3 some frame is doubtful or failed.
+
+    Example:
+
+    `dvrk-cmaes pnp sessions/hard --out pnp/hard --solver ransac`
+
+    Parameters
+    ----------
+    session
+        Session folder; markers.csv in it (frame, marker, u, v), or keypoints.csv and masks for the tips.
+    out
+        Folder to write frames/FRAME.json to.
+    points
+        Painted markers that a detector found, or the two jaw tips and the shaft's edges alone.
+    solver
+        sqpnp: SQPNP on all points, then Levenberg-Marquardt. ransac: random samples of points, then the iterative
+        solver on those that agree; it needs six of them. For markers only.
+    markers
+        Where the markers lie on the links: JSON of link and position_m (metres) by name. A bundled table of the Large
+        Needle Driver's painted markers unless given.
+    camera
+        Which camera.
+    instrument
+        Which instrument.
+    """
+    from dvrk_cmaes.io.atomic import write_json
+    from dvrk_cmaes.io.session_folder import read_session
+    from dvrk_cmaes.report.files import check_output, result_path
+
+    model = instrument.load().instrument
+    read = read_session(
+        session, camera=camera.camera, rectified=camera.rectified, side=camera.side, known=model.joint_names
+    )
+    for frame in read.frames:
+        check_output(out, frame.name)
+    if points == "tips":
+        results = list(_by_tips(read, model, instrument))
+    else:
+        results = list(_by_markers(read, model, instrument, solver, markers))
+    for result in results:
+        write_json(result_path(out, result.frame), result.to_dict())
+    show(_lines(results, out))
+    failed = sum(result.status == "failed" for result in results)
+    if failed == len(results):
+        return 1
+    return 3 if any(result.status != "ok" for result in results) else 0
+
+
+def _by_markers(
+    session: Session,
+    model: Instrument,
+    instrument: InstrumentOptions,
+    solver: Literal["sqpnp", "ransac"],
+    markers: Path | None,
+) -> Iterator[Result]:
+    from dvrk_cmaes.bundled import bundled_path
+    from dvrk_cmaes.evaluate.pnp_frame import pose_from_markers
+    from dvrk_cmaes.io.markers import read_detections, read_marker_table
+
+    table = read_marker_table(markers or bundled_path("markers", "lnd.json"))
+    path = session.folder / "markers.csv"
+    seen = read_detections(path)
+    unknown = sorted({name for row in seen.values() for name in row} - set(table))
+    if unknown:
+        raise InputError(f"{path}: marker: expected one of {', '.join(table)}, got {unknown[0]!r}")
+    for files in session.frames:
+        yield pose_from_markers(
+            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=instrument.arm
+        )
+
+
+def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions) -> Iterator[Result]:
+    from dvrk_cmaes.evaluate.pnp_frame import pose_from_tips
+    from dvrk_cmaes.io.frame_files import read_frame
+
+    for files in session.frames:
+        yield pose_from_tips(files, read_frame(files, session.camera), model, arm=instrument.arm)
+
+
+def _lines(results: list[Result], out: Path) -> Iterator[Line]:
+    """Say how each frame went, and where the results are."""
+    for result in results:
+        reasons = "".join(f", {reason}" for reason in result.reasons)
+        yield Line(f"{result.frame}: {result.status}{reasons}", STATUS_STYLES[result.status] if reasons else "")
+    ok = sum(result.status == "ok" for result in results)
+    yield Line(f"{ok} of {len(results)} frames ok; written: {out / 'frames'}")
