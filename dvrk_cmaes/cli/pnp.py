@@ -49,7 +49,7 @@ def pnp(
         Painted markers that a detector found, or the two jaw tips and the shaft's edges alone.
     solver
         sqpnp: SQPNP on all points, then Levenberg-Marquardt. ransac: random samples of points, then the iterative
-        solver on those that agree; it needs six of them. For markers only.
+        solver on those that agree. For markers only.
     markers
         Where the markers lie on the links: JSON of link and position_m (metres) by name. A bundled table of the Large
         Needle Driver's painted markers unless given.
