@@ -166,7 +166,7 @@ def test_text_that_is_neither_readings_nor_a_file_is_refused(tmp_path: Path) -> 
     assert message("none.csv") == "no such file; expected joint readings (joints.csv, or name=value,name=value)"
     assert message(tmp_path) == "expected joint readings (joints.csv, or name=value,name=value), got a directory"
     binary = tmp_path / "joints.bin"
-    binary.write_bytes(b"\x93NUMPY\x01\x00")
+    binary.write_bytes(b"\x89PNG\x01\x00")
     assert message(binary) == (
         "expected joint readings (joints.csv, or name=value,name=value) in UTF-8, got other bytes at 0"
     )

@@ -1,31 +1,56 @@
-"""Joint readings: one frame's, from a joints.csv or written out as ``name=value,name=value``.
+"""Joint readings of frames, from files of any kind that labs have, or written out as ``name=value,name=value``.
 
-Columns of joints.csv are ``frame`` (text: "0026" is not "26"), an optional ``time`` in seconds and any of the joints;
-revolute ones in radians, ``insertion`` in metres. A column that is not there or a blank cell is a reading that is not
-known, which is not the same as zero.
+A column that is not there or a blank cell is a reading that is not known, which is not the same as zero. Files whose
+rows have times give a frame its readings at the image's time, interpolated between the rows on either side of it.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import os
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.files import read_text
+from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.joint_csv import EXPECTED, read_joint_csv
+from dvrk_cmaes.io.joint_file import JointFile, JointRow
+from dvrk_cmaes.io.joint_names import OUTER_JOINTS, WRIST_JOINTS, all_names, check_joint, joint_reading
+from dvrk_cmaes.io.joint_npy import MAGIC, read_joint_npy
+from dvrk_cmaes.io.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.io.shown import listed, shown
+from dvrk_cmaes.timed_readings import NANOSECONDS
 
-OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
-"""Joints of the arm that carries the instrument, from the base outwards."""
+__all__ = [
+    "OUTER_JOINTS",
+    "TIME_TOLERANCE",
+    "WRIST_JOINTS",
+    "FrameReadings",
+    "frame_readings",
+    "is_written_out",
+    "read_joint_file",
+    "read_joint_table",
+    "read_joints",
+]
 
-WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
-"""Joints of the instrument that the camera sees."""
+TIME_TOLERANCE = NANOSECONDS // 20
+"""Readings before and after an image may be this far from it in time, ns."""
 
-_LARGEST = 100_000_000  # bytes; a million frames
-_EXPECTED = "joint readings (joints.csv, or name=value,name=value)"
+_LARGEST = 1_000_000_000  # bytes; an hour at 1 kHz has half of it
+_LARGEST_YAML = 20_000_000  # bytes; some 50,000 messages, which take half a minute
+
+
+@dataclass(frozen=True)
+class FrameReadings:
+    """Readings of one frame by joint, rad or m; ``notes`` on what had to be decided by a rule.
+
+    ``farthest`` is the distance in time, ns, of the farthest reading that was interpolated from; None where none was.
+    """
+
+    readings: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    farthest: int | None = None
 
 
 def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: Iterable[str] = ()) -> dict[str, float]:
@@ -34,8 +59,8 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
     Parameters
     ----------
     text_or_path
-        ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a joints.csv. Text with an equals sign is a
-        path only if such a file exists.
+        ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a file of readings. Text with an equals sign is
+        a path only if such a file exists.
     frame
         Which row of a joints.csv; may be left out if it has one row only. Not used for written-out readings.
     known
@@ -51,40 +76,98 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
     InputError
         Naming the file and the frame or the joint, and what was expected.
     """
-    names = _names(known)
-    if is_written_out(text_or_path):
-        return _written_out(str(text_or_path), names)
-    path = str(text_or_path)
-    rows = _rows(path, names)
-    return _row_readings(path, rows[_chosen(path, frame, list(rows))])
+    file = read_joint_file(text_or_path, known=known)
+    return _chosen(file, frame).readings()
 
 
 def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str, dict[str, float]]:
-    """Read the joint readings of all frames of a joints.csv, by frame in the order of its rows.
+    """Read the joint readings of all rows of a file, by frame (or number, or message) in the order of its rows.
 
     ``known`` and the errors are those of ``read_joints``.
     """
-    rows = _rows(str(path), _names(known))
-    return {frame: _row_readings(str(path), row) for frame, row in rows.items()}
+    return {label: row.readings() for label, row in read_joint_file(path, known=known).rows.items()}
+
+
+def read_joint_file(text_or_path: str | Path, *, known: Iterable[str] = ()) -> JointFile:
+    """Read a file of readings of any kind, told by its content, or written-out readings as a file of one row.
+
+    ``known`` and the errors are those of ``read_joints``.
+    """
+    names = all_names(known)
+    if is_written_out(text_or_path):
+        row = JointRow("joints", _written_out(str(text_or_path), names))
+        return JointFile("joints", "written-out readings", {"": row}, "message")
+    path = str(text_or_path)
+    data = read_bytes(path, expected=EXPECTED, largest=_LARGEST)
+    if data.startswith(MAGIC):
+        return read_joint_npy(path, data)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected {EXPECTED} in UTF-8, got other bytes at {error.start}") from None
+    if not is_joint_state(text):
+        return read_joint_csv(path, text, names)
+    if len(data) > _LARGEST_YAML:
+        raise InputError(
+            f"{path}: expected at most {_LARGEST_YAML / 1e6:g} MB of messages as YAML, got {len(data) / 1e6:.1f} MB: "
+            "import a bag instead"
+        )
+    return read_joint_state(path, text, names)
+
+
+def frame_readings(
+    files: Sequence[JointFile],
+    frame: str,
+    *,
+    time: int | None = None,
+    tolerance: int = TIME_TOLERANCE,
+    single: bool = False,
+) -> FrameReadings:
+    """Find the readings of one frame in all files that a session has.
+
+    A file whose rows have times is interpolated to the image's time, if that is known. Otherwise a row is the frame's
+    by its name; rows that are only numbered, by the whole number that the frame's name ends in.
+
+    Parameters
+    ----------
+    files
+        From ``read_joint_file``; each joint in one of them only.
+    frame
+        The frame's name.
+    time
+        The image's time, ns.
+    tolerance
+        How far the readings before and after the image may be from it, ns.
+    single
+        Whether there is one frame only, so that a file's only row is its.
+
+    Raises
+    ------
+    InputError
+        No readings near enough in time, a time that is needed but not known, a joint in two files, a bad cell.
+    """
+    readings: dict[str, float] = {}
+    origin: dict[str, str] = {}
+    notes: list[str] = []
+    farthest: int | None = None
+    for file in files:
+        if time is not None and file.timed:
+            found, distance = _interpolated(file, frame, time, tolerance)
+            farthest = max(distance, farthest or 0)
+        else:
+            row, note = _row_of(file, frame, single=single)
+            found = {} if row is None else row.readings()
+            notes.extend(note)
+        for name, value in found.items():
+            if name in readings:
+                raise InputError(f"{file.path}: {name}: expected each joint in one file, got it in {origin[name]} too")
+            readings[name], origin[name] = value, file.path
+    return FrameReadings(readings, tuple(notes), farthest)
 
 
 def is_written_out(text_or_path: str | Path) -> bool:
     """Whether readings are written out as ``name=value,...`` rather than named by a path."""
     return isinstance(text_or_path, str) and "=" in text_or_path and not os.path.exists(text_or_path)
-
-
-def _names(known: Iterable[str]) -> tuple[str, ...]:
-    """All joints that a reading may be of, each once."""
-    return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known)))
-
-
-def _row_readings(path: str, row: dict[str, str]) -> dict[str, float]:
-    """Values of the cells of a row that are not blank."""
-    return {
-        name: _reading(f"{path}: frame {row['frame']}", name, cell)
-        for name, cell in row.items()
-        if name not in ("frame", "time") and cell
-    }
 
 
 def _written_out(text: str, names: tuple[str, ...]) -> dict[str, float]:
@@ -94,81 +177,63 @@ def _written_out(text: str, names: tuple[str, ...]) -> dict[str, float]:
         name, equals, value = (part.strip() for part in item.partition("="))
         if not equals:
             raise InputError(f"joints: expected name=value,name=value, got {shown(item.strip())}")
-        _check_name("joints", name, names)
+        check_joint("joints", name, names)
         if name in readings:
             raise InputError(f"joints: {name}: expected one reading, got two")
-        readings[name] = _reading("joints", name, value)
+        readings[name] = joint_reading("joints", name, value)
     return readings
 
 
-def _rows(path: str, names: tuple[str, ...]) -> dict[str, dict[str, str]]:
-    """Rows of a joints.csv by frame, cells as text; the names of the columns are checked."""
-    text = read_text(path, expected=_EXPECTED, largest=_LARGEST)
-    reader = csv.reader(io.StringIO(text, newline=""))
-    rows: dict[str, dict[str, str]] = {}
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        _check_header(path, header, names)
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
-            where = f"{path}: line {reader.line_num}"
-            if len(cells) != len(header):
-                raise InputError(f"{where}: expected {len(header)} cells as in the header, got {len(cells)}")
-            row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
-            if not row["frame"]:
-                raise InputError(f"{where}: frame: expected a name, got a blank cell")
-            if row["frame"] in rows:
-                raise InputError(f"{where}: frame: expected each frame once, got {shown(row['frame'])} again")
-            rows[row["frame"]] = row
-    except csv.Error as error:
-        raise InputError(f"{path}: line {reader.line_num}: expected {_EXPECTED}, got no valid CSV ({error})") from None
-    if not rows:
-        raise InputError(f"{path}: expected a row for each frame, got a header only")
-    return rows
+def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tuple[dict[str, float], int]:
+    """Interpolate to a time; also the distance of the farthest reading used, ns."""
+    found: dict[str, float] = {}
+    farthest = 0
+    for timed in file.timed:
+        at = timed.at(time, tolerance)
+        if at is None:
+            away = timed.distance(time) / NANOSECONDS
+            raise InputError(
+                f"{file.path}: frame {frame}: {timed.joints[0]}: expected readings before and after the image's time "
+                f"{time / NANOSECONDS:.3f} s, within {tolerance / NANOSECONDS:g} s, got the nearest {away:.3f} s away"
+            )
+        found[timed.joints[0]] = float(at[0][0])
+        farthest = max(farthest, at[1])
+    return found, farthest
 
 
-def _check_header(path: str, header: list[str], names: tuple[str, ...]) -> None:
-    if "frame" not in header:
-        raise InputError(f"{path}: header: expected a column frame and columns of joints, got {listed(header)}")
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(f"{path}: header: expected each column once, got {shown(name)} twice")
-        if name not in ("frame", "time"):
-            _check_name(f"{path}: header", name, names)
+def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | None, tuple[str, ...]]:
+    """Row of a frame, None where a joints.csv has none, and how it was told."""
+    if single and len(file.rows) == 1:
+        return next(iter(file.rows.values())), ()
+    if file.labels == "frame":
+        return file.rows.get(frame), ()
+    if file.labels == "number":
+        digits = re.search(r"\d+$", frame)
+        label = "" if digits is None else str(int(digits[0]))
+        if label in file.rows:
+            return file.rows[label], (
+                f"frame {frame} is taken for row {label} of {Path(file.path).name}, by its number",
+            )
+        return None, ()
+    raise InputError(
+        f"{file.path}: frame {frame}: expected the image's time (in images.csv), to find its readings among "
+        f"{len(file.rows)} without a frame's name"
+    )
 
 
-def _check_name(where: str, name: str, names: tuple[str, ...]) -> None:
-    if name not in names:
-        near = ", ".join(nearest_first(name[:60], names))
-        raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}")
-
-
-def _chosen(path: str, frame: str | None, frames: list[str]) -> str:
-    """Which of the frames is meant."""
+def _chosen(file: JointFile, frame: str | None) -> JointRow:
+    """Row that is meant by name, or the only one."""
+    if file.labels == "message" and len(file.rows) == 1:
+        return next(iter(file.rows.values()))
+    labels = list(file.rows)
     if frame is None:
-        if len(frames) == 1:
-            return frames[0]
+        if len(labels) == 1:
+            return file.rows[labels[0]]
         raise InputError(
-            f"{path}: frame: expected the name of one of its {len(frames)} frames ({listed(frames)}), got none"
+            f"{file.path}: frame: expected the name of one of its {len(labels)} frames ({listed(labels)}), got none"
         )
-    if frame not in frames:
-        near = listed(nearest_first(frame, frames))
-        raise InputError(f"{path}: frame: expected one of its {len(frames)} frames ({near}), got {shown(frame)}")
-    return frame
-
-
-def _reading(where: str, name: str, cell: str) -> float:
-    """Value of a cell; refuses what can only be another unit."""
-    unit = "m" if name == "insertion" else "rad"
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {name}: expected a finite number in {unit}, got {shown(cell)}")
-    if unit == "m" and abs(value) > 1:
-        raise InputError(f"{where}: {name}: expected metres, got {value:g}: this looks like millimetres")
-    if unit == "rad" and abs(value) > 2 * math.pi:
-        raise InputError(f"{where}: {name}: expected radians (at most 2 pi), got {value:g}: this looks like degrees")
-    return value
+    row, _ = _row_of(file, frame, single=False)
+    if row is None:
+        near = listed(nearest_first(frame, labels))
+        raise InputError(f"{file.path}: frame: expected one of its {len(labels)} frames ({near}), got {shown(frame)}")
+    return row

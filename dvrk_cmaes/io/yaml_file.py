@@ -6,6 +6,8 @@ OpenCV's dialect is read too: its first line ``%YAML:1.0`` is no directive that 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ _LARGEST = 1_000_000  # bytes
 _DEEPEST = 20  # mappings and lists within each other
 _LONGEST = 1_000  # characters of a value; Python's integers take quadratic time to read
 _MOST_ITEMS = 20_000  # PyYAML takes seconds for a megabyte of tiny items
+_MOST_DOCUMENTS = 200_000
 _OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
 
 
@@ -45,26 +48,53 @@ def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
         Not readable, larger than 1 MB, not YAML, aliases, nested too deeply, or not a mapping.
     """
     text = _OPENCV_HEADER.sub("", read_text(path, expected=expected, largest=_LARGEST))
+    for document in _documents(path, text, expected, _Loader, most=1):
+        if isinstance(document, dict):
+            return {str(key): value for key, value in document.items()}
+    raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
+
+
+def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[str, Any]]:
+    """Documents of a text, each of which must be a small mapping or empty; empty ones are left out.
+
+    Raises
+    ------
+    InputError
+        Not YAML, aliases, a document nested too deeply or too large, or not a mapping.
+    """
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML was built with it
+    documents = []
+    for document in _documents(path, text, expected, loader, most=_MOST_DOCUMENTS):
+        if document is None:
+            continue
+        if not isinstance(document, dict):
+            raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
+        documents.append({str(key): value for key, value in document.items()})
+    return documents
+
+
+def _documents(path: str | Path, text: str, expected: str, loader: Any, *, most: int) -> Iterator[Any]:
+    """Build at most so many of a text's documents, after a look at all that is in them."""
     try:
-        _refuse_bombs(path, text)
-        document = next(iter(yaml.load_all(text, Loader=_Loader)), None)
+        _refuse_bombs(path, text, loader, most)
+        yield from islice(yaml.load_all(text, Loader=loader), most)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({line}{error.problem})") from None
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or number that Python cannot hold
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({reason})") from None
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
-    return {str(key): value for key, value in document.items()}
 
 
-def _refuse_bombs(path: str | Path, text: str) -> None:
-    """Go through the events of the first document, which costs no memory, before anything is built."""
-    depth = 0
-    for items, event in enumerate(yaml.parse(text, Loader=yaml.SafeLoader)):
+def _refuse_bombs(path: str | Path, text: str, loader: Any, most: int) -> None:
+    """Go through the events of the first documents, which costs no memory, before anything is built."""
+    depth = items = documents = 0
+    for event in yaml.parse(text, Loader=loader):
+        items += 1
         if isinstance(event, yaml.DocumentEndEvent):
-            return
+            items, documents = 0, documents + 1
+            if documents == most:
+                return
         if isinstance(event, yaml.AliasEvent):
             raise InputError(f"{path}: expected plain values, got a YAML alias ({shown(event.anchor)})")
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > _LONGEST:

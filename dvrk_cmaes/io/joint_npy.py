@@ -1,0 +1,51 @@
+"""Joint readings as NumPy files of one array: six values of the arm, one of the jaw, or all seven."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.joint_file import JointFile, JointRow
+from dvrk_cmaes.io.joint_names import ordered_joints
+
+EXPECTED = "joint readings (a NumPy array of 6, 1 or 7 numbers)"
+MAGIC = b"\x93NUMPY"
+
+_MOST = 7
+
+
+def read_joint_npy(path: str, data: bytes) -> JointFile:
+    """Read the bytes of a .npy; pickled objects are refused, and nothing larger than it should be is read.
+
+    Raises
+    ------
+    InputError
+        Naming the file, and what was expected.
+    """
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
+        raise InputError(f"{path}: expected {EXPECTED}, got no valid NumPy file ({_line(error)})") from None
+    size = 1
+    for length in shape:
+        size *= length
+    if dtype.kind not in "fiu" or not 0 < size <= _MOST:
+        raise InputError(f"{path}: expected {EXPECTED}, got {dtype} of shape {shape}")
+    joints = ordered_joints(path, size)
+    stream.seek(0)
+    try:
+        values = np.load(stream, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: expected {EXPECTED}, got no valid NumPy file ({_line(error)})") from None
+    cells = dict(zip(joints, np.asarray(values, np.float64).ravel().tolist(), strict=True))
+    return JointFile(path, f"NumPy array of {size}", {Path(path).stem: JointRow(path, cells)}, "message")
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:120]
