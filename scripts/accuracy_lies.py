@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from accuracy_cases import HONEST, Case, Run
 from accuracy_errors import reason_shares
-from made_masks import SLIGHT, lump_of_tissue, segmented
 from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.synth.masks import SLIGHT, lump_of_tissue, segmented
 
 Bool = NDArray[np.bool_]
 Random = np.random.Generator

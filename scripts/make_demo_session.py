@@ -14,16 +14,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from made_files import refuse_in_ci, rounded, rounded_truth, write_camera_info, write_joints
-from made_frames import WRIST_JOINTS, exact_mask, random_session, session_readings, tissue_before_a_jaw
-from made_images import draw_image
-from made_masks import MEDIUM, segmented
+from committed_data import refuse_in_ci
 
 from dvrk_cmaes.arm import OUTER_JOINTS
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
+from dvrk_cmaes.synth.frames import WRIST_JOINTS, exact_mask, random_session, session_readings, tissue_before_a_jaw
+from dvrk_cmaes.synth.images import draw_image
+from dvrk_cmaes.synth.masks import MEDIUM, segmented
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "demo"
 CAMERA: Final = Camera(640, 480, fx=1042.6, fy=1042.6, cx=326.3, cy=235.1)

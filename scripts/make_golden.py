@@ -16,9 +16,7 @@ from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
-from made_files import refuse_in_ci, rounded_joints, rounded_truth
-from made_frames import Truth, aimed, exact_mask, session_readings, tissue_before_a_jaw
-from made_masks import MEDIUM, SLIGHT, Mistakes, segmented
+from committed_data import refuse_in_ci
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -26,6 +24,9 @@ from dvrk_cmaes.comparison import Tolerance
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
+from dvrk_cmaes.synth.frames import Truth, aimed, exact_mask, session_readings, tissue_before_a_jaw
+from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, Mistakes, segmented
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "golden"
 SCHEMA: Final = 1
@@ -44,7 +45,7 @@ LOOSE: Final = Tolerance(root_mm=3.0, tip_mm=3.0, shaft_deg=8.0, roll_deg=20.0, 
 
 @dataclass(frozen=True)
 class Case:
-    """One golden case. Angles in degrees, lengths in millimetres, pixels; see ``made_frames.aimed``.
+    """One golden case. Angles in degrees, lengths in millimetres, pixels; see ``dvrk_cmaes.synth.frames.aimed``.
 
     ``reason`` is a word that the reasons contain if the result is doubtful.
     """

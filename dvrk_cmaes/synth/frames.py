@@ -2,7 +2,7 @@
 
 A session's poses are those of an arm moving about its RCM, drawn at random and kept when the picture is a sensible one;
 a single pose can also be aimed. Random numbers come from the generator that is handed in, so a seed gives the same
-frames again. How a mask or an image of a frame looks is the business of ``made_masks`` and ``made_images``.
+frames again. How a mask or an image of a frame looks is the business of ``synth.masks`` and ``synth.images``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from made_masks import lump_of_tissue
-from made_views import trace_links
 from numpy.typing import NDArray
 
 from dvrk_cmaes.arm import OUTER_JOINTS, base_from_root
@@ -21,6 +19,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.synth.masks import lump_of_tissue
+from dvrk_cmaes.synth.views import trace_links
 
 Float64 = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from made_frames import Truth
-from made_masks import signed_distance, smooth_noise
-from made_views import NOTHING, trace_links
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.synth.frames import Truth
+from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
+from dvrk_cmaes.synth.views import NOTHING, trace_links
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
