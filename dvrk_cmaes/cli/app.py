@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError
 
 from dvrk_cmaes import __version__
+from dvrk_cmaes.cli.batch import batch
 from dvrk_cmaes.cli.consistency import consistency
 from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
@@ -30,6 +31,7 @@ Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input,
 )
 app.command(estimate)
 app.command(demo)
+app.command(batch)
 app.command(export)
 app.command(consistency)
 app.command(pnp)

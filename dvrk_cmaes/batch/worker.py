@@ -1,0 +1,160 @@
+"""One frame of a batch, in whatever process: from its files to the bytes of its result and overlay.
+
+What all frames share is sent packed and unpacked once a process, where the instrument's Embree scenes are then built;
+they cannot be sent. A frame never raises: what goes wrong becomes a ``failed`` result with its reason.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import pickle
+import socket
+import threading
+import traceback
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+from dvrk_cmaes import __version__
+from dvrk_cmaes.arm import Arm
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frame_run import draw_frame, estimate_frame
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.atomic import encoded_image, json_text
+from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
+from dvrk_cmaes.report.files import overlay_path
+from dvrk_cmaes.result import Result, Status
+from dvrk_cmaes.silhouette import Body
+
+_unpacking = threading.Lock()
+
+
+@dataclass(frozen=True, eq=False)
+class BatchSetup:
+    """What the frames of a batch have in common. ``folder`` is the session's: messages name files from there."""
+
+    instrument: Instrument
+    camera: Camera
+    config: EstimateConfig
+    arm: Arm = "classic"
+    folder: Path = Path()
+
+
+@dataclass(frozen=True)
+class PackedSetup:
+    """A setup on its way to other processes, and the process that it comes from."""
+
+    key: str
+    data: bytes = field(repr=False, compare=False)
+    home: tuple[str, int]
+
+    @staticmethod
+    def of(setup: BatchSetup) -> PackedSetup:
+        """Pack a setup."""
+        data = pickle.dumps(setup, protocol=pickle.HIGHEST_PROTOCOL)
+        return PackedSetup(hashlib.sha256(data).hexdigest(), data, _here())
+
+
+@dataclass(frozen=True)
+class FrameOutcome:
+    """A frame's result as the files that it will be: JSON, and unless it failed, the overlay's JPEG."""
+
+    frame: str
+    status: Status
+    reasons: tuple[str, ...]
+    seconds: float
+    result: bytes = field(repr=False)
+    overlay: bytes | None = field(repr=False)
+
+
+def prepare_process(packed: PackedSetup) -> int:
+    """Unpack a setup and build its scenes before the first frame comes; returns the process' id."""
+    _unpacked(packed)
+    return os.getpid()
+
+
+def run_task(packed: PackedSetup, files: FrameFiles) -> FrameOutcome:
+    """Do one frame."""
+    setup, body = _unpacked(packed)
+    try:
+        return _outcome(*_estimated(setup, body, files))
+    except DvrkCmaesError as error:
+        reason = str(error)
+    except MemoryError:
+        reason = "out of memory: try fewer workers, or a smaller image"
+    except Exception as error:  # One bad frame must not end a batch, whatever is wrong with it.
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        reason = f"internal error, {type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
+    return failed_outcome(setup, files, reason)
+
+
+def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOutcome:
+    """Outcome of a frame that there is no pose of."""
+    result = Result(
+        frame=files.name,
+        status="failed",
+        reasons=(_from_the_folder(setup, reason),),
+        instrument=setup.instrument.name,
+        root_link=setup.instrument.root_link,
+        camera_from_root=None,
+        joints={},
+        readings=dict(files.readings),
+        warnings=_told(setup, files.notes),
+        seed=setup.config.seed,
+        version=__version__,
+        config=setup.config.as_dict(),
+    )
+    return _outcome(result, None)
+
+
+def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes]:
+    data = read_frame(files, setup.camera)
+    data = replace(data, notes=_told(setup, data.notes))
+    result = estimate_frame(files, data, body, arm=setup.arm, config=setup.config)
+    drawing = draw_frame(result, files, data, body)
+    return result, encoded_image(overlay_path(Path(), files.name), drawing)
+
+
+def _outcome(result: Result, overlay: bytes | None) -> FrameOutcome:
+    document = json_text(result.to_dict()).encode()
+    return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay)
+
+
+def _told(setup: BatchSetup, notes: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(_from_the_folder(setup, note) for note in notes)
+
+
+def _from_the_folder(setup: BatchSetup, text: str) -> str:
+    """Name files from the session's folder, so that results are the same wherever it lies; on one line."""
+    return " ".join(text.replace(f"{setup.folder}{os.sep}", "").splitlines())
+
+
+def _unpacked(packed: PackedSetup) -> tuple[BatchSetup, Body]:
+    """Give a setup and its body, the same for all frames of a process."""
+    with _unpacking:
+        return _made(packed)
+
+
+@functools.lru_cache(maxsize=2)
+def _made(packed: PackedSetup) -> tuple[BatchSetup, Body]:
+    if packed.home != _here():
+        _one_thread()
+    setup: BatchSetup = pickle.loads(packed.data)
+    return setup, Body.prepare(setup.instrument)
+
+
+def _here() -> tuple[str, int]:
+    return socket.gethostname(), os.getpid()
+
+
+@functools.cache
+def _one_thread() -> threadpool_limits:
+    """Keep the libraries of a worker's process to one thread: the processes are what uses the cores."""
+    cv2.setNumThreads(1)
+    return threadpool_limits(1)

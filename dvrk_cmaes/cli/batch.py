@@ -1,0 +1,231 @@
+"""``dvrk-cmaes batch``: a folder of frames, unattended, over processes, machines or a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_INSTRUMENT,
+    DEFAULT_METHOD,
+    OUTPUT,
+    CameraOptions,
+    Flag,
+    InstrumentOptions,
+    MethodOptions,
+)
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, show
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.batch import BatchSummary, Shard
+    from dvrk_cmaes.io.session_folder import Session
+
+FOLDER = Group.create_ordered("Folder")
+WORKERS = Group.create_ordered("Workers")
+
+_MOST_LISTED = 10
+_INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
+
+
+def batch(
+    session: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    frames: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
+    retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
+    label: Annotated[int | None, Parameter(group=FOLDER)] = None,
+    shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
+    scheduler: Annotated[str | None, Parameter(group=WORKERS)] = None,
+    time_limit: Annotated[float, Parameter(group=WORKERS)] = 600.0,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Estimate all frames of a session folder: a result and an overlay each, tables, and a page to judge them by.
+
+    It may be interrupted or killed at any moment: the same command goes on with what is missing. A frame that cannot
+    be done gets a failed result with its reason, and the others go on.
+
+    Exit codes: 0 all ok, 1 the work could not be done or, of --merge, is not complete, 2 wrong usage or input,
+    3 finished, but a frame is doubtful or failed, 130 interrupted.
+
+    Example:
+
+    `dvrk-cmaes batch session --out results`
+
+    On eight machines, each with its own I: `dvrk-cmaes batch session --out results --shard I/8`, and in the end
+    `dvrk-cmaes batch --merge results`.
+
+    On a Dask cluster: `dvrk-cmaes batch session --out results --scheduler tcp://head:8786`
+
+    Parameters
+    ----------
+    session
+        The session folder: camera.yaml, joints.csv, masks/FRAME.png, and if there are any, images and ignore.
+    out
+        Folder for the results; SESSION/results unless given.
+    frames
+        Only frames whose names match this pattern, e.g. "00*".
+    resume
+        Keep the results that are there, if they were made from the same files in the same way; or remove them first.
+    retry_failed
+        Do frames again that failed.
+    label
+        The masks are of labels: the instrument is where they have this value.
+    shard
+        I/N: only the I-th of N parts, for machines that share a folder and nothing else.
+    merge
+        Instead of a session, results of --shard: put the parts together, and make the tables and the page.
+    workers
+        Processes; as many as there are cores, unless given.
+    scheduler
+        Address of a Dask scheduler, whose workers do the frames instead of processes here.
+    time_limit
+        Seconds after which a frame is given up, with processes here.
+    camera
+        The camera, where it is not the session's own.
+    instrument
+        Which instrument.
+    method
+        How to search. Each worker uses one thread, unless --threads says otherwise.
+    json
+        Print summary.json, and nothing else, on stdout.
+    """
+    from dvrk_cmaes.batch import Shard
+
+    if merge is not None:
+        if session is not None or out is not None or shard is not None:
+            raise InputError("--merge: expected results alone, got a session, --out or --shard too")
+        return _merge(merge, json)
+    if session is None:
+        raise InputError("SESSION: expected a session folder (or --merge RESULTS), got none")
+    if workers is not None and (workers < 1 or scheduler is not None):
+        got = f"{workers}" if scheduler is None else "--scheduler too"
+        raise InputError(f"--workers: expected a whole number of at least 1, and no --scheduler, got {got}")
+    if not time_limit > 0:
+        raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
+    if label is not None and not 0 <= label <= 255:
+        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    part = None if shard is None else Shard.parse(shard)
+    done = _run(
+        session,
+        session / "results" if out is None else out,
+        camera,
+        instrument,
+        method,
+        label=label,
+        scheduler=scheduler,
+        pattern=frames,
+        shard=part,
+        resume=resume,
+        retry_failed=retry_failed,
+        workers=workers,
+        time_limit=time_limit,
+    )
+    _report(done.document, done.folder, json, shard=part)
+    if done.interrupted:
+        again = "the same command" if resume else "the same command without --overwrite"
+        left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
+        complain(f"interrupted: {left}; {again} goes on from here")
+        return _INTERRUPTED
+    return _DOUBTFUL if done.counts["doubtful"] or done.counts["failed"] else 0
+
+
+def _run(
+    folder: Path,
+    out: Path,
+    camera: CameraOptions,
+    instrument: InstrumentOptions,
+    method: MethodOptions,
+    *,
+    label: int | None,
+    scheduler: str | None,
+    **options: Any,
+) -> BatchSummary:
+    from dvrk_cmaes.batch import dask_executor, run_batch
+    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+
+    settings = method.resolve()
+    model = instrument.load().instrument
+    session = _session(folder, camera, model.joint_names, label)
+    with ExitStack() as stack:
+        executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
+        return run_batch(
+            session,
+            out,
+            model,
+            config=settings,
+            arm=instrument.arm,
+            threads=method.threads or 1,
+            executor=executor,
+            stop=stack.enter_context(stopping_on_interrupt()),
+            watcher=stack.enter_context(progress()),
+            **options,
+        )
+
+
+def _session(folder: Path, camera: CameraOptions, known: tuple[str, ...], label: int | None) -> Session:
+    from dvrk_cmaes.io.session_folder import read_session
+
+    session = read_session(folder, camera=camera.camera, rectified=camera.rectified, side=camera.side, known=known)
+    if label is None:
+        return session
+    return replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
+
+
+def _merge(out: Path, json: bool) -> int:
+    from dvrk_cmaes.batch import merge_shards
+
+    document = merge_shards(out)
+    _report(document, out, json)
+    counts = document["counts"]
+    if counts["missing"]:
+        complain(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
+        return _INCOMPLETE
+    return _DOUBTFUL if counts["doubtful"] or counts["failed"] else 0
+
+
+def _report(document: dict[str, Any], folder: Path, json: bool, shard: Shard | None = None) -> None:
+    from dvrk_cmaes.io.atomic import json_text
+
+    if json:
+        print(json_text(document), end="")
+    else:
+        show(_lines(document, folder, shard))
+
+
+def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:
+    """Say what came out, and where it lies."""
+    counts, medians, timing = document["counts"], document["medians"], document["timing"]
+    for status in ("failed", "doubtful"):
+        listed = [(name, frame["reasons"]) for name, frame in document["frames"].items() if frame["status"] == status]
+        for name, reasons in listed[:_MOST_LISTED]:
+            yield Line(f"{name}: {status}: {'; '.join(reasons)}", STATUS_STYLES[status].removeprefix("bold "))
+        if len(listed) > _MOST_LISTED:
+            yield Line(f"... and {len(listed) - _MOST_LISTED} more that are {status}")
+    words = [
+        f"{counts[name]} {name}" for name in ("ok", "doubtful", "failed", "missing") if counts[name] or name == "ok"
+    ]
+    yield Line(f"{counts['frames']} frames: {', '.join(words)}", "bold")
+    if medians["iou"] is not None:
+        yield Line(f"medians: IoU {medians['iou']:.3f}, contour {medians['contour_px_median']:.1f} px")
+    if timing["run"] is not None:
+        run = timing["run"]
+        yield Line(f"{run['frames']} frames in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
+    where = f"results: {folder / 'frames'}   overlays: {folder / 'overlays'}"
+    if shard is not None:
+        yield Line(f"{where}   then, with all shards: dvrk-cmaes batch --merge {folder.parents[1]}")
+    else:
+        yield Line(f"{where}   table: {folder / 'poses.csv'}   page: {folder / 'report.html'}")
