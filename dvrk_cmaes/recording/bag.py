@@ -53,30 +53,40 @@ def open_bag(
         rosbags is not installed, the recording is damaged, a topic is missing or one of several, or a message will
         not do.
     """
-    with _open(path) as reader, _damage_refused(path):
-        types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
-        topics = choose_topics(path, types, asked, camera=camera is None, joints=joints is None)
-        used = [name for name in (topics.joints, topics.jaw) if name is not None]
-        notes = [f"images: {topics.image}"]
-        if "rect" in topics.image.rpartition("/")[2] or "_rect" in topics.image:
-            notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified to estimate")
-        lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
-        notes.append(f"camera: {camera or topics.camera}{changes}")
-        without = [name for name in (topics.image, *used) if stamp(_first(reader, name)) == 0]
-        if without and not recorded_times:
-            notes.append(f"times: those of recording, for headers on {', '.join(without)} have none")
-        else:
-            notes.append(f"times: {'those of recording' if recorded_times else 'those of the headers'}")
-        by_recording = recorded_times or bool(without)
-        readings = [_readings(reader, path, name, by_recording) for name in used]
-        if joints is not None:
-            readings.append(read_reading_table(joints))
-        notes += [f"{' '.join(one.joints)}: {one.source}" for one in readings]
-        if topics.joints is not None and topics.jaw is None:
-            notes.append("jaw: no topic beside the arm's, so no readings")
-        total = sum(one.msgcount for one in reader.connections if one.topic == topics.image)
-        images = _images(reader, path, topics.image, by_recording)
-        yield Recording(path, images, total, lens, tuple(readings), tuple(notes))
+    with _open(path) as reader:
+        with _damage_refused(path):
+            recording = _recording(reader, path, asked, recorded_times, camera, joints)
+        yield recording  # outside: what goes wrong with whoever uses it is no damage
+
+
+def _recording(
+    reader: AnyReader, path: Path, asked: TopicChoice, recorded_times: bool, camera: Path | None, joints: Path | None
+) -> Recording:
+    """Choose topics and clock, read camera and readings; ``notes`` say how it was decided."""
+    types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
+    topics = choose_topics(path, types, asked, camera=camera is None, joints=joints is None)
+    used = [name for name in (topics.joints, topics.jaw) if name is not None]
+    notes = [f"images: {topics.image}"]
+    if "_rect" in topics.image:
+        notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified to estimate")
+    lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
+    notes.append(f"camera: {camera or topics.camera}{changes}")
+    without = [name for name in (topics.image, *used) if stamp(_first(reader, name)) == 0]
+    if without and not recorded_times:
+        notes.append(f"times: those of recording, for headers on {', '.join(without)} have none")
+    else:
+        notes.append(f"times: {'those of recording' if recorded_times else 'those of the headers'}")
+    by_recording = recorded_times or bool(without)
+    readings = [_readings(reader, path, name, by_recording) for name in used]
+    if joints is not None:
+        readings.append(read_reading_table(joints))
+    notes += [f"{' '.join(one.joints)}: {one.source}" for one in readings]
+    if topics.joints is not None and topics.jaw is None:
+        notes.append("jaw: not read")
+    total = sum(one.msgcount for one in reader.connections if one.topic == topics.image)
+    return Recording(
+        path, _images(reader, path, topics.image, by_recording), total, lens, tuple(readings), tuple(notes)
+    )
 
 
 @contextmanager

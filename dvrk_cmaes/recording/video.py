@@ -63,8 +63,7 @@ def _captured(path: Path) -> Iterator[Any]:
     """Open a video with FFmpeg, which comes with OpenCV and is kept from printing; other readers guess at names."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    before = os.environ.get("OPENCV_FFMPEG_LOGLEVEL")
-    os.environ["OPENCV_FFMPEG_LOGLEVEL"] = before or _QUIET
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)  # read when FFmpeg is first used
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
@@ -76,8 +75,6 @@ def _captured(path: Path) -> Iterator[Any]:
     finally:
         capture.release()
         cv2.utils.logging.setLogLevel(level)
-        if before is None:
-            del os.environ["OPENCV_FFMPEG_LOGLEVEL"]
 
 
 def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:

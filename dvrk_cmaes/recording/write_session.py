@@ -11,6 +11,7 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -122,7 +123,7 @@ def write_session(
         counted = _Counted(recording.images)
         size = _write_images(folder / "images", recording, selection.of(counted.images()), names, times)
         tables, columns, outcomes = _interpolate(recording, times, round(tolerance * NANOSECONDS))
-        stamps = [f"{time // NANOSECONDS}.{time % NANOSECONDS:09d}" for time in times]
+        stamps = [f"{Decimal(time).scaleb(-9):f}" for time in times]
         write_bytes(folder / "camera.yaml", recording.camera)
         write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, stamps, strict=True)))
         rows = ((name, stamp, *table) for name, stamp, table in zip(names, stamps, tables, strict=True))
@@ -174,8 +175,12 @@ def _interpolate(
     parts: list[list[list[str]]] = []
     outcomes = []
     for source in recording.readings:
-        if set(source.joints) & set(columns):
-            raise InputError(f"{recording.path}: {source.source}: expected other joints than {', '.join(columns)}")
+        doubled = [name for name in source.joints if name in columns]
+        if doubled:
+            raise InputError(
+                f"{recording.path}: {source.source}: {', '.join(doubled)}: expected joints that were not read before "
+                "(leave a topic out by --jaw-topic none)"
+            )
         columns += source.joints
         cells, outcome = _interpolate_source(source, times, tolerance)
         if outcome.frames == 0:
