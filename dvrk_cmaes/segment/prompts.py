@@ -1,0 +1,66 @@
+"""Prompts drawn into an image of some size: where there surely is an instrument, and where none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.segment.segmentation import Box, Pixel
+
+Bool = NDArray[np.bool_]
+
+_RADIUS = 4.0  # px of the full image, about a point
+
+
+@dataclass(frozen=True, eq=False)
+class Prompts:
+    """What somebody said about where the instrument is, in pixels of one size of the image.
+
+    background, tool : (H, W) bool, where there surely is none, or is; None where nothing was said.
+    points : on the instrument. box : around it.
+    """
+
+    background: Bool | None = None
+    tool: Bool | None = None
+    points: tuple[Pixel, ...] = ()
+    box: Box | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether anything was said of where the instrument is."""
+        return self.box is not None or bool(self.points)
+
+    def within(self, window: tuple[slice, slice]) -> Prompts:
+        """Return the regions within a window of the image, without points and box."""
+        background = None if self.background is None else self.background[window]
+        return Prompts(background, None if self.tool is None else self.tool[window])
+
+
+def draw_prompts(
+    shape: tuple[int, ...], scale: float, box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]
+) -> Prompts:
+    """Draw prompts in pixels of the full image into one of a shape (H, W, ..) that is ``scale`` times as large."""
+    height, width = shape[:2]
+
+    def at(u: float, v: float) -> Pixel:
+        column, row = (u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5
+        return min(max(column, 0.0), width - 1.0), min(max(row, 0.0), height - 1.0)
+
+    def discs(pixels: Sequence[Pixel]) -> Bool | None:
+        if not pixels:
+            return None
+        v, u = np.mgrid[:height, :width]
+        radius = max(_RADIUS * scale, 0.75)
+        return np.asarray(np.any([np.hypot(u - x, v - y) <= radius for x, y in (at(*p) for p in pixels)], axis=0))
+
+    background, scaled = discs(not_points), None
+    if box is not None:
+        scaled = (*at(*box[:2]), *at(*box[2:]))
+        outside = np.ones((height, width), np.bool_)
+        rows, columns = (slice(int(max(scaled[k] - 0.5, 0)), int(scaled[k + 2] + 1.5)) for k in (1, 0))
+        outside[rows, columns] = False
+        background = outside if background is None else background | outside
+    return Prompts(background, discs(points), tuple(at(*pixel) for pixel in points), scaled)

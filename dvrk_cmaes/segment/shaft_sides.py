@@ -1,0 +1,65 @@
+"""The straight sides of the shaft in a rough mask, and what they say about the pixels beside it.
+
+In the dark corners of an endoscope's view cloth and tissue are as grey as the shaft, and a mask found by colours runs
+out into them. The shaft does not: its sides go on straight to the border.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.shaft_edges import find_contour, find_shaft_edges
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+
+_FOCAL = 1.2  # in longer sides of the image: any endoscope's is near enough to tell a shaft from what is none
+_RADIUS = 0.004  # m, likewise
+_SLACK = 1.5  # px either side of a line, where the colours alone decide
+_STEEPNESS = 1.0  # log-odds a px beyond that
+_LARGEST = 4.0  # log-odds
+
+
+def shaft_odds(mask: Bool) -> Float32 | None:
+    """Log-odds of instrument (H, W) by the sides of the shaft in a mask (H, W), None where there are none.
+
+    Only along the shaft: 0 where it bends off into the wrist, and beyond.
+    """
+    height, width = mask.shape
+    focal = _FOCAL * max(height, width)
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    found = find_shaft_edges(mask, find_contour(mask, camera), camera, _RADIUS)
+    if isinstance(found, str):
+        return None
+    lines = found[0].planes @ np.linalg.inv(camera.matrix)
+    lines /= np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    first, second = (line[0] * u + line[1] * v + line[2] for line in lines)  # px, positive outside
+    outside = np.maximum(first, second)
+    pull = -_STEEPNESS * np.sign(outside) * np.maximum(np.abs(outside) - _SLACK, 0)
+    along = _inward(lines)
+    stretch = found[0].ends @ along
+    ends = stretch.min(axis=1), stretch.max(axis=1)
+    if _comes_from_start(found[0].ends[:, :, :], along, (height, width)):
+        on_shaft = along[0] * u + along[1] * v < min(ends[1])
+    else:
+        on_shaft = along[0] * u + along[1] * v > max(ends[0])
+    return np.asarray(np.where(on_shaft, np.clip(pull, -_LARGEST, _LARGEST), 0), np.float32)
+
+
+def _inward(lines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean direction of two lines that face away from each other, a unit vector (2,)."""
+    direction = np.array([-lines[0, 1], lines[0, 0]]) - np.array([-lines[1, 1], lines[1, 0]])
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _comes_from_start(ends: NDArray[np.float64], along: NDArray[np.float64], shape: tuple[int, int]) -> bool:
+    """Whether it is the lesser coordinates along the lines at which the shaft meets the border."""
+    limit = np.array([shape[1] - 1, shape[0] - 1])
+    to_border = np.minimum(ends, limit - ends).min(axis=2)
+    position = ends @ along
+    starts = np.take_along_axis(to_border, position.argmin(axis=1)[:, None], axis=1).min()
+    stops = np.take_along_axis(to_border, position.argmax(axis=1)[:, None], axis=1).min()
+    return bool(starts <= stops)
