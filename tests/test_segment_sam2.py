@@ -14,6 +14,7 @@ from sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, decoder, write_export
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.sam2 import Sam2
+from dvrk_cmaes.segment.sam2_files import Model
 from dvrk_cmaes.segment.sam2_images import encoder_input, stretch
 
 SIZES = [(480, 640), (1080, 1920), (900, 300), (1024, 1024), (200, 150)]
@@ -91,9 +92,58 @@ def test_box_and_points_count_together(model: Sam2) -> None:
     assert_alike(model.segment(image, box=box, points=[on], not_points=[beside]), expected)
 
 
-def test_a_box_beyond_the_border_is_cut_there(model: Sam2) -> None:
+def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, **prompts: object) -> dict[str, np.ndarray]:
+    """What a family's decoder is told of prompts in an image 640 wide and 480 high."""
+    heard: list[dict[str, np.ndarray]] = []
+    run = Model.run
+    monkeypatch.setattr(Model, "run", lambda model, tensors: heard.append(tensors) or run(model, tensors))
+    Sam2(write_export(tmp_path, family), threads=1).segment(picture()[0], **prompts)  # type: ignore[arg-type]
+    return heard[-1]
+
+
+@pytest.mark.parametrize("family", ["samexporter", "onnxruntime", "osam"])
+def test_box_corners_are_points_labelled_2_and_3_before_the_others(
+    tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tensors = told(tmp_path, family, monkeypatch, box=(64, 48, 320, 240), points=[(160, 120)], not_points=[(480, 360)])
+    expected = [[102.4, 102.4], [512, 512], [256, 256], [768, 768]]
+    assert tensors["point_coords"][0] == pytest.approx(np.array(expected), abs=1e-3)
+    assert tensors["point_labels"].tolist() == [[2, 3, 1, 0]]
+
+
+def test_a_box_of_its_own_goes_beside_the_points_and_what_is_not_given_is_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tensors = told(tmp_path / "box", "onnx-community", monkeypatch, box=(64, 48, 320, 240))
+    assert tensors["input_boxes"] == pytest.approx(np.array([[[102.4, 102.4, 512, 512]]]), abs=1e-3)
+    assert tensors["input_points"].shape == (1, 1, 0, 2)
+    assert tensors["input_labels"].shape == (1, 1, 0)
+    tensors = told(tmp_path / "point", "onnx-community", monkeypatch, points=[(160, 120)])
+    assert tensors["input_boxes"].shape == (1, 0, 4)
+    assert tensors["input_points"].tolist() == [[[[256, 256]]]]
+    assert tensors["input_labels"].tolist() == [[[1]]]
+
+
+@pytest.mark.parametrize(("family", "name"), [("onnxruntime", "original_image_size"), ("osam", "orig_im_size")])
+def test_the_image_s_size_is_told_height_first(
+    tmp_path: Path, family: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert told(tmp_path, family, monkeypatch, points=[(160, 120)])[name].tolist() == [480, 640]
+
+
+def test_a_box_beyond_the_border_is_cut_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tensors = told(tmp_path, "osam", monkeypatch, box=(-50, -50, 320, 900))
+    assert tensors["point_coords"].tolist() == [[[0, 0], [512, 1024]]]
+
+
+def test_masks_that_the_model_has_decided_itself_are_taken_as_they_are(tmp_path: Path) -> None:
+    folder = write_export(tmp_path, "onnxruntime")
+    model = decoder("onnxruntime")
+    last = next(node for node in model.graph.node if node.output[0] == "masks")
+    last.op_type = "Less"
+    onnx.save(model, folder / "second.onnx")
     image, bar = picture()
-    assert_alike(model.segment(image, box=(-50, -50, 300, 900)), bar & in_box((0, 0, 300, 480), bar.shape))
+    assert_alike(Sam2(folder, 1).segment(image, box=(0, 0, 639, 479)), ~bar)
 
 
 def test_the_score_is_the_mask_s_probability(model: Sam2) -> None:
@@ -150,6 +200,8 @@ def test_an_image_is_encoded_once_for_several_prompts(one_model: Sam2, monkeypat
     image[:, :320] = 0
     assert_alike(one_model.segment(image, box=(0, 0, 639, 479)), bar & (np.arange(640) >= 320))
     assert len(seen) == 2
+    one_model.segment(image.reshape(640, 480, 3), points=[(100, 240)])
+    assert len(seen) == 3
 
 
 def test_the_answer_does_not_depend_on_threads(tmp_path: Path) -> None:
@@ -227,6 +279,9 @@ def test_an_image_larger_than_the_square_is_averaged_not_skipped() -> None:
     stripes = np.zeros((1024, 2048, 3), np.uint8)
     stripes[:, ::2] = 255
     assert np.ptp(encoder_input(stripes), axis=(2, 3)) == pytest.approx(0, abs=1e-5)
+    assert encoder_input(stripes)[0, :, 0, 0] == pytest.approx(
+        [(0.5 - 0.485) / 0.229, (0.5 - 0.456) / 0.224, (0.5 - 0.406) / 0.225], abs=1e-5
+    )
 
 
 def test_logits_are_interpolated_before_they_are_decided() -> None:
