@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.camera_fields import Size
+from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.io.images import match_size, read_ignore, read_image, read_mask
+
+_LARGEST = 400_000_000  # bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +28,7 @@ class FrameFiles:
 
     ``readings`` are by joint, rad or m; ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and
     ``pick`` say which part of the mask is the instrument, as in ``read_mask``. ``notes`` say what was decided about
-    camera and readings when they were found.
+    camera and readings when they were found, ``problem`` why the frame cannot be used: others of its session may be.
     """
 
     name: str
@@ -35,6 +40,7 @@ class FrameFiles:
     label: int | None = None
     pick: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
+    problem: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +66,8 @@ def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
     InputError
         A file that cannot be read, or of a size that does not fit the others: names the file.
     """
+    if files.problem is not None:
+        raise InputError(files.problem)
     if files.mask is None:
         raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
     mask = read_mask(files.mask, label=files.label, pick=files.pick)
@@ -79,6 +87,24 @@ def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
             f"got {_size(image.shape)}"
         )
     return FrameData(mask, fitted, ignore, image, files.notes if note is None else (*files.notes, note))
+
+
+def frame_size(files: FrameFiles) -> Size:
+    """Width and height in pixels of a frame's mask, or else its image, from the file's header.
+
+    Raises
+    ------
+    InputError
+        No such file, or no PNG or JPEG.
+    """
+    path = files.mask or files.image
+    if path is None:
+        raise InputError(f"frame {files.name}: expected a mask or an image, got neither")
+    expected = "a mask or an image (PNG or JPEG)"
+    header = read_header(read_bytes(path, expected=expected, largest=_LARGEST))
+    if header is None:
+        raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
+    return header.width, header.height
 
 
 def _size(shape: tuple[int, ...]) -> str:

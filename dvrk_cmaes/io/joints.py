@@ -27,6 +27,7 @@ __all__ = [
     "TIME_TOLERANCE",
     "WRIST_JOINTS",
     "FrameReadings",
+    "JointFile",
     "frame_readings",
     "is_written_out",
     "read_joint_file",
@@ -125,8 +126,9 @@ def frame_readings(
 ) -> FrameReadings:
     """Find the readings of one frame in all files that a session has.
 
-    A file whose rows have times is interpolated to the image's time, if that is known. Otherwise a row is the frame's
-    by its name; rows that are only numbered, by the whole number that the frame's name ends in.
+    A file whose rows have times is interpolated to the image's time, if that is known and is not the very time of the
+    frame's own row. Otherwise a row is the frame's by its name; rows that are only numbered, by the whole number that
+    the frame's name ends in.
 
     Parameters
     ----------
@@ -151,7 +153,8 @@ def frame_readings(
     notes: list[str] = []
     farthest: int | None = None
     for file in files:
-        if time is not None and file.timed:
+        named = file.rows.get(frame) if file.labels == "frame" else None
+        if time is not None and file.timed and (named is None or named.time != time):
             found, distance = _interpolated(file, frame, time, tolerance)
             farthest = max(distance, farthest or 0)
         else:
