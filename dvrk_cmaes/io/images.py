@@ -67,10 +67,14 @@ def read_ignore(path: str | Path) -> NDArray[np.bool_]:
     return np.asarray(_read_grey(path, "a mask of ignored pixels") > _THRESHOLD)
 
 
-def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """Read an image as (H, W, 3) uint8, BGR; grey is expanded. InputError if it cannot be."""
+def read_image(path: str | Path, *, halved: bool = False) -> NDArray[np.uint8]:
+    """Read an image as (H, W, 3) uint8, BGR; grey is expanded. InputError if it cannot be.
+
+    ``halved``: at half its size, which for a JPEG is decoded in a third of the time.
+    """
     data, _ = _read_file(path, "an image")
-    return _decode(path, data, "an image", cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    colour = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR
+    return _decode(path, data, "an image", colour | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def match_size(camera: Camera, shape: tuple[int, int]) -> tuple[Camera, str | None]:

@@ -1,0 +1,130 @@
+"""The page of a session's results: OUT/report.html, one file that opens without a network.
+
+It holds everything but the overlays at full size, which lie beside it (``overlays/``). It can be read and printed
+without scripts; with them, frames can be sorted, sifted and gone through by keys. Nothing on it depends on when or
+where it was made: the same results give the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from urllib.parse import quote
+
+import jinja2
+from markupsafe import Markup
+
+from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.results_folder import ResultsFolder, read_results, result_paths
+from dvrk_cmaes.report.files import overlay_path
+from dvrk_cmaes.report.page_frames import NOTHING, STATUSES, FrameView, anchor, doubt, fixed, frame_view, signed
+from dvrk_cmaes.report.page_plots import joint_plot, mark_path, rcm_plot, short
+from dvrk_cmaes.report.page_session import (
+    Run,
+    SessionBase,
+    common_warnings,
+    joint_summaries,
+    origins,
+    reason_counts,
+    session_figures,
+)
+from dvrk_cmaes.report.page_thumbnails import thumbnail
+from dvrk_cmaes.result import Result
+
+_TEMPLATES = Path(__file__).resolve().parent / "templates"
+_THREADS = 2
+
+
+def write_page(out: Path) -> Path:
+    """Make OUT/report.html of the results in OUT, and return its path.
+
+    Reads ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and ``summary.json`` and ``session.json`` where they are there.
+
+    Raises
+    ------
+    InputError
+        No results, or one that cannot be read, as ``read_results``; a folder that cannot be written to.
+    """
+    page = render_page(read_results(out)).encode("utf-8", errors="replace")
+    path = out / "report.html"
+    write_bytes(path, page)
+    return path
+
+
+def render_page(folder: ResultsFolder) -> str:
+    """Make the page of results, HTML."""
+    results = list(folder.frames.values())
+    run = Run.of(folder.summary)
+    base = SessionBase.of(results)
+    views = _views(folder, results, base)
+    script, style = _text("page.js"), _text("page.css")
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"fixed": fixed, "signed": signed, "anchor": anchor, "short": short, "mark": mark_path}
+    return environment.get_template("page.html").render(
+        script=Markup(script),
+        style=Markup(style),
+        script_hash=_hash(script),
+        style_hash=_hash(style),
+        results=results,
+        run=run,
+        instruments=sorted({result.instrument for result in results} - {""}),
+        statuses=STATUSES,
+        counts={status: sum(result.status == status for result in results) for status in STATUSES},
+        together=sum(result.source == "session" for result in results),
+        figures=list(session_figures(results, base, run)),
+        joints=list(joint_summaries(results)),
+        reasons=reason_counts(results),
+        shared_warnings=common_warnings(results),
+        joint_plot=joint_plot(results),
+        rcm_plot=None if base is None else rcm_plot(results, base),
+        base=base,
+        frames=views,
+        origins=origins(results),
+        nothing=NOTHING,
+    )
+
+
+def _views(folder: ResultsFolder, results: Sequence[Result], base: SessionBase | None) -> list[FrameView]:
+    """All frames, the most doubtful first."""
+    # A name is from inside a result; it says where files are only if it is that of a file.
+    documents = {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
+    overlays = [overlay_path(folder.folder, name) if name in documents else None for name in folder.frames]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        thumbnails = list(pool.map(thumbnail, overlays, results))
+    away = {} if base is None else dict(zip(base.frames, base.points - base.centre, strict=True))
+    views = [
+        frame_view(
+            result,
+            place=place,
+            thumbnail=small,
+            document=_address(documents[name]) if name in documents else None,
+            overlay=None if small is None or overlay is None else _address(f"overlays/{overlay.name}"),
+            from_median=away.get(name),
+        )
+        for place, (name, result, overlay, small) in enumerate(
+            zip(folder.frames, results, overlays, thumbnails, strict=True)
+        )
+    ]
+    return sorted(views, key=lambda view: (doubt(view.result), view.place))
+
+
+def _address(path: str) -> str:
+    return quote(path, errors="replace")
+
+
+def _text(name: str) -> str:
+    return (_TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """Name a script or style so that the page's policy lets it, and nothing else, run."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")

@@ -1,0 +1,69 @@
+"""Axes of a plot: round numbers to label, and where a value lies in the drawing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+_ROUND = (1.0, 2.0, 5.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A straight axis from ``low`` to ``high`` (in ``label``'s unit), drawn from ``start`` to ``end`` (the plot's).
+
+    ``ticks``: text, and where it lies in the drawing.
+    """
+
+    label: str
+    low: float
+    high: float
+    start: float
+    end: float
+    ticks: tuple[tuple[str, float], ...] = ()
+
+    def at(self, value: float) -> float:
+        """Where a value lies in the drawing."""
+        return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies on the axis, and not beyond its ends."""
+        return self.low <= value <= self.high
+
+    def clamped(self, value: float) -> float:
+        """Where a value lies, or the end of the axis that is nearest to it."""
+        return self.at(min(max(value, self.low), self.high))
+
+
+def round_step(span: float, most: int) -> float:
+    """Smallest of 1, 2, 5 times a power of ten that divides a positive span into at most ``most`` parts."""
+    power = 10.0 ** math.floor(math.log10(span / most))
+    return next(power * factor for factor in _ROUND if power * factor * most >= span * (1 - 1e-9))
+
+
+def value_axis(
+    label: str, low: float, high: float, *, start: float, end: float, most: int = 7, to_ticks: bool = True
+) -> Axis:
+    """Axis of numbers with round ones labelled; with ``to_ticks`` it is widened to begin and end at one."""
+    step = round_step(high - low, most)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    if to_ticks:
+        first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+        low, high = first * step, last * step
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    axis = Axis(label, low, high, start, end)
+    ticks = tuple((f"{k * step:.{digits}f}", axis.at(k * step)) for k in range(first, last + 1))
+    return Axis(label, low, high, start, end, ticks)
+
+
+def name_axis(label: str, names: tuple[str, ...], *, start: float, end: float, most: int = 10) -> Axis:
+    """Axis of things in a row, at 0, 1, ...; evenly chosen ones are labelled by their names, cut where too long."""
+    longest = round((end - start) / most / 7)
+    step = max(1, math.ceil(len(names) / most))
+    axis = Axis(label, -0.5, max(len(names) - 0.5, 0.5), start, end)
+    ticks = tuple(
+        (name if len(name) <= longest else name[: longest - 1] + "…", axis.at(k))
+        for k, name in enumerate(names)
+        if k % step == 0
+    )
+    return Axis(label, axis.low, axis.high, start, end, ticks)
