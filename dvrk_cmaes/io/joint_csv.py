@@ -97,6 +97,11 @@ def _whole(where: str, name: str, cell: str) -> str:
     raise InputError(f"{where}: {name}: expected a whole number, got {shown(cell)}")
 
 
+def _timestamp(where: str, cell: str) -> int:
+    """Time in ns of a message; data_collection writes whole nanoseconds, however few."""
+    return int(cell) if cell.isdecimal() and len(cell) < 19 else parse_time(where, cell)
+
+
 def _topic(path: str, header: list[str], rows: Rows, comments: dict[str, str], names: Sequence[str]) -> JointFile:
     """Messages of a topic, as data_collection writes them."""
     kind = comments.get("type", "")
@@ -116,7 +121,7 @@ def _topic(path: str, header: list[str], rows: Rows, comments: dict[str, str], n
         else:
             joints = ordered_joints(f"{where}: position", len(filled))
         values = dict(zip(joints, (cells[name] for name in filled), strict=True))
-        found[f"message {count + 1}"] = JointRow(where, values, parse_time(where, cells["timestamp"]))
+        found[f"message {count + 1}"] = JointRow(where, values, _timestamp(where, cells["timestamp"]))
     if not found:
         raise InputError(f"{path}: expected a row for each message, got a header only")
     named = any(name.startswith("name.") for name in header)
