@@ -217,6 +217,16 @@ def test_the_dvrk_s_older_names_are_known(imported: Import, tmp_path: Path) -> N
     assert list(read_session("session").frames[2].readings) == [*ARM, "jaw"]
 
 
+def test_joints_without_names_are_taken_in_the_dvrk_s_order_and_that_is_noted(imported: Import, tmp_path: Path) -> None:
+    nameless = [replace(m, fields={**m.fields, "name": []}) if m.kind == "JointState" else m for m in good()]
+    summary = imported(write_bag(tmp_path / "bag", "mcap", nameless))
+    assert list(read_session("session").frames[0].readings) == [*ARM, "jaw"]
+    assert (
+        "/PSM1/measured_js, /PSM1/jaw/measured_js: joints are not named: taken in the dVRK's order, by their number"
+        in summary["notes"]
+    )
+
+
 def test_topics_are_chosen_by_flags_and_the_rest_follows_them(imported: Import, tmp_path: Path) -> None:
     second = {name: name.replace("left", "right").replace("PSM1", "PSM2") for name in {m.topic for m in good()}}
     other = [m for m in good() if m.kind != "CameraInfo"]
@@ -328,6 +338,10 @@ def test_a_video_and_its_readings_become_a_session(imported: Import, tmp_path: P
     assert [frame.name for frame in frames] == ["000000", "000003", "000006", "000009"]
     assert [frame.readings.get("wrist_pitch") for frame in frames] == pytest.approx([0.005, 0.125, 0.245, 0.365])
     assert [frame.readings.get("jaw") for frame in frames] == [0.2, 0.2, 0.2, None]
+    assert [(one["joints"], one["frames"], one["without"]) for one in summary["readings"]] == [
+        (["wrist_pitch"], 4, 0),
+        (["jaw"], 3, 1),
+    ]
     for frame in frames:
         assert frame.image is not None
         assert np.array_equal(read_image(frame.image), pixels(int(frame.name)))

@@ -96,7 +96,7 @@ def import_recording(
     camera
         The camera file; of a ROS recording, instead of its camera_info.
     joints
-        Readings: CSV with a column time (s) and one column a joint; of a ROS recording, instead of its topics.
+        Readings with times, e.g. CSV with a column time (s); of a ROS recording, instead of its topics.
     video_start
         The video's start on the clock of the readings, in seconds.
     topics

@@ -12,7 +12,7 @@ from dvrk_cmaes.instrument.library_errors import one_line
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
-from dvrk_cmaes.recording.reading_table import read_reading_table
+from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 from dvrk_cmaes.recording.topics import TopicChoice, Topics, choose_topics
 from dvrk_cmaes.timed_readings import TimedReadings
@@ -79,8 +79,11 @@ def _recording(
     by_recording = recorded_times or bool(without)
     readings = [_readings(reader, path, name, by_recording) for name in used]
     if joints is not None:
-        readings.append(read_reading_table(joints))
+        readings += read_timed_joints(joints)
     notes += [f"{' '.join(one.joints)}: {one.source}" for one in readings]
+    unnamed = [name for name in used if not _first(reader, name).name]
+    if unnamed:
+        notes.append(f"{', '.join(unnamed)}: joints are not named: taken in the dVRK's order, by their number")
     if topics.joints is not None and topics.jaw is None:
         notes.append("jaw: not read")
     total = sum(one.msgcount for one in reader.connections if one.topic == topics.image)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
-from dvrk_cmaes.io.joints import OUTER_JOINTS, WRIST_JOINTS
+from dvrk_cmaes.io.joint_names import all_names, ordered_joints, plain_joint
 from dvrk_cmaes.io.shown import listed, shown
 from dvrk_cmaes.recording.recording import ImageFile
 from dvrk_cmaes.timed_readings import NANOSECONDS
@@ -92,13 +92,13 @@ def _check_size(width: int, height: int, where: str) -> None:
 
 
 def joint_names(message: Any, where: str) -> tuple[str, ...]:
-    """Names of a JointState's joints as this program has them; the dVRK's older ones begin with ``outer_``."""
-    names = tuple(str(name).removeprefix("outer_") for name in message.name)
-    unknown = [name for name in names if name not in (*OUTER_JOINTS, *WRIST_JOINTS)]
-    if unknown or not names or len(set(names)) < len(names):
-        expected = ", ".join((*OUTER_JOINTS, *WRIST_JOINTS))
+    """Names of a JointState's joints, without what ROS puts before them; by their number where it names none."""
+    if not message.name:
+        return ordered_joints(f"{where}: position", len(message.position))
+    names = tuple(plain_joint(str(name), all_names()) for name in message.name)
+    if set(names) - set(all_names()) or len(set(names)) < len(names):
         raise InputError(
-            f"{where}: name: expected joints of an arm ({expected}), got {listed(message.name, 8) or 'none'}"
+            f"{where}: name: expected joints of an arm ({', '.join(all_names())}), got {listed(message.name, 8)}"
         )
     return names
 
@@ -108,6 +108,6 @@ def joint_values(message: Any, names: tuple[str, ...], where: str) -> list[float
     if joint_names(message, where) != names or len(message.position) != len(names):
         raise InputError(
             f"{where}: expected a position of each of {', '.join(names)} in every message, "
-            f"got {len(message.position)} of {listed(message.name, 8)}"
+            f"got {len(message.position)} of {listed(message.name, 8) or 'joints without names'}"
         )
     return [float(value) for value in message.position]

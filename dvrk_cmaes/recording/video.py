@@ -16,7 +16,7 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.image_header import MOST_PIXELS
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import encoded
-from dvrk_cmaes.recording.reading_table import read_reading_table
+from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.timed_readings import NANOSECONDS
 
@@ -46,16 +46,16 @@ def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: f
     if camera is None or joints is None:
         missing = "--camera" if camera is None else "--joints"
         raise InputError(f"{path}: {missing}: a video needs a camera file and a table of readings; got none")
-    lens, readings = read_camera_bytes(camera), read_reading_table(joints)
+    lens, readings = read_camera_bytes(camera), read_timed_joints(joints)
     with _captured(path) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         notes = (
             f"camera: {camera}",
-            f"{' '.join(readings.joints)}: {joints}",
+            *(f"{' '.join(one.joints)}: {joints}" for one in readings),
             f"times: the video's, its first frame at {start:g} s of the readings' clock",
         )
         images = _images(path, capture, round(start * NANOSECONDS))
-        yield Recording(path, images, total if total > 0 else None, lens, (readings,), notes)
+        yield Recording(path, images, total if total > 0 else None, lens, readings, notes)
 
 
 @contextmanager
