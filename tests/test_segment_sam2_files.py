@@ -285,7 +285,7 @@ def test_without_onnxruntime_the_command_that_brings_it_is_told(
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "onnxruntime" else found(name))
     assert refusal(tmp_path) == (
-        "model sam2: needs the library onnxruntime, which is not installed; run: pip install 'onnxruntime>=1.20,<2'"
+        "model sam2: needs the library onnxruntime, which is not installed; run: pip install 'onnxruntime>=1.22,<2'"
     )
 
 

@@ -35,7 +35,7 @@ _DTYPES = {
 }
 _PRECISIONS = ("", "_fp16", "_quantized", "_int8", "_uint8", "_q4", "_q4f16", "_bnb4")  # of one model, best first
 _MOST_FILES = 8
-_INSTALL = "pip install 'onnxruntime>=1.20,<2'"
+_INSTALL = "pip install 'onnxruntime>=1.22,<2'"
 _FOREIGN = (  # a tensor's name that gives away a part of another kind of export
     (r"mem|obj_ptr|object_pointer|feats2", "a part of a video export, which needs the memory of earlier frames"),
     (r"sparse_|dense_|image_pe", "a part of an export that keeps prompts and masks in files of their own"),
@@ -184,17 +184,19 @@ def _why_not_read(file: Path, error: Exception, version: str) -> str:
     text = " ".join(str(error).split())
     try:
         with file.open("rb") as start:
-            pointer = start.read(64).startswith(b"version https://git-lfs")
+            head = start.read(64)
     except OSError as refused:
         return f"not readable ({refused.strerror}); expected a model"
-    if pointer:
+    if head.startswith(b"version https://git-lfs"):
         return "expected a model, got only Git LFS's pointer to it; download the file itself (git lfs pull)"
-    missing = re.search(r'External data path does not exist: "?([^"]+)"?', text)
+    missing = re.search(r'External data path does not exist: "?([^"]+)"?|No such file or directory \[([^\]]+)\]', text)
     if missing:
-        return f"its weights are missing: expected {Path(missing[1]).name} beside it; download that file too"
+        return (
+            f"its weights are missing: expected {Path(missing[1] or missing[2]).name} beside it; download that file too"
+        )
     if re.search(r"[Oo]pset \d+ is under development|Unsupported model IR version", text):
         return f"made for a newer onnxruntime than the {version} installed; pip install --upgrade onnxruntime"
-    if re.search(r"INVALID_PROTOBUF|No graph was found", text):
+    if not head or "INVALID_PROTOBUF" in text:
         return "expected a model, got a file that is damaged, cut off or something else; download it again"
     return f"onnxruntime {version} does not read it: {one_line(error)}"
 
