@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,20 @@ class Tolerance:
     jaw_deg: float = 3.0
 
 
+class Measured(NamedTuple):
+    """A quantity's error, at least zero, and the largest that is allowed, in its unit (mm or deg)."""
+
+    quantity: str
+    unit: str
+    error: float
+    at_most: float
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the error is too large; what is not a number is, too."""
+        return not self.error <= self.at_most
+
+
 @dataclass(frozen=True)
 class PoseError:
     """Errors of a pose.
@@ -46,23 +61,25 @@ class PoseError:
     roll_deg: float
     joints_deg: dict[str, float]
 
+    def measured(self, tolerance: Tolerance) -> list[Measured]:
+        """Each quantity with what is allowed; joints other than the jaw as pitch and yaw."""
+        found = [Measured("root", "mm", self.root_mm, tolerance.root_mm)]
+        if self.tip_mm is not None:
+            found.append(Measured("tip", "mm", self.tip_mm, tolerance.tip_mm))
+        found.append(Measured("shaft", "deg", self.shaft_deg, tolerance.shaft_deg))
+        found.append(Measured("roll", "deg", self.roll_deg, tolerance.roll_deg))
+        for name, value in self.joints_deg.items():
+            most = tolerance.jaw_deg if name == "jaw" else tolerance.pitch_yaw_deg
+            found.append(Measured(name, "deg", abs(value), most))
+        return found
+
     def beyond(self, tolerance: Tolerance) -> list[str]:
         """Say what exceeds its tolerance, in words; nothing where the pose counts as right."""
-        measured = {
-            "root_mm": self.root_mm,
-            "tip_mm": 0.0 if self.tip_mm is None else self.tip_mm,
-            "shaft_deg": self.shaft_deg,
-            "roll_deg": self.roll_deg,
-            "pitch_yaw_deg": max((abs(self.joints_deg.get(n, 0.0)) for n in ("wrist_pitch", "wrist_yaw")), default=0.0),
-            "jaw_deg": abs(self.joints_deg.get("jaw", 0.0)),
-        }
-        found = []
-        for name, value in measured.items():
-            most = getattr(tolerance, name)
-            if not value <= most:  # so that what is not a number exceeds it, too
-                quantity, unit = name.rsplit("_", 1)
-                found.append(f"{quantity.replace('_', '/')} {value:.2f} {unit} (at most {most:g})")
-        return found
+        return [
+            f"{one.quantity} {one.error:.2f} {one.unit} (at most {one.at_most:g})"
+            for one in self.measured(tolerance)
+            if one.exceeds
+        ]
 
 
 def compare_poses(

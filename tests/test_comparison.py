@@ -65,8 +65,9 @@ def test_joints_move_the_tips(bundled_body: Body) -> None:
         ({"tip_mm": 0.6}, "tip 0.60 mm (at most 0.5)"),
         ({"shaft_deg": 2.0}, "shaft 2.00 deg (at most 1.5)"),
         ({"roll_deg": 4.0}, "roll 4.00 deg (at most 3)"),
-        ({"joints_deg": {"wrist_pitch": 0.0, "wrist_yaw": -3.5}}, "pitch/yaw 3.50 deg (at most 3)"),
+        ({"joints_deg": {"wrist_pitch": 0.0, "wrist_yaw": -3.5}}, "wrist_yaw 3.50 deg (at most 3)"),
         ({"joints_deg": {"jaw": -3.5}}, "jaw 3.50 deg (at most 3)"),
+        ({"joints_deg": {"wrist_roll": 3.5}}, "wrist_roll 3.50 deg (at most 3)"),
         ({"root_mm": float("nan")}, "root nan mm (at most 0.5)"),
     ],
 )

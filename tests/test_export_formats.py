@@ -15,6 +15,7 @@ import yaml
 from canned_results import BASE, canned, failed
 from scipy.spatial.transform import Rotation
 
+from dvrk_cmaes import estimate
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.bop import bop_files
 from dvrk_cmaes.export.dvrk_registration import registration_files
@@ -22,7 +23,10 @@ from dvrk_cmaes.export.easy_handeye import calibration_file
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.tf import publisher_command
 from dvrk_cmaes.export.tracker import joint_vector, pose_vector, tracker_files
+from dvrk_cmaes.io.frame_files import read_frame
+from dvrk_cmaes.io.session_folder import read_session
 from dvrk_cmaes.result import Result
+from dvrk_cmaes.silhouette import Body
 
 NAMES = FrameNames("PSM2", "endoscope_left_optical", "PSM2_base")
 
@@ -174,3 +178,18 @@ def test_published_poses_make_the_published_tracker_files(shared: Path) -> None:
     np.testing.assert_allclose(joint_vector(result)[:2], theirs[:2], atol=2e-6)
     assert joint_vector(result)[2:].sum() == pytest.approx(theirs[2:].sum(), abs=2e-6)
     np.testing.assert_allclose(theirs[2:], [number["jaw_2"], number["jaw_1"]], atol=2e-6)
+
+
+@pytest.mark.shared
+def test_an_estimate_starts_the_tracker_where_the_published_poses_are(shared: Path, scanned_body: Body) -> None:
+    session = read_session(shared / "frames" / "real" / "easy")
+    files = next(frame for frame in session.frames if frame.name == "0026")
+    frame = read_frame(files, session.camera)
+    result = estimate(frame.mask, frame.camera, files.readings, scanned_body)
+    assert result.camera_from_root is not None
+    published = shared / "formats" / "published_layout" / "0"
+    start, theirs = pose_vector(result.camera_from_root), np.load(published / "optimized_ctr.npy")
+    apart = Rotation.from_rotvec(start[:3]).inv() * Rotation.from_rotvec(theirs[:3])
+    assert np.degrees(apart.magnitude()) < 6
+    assert np.linalg.norm(start[3:] - theirs[3:]) < 3e-3
+    np.testing.assert_allclose(joint_vector(result), np.load(published / "optimized_joint_angles.npy"), atol=0.15)

@@ -14,7 +14,7 @@ from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
-from dvrk_cmaes.io.golden_file import read_golden
+from dvrk_cmaes.io.golden_file import read_golden, write_golden
 from dvrk_cmaes.io.keypoints import read_keypoints
 from dvrk_cmaes.io.session_folder import read_session
 
@@ -104,7 +104,7 @@ def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
         ("keypoints.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0000,1,2,3,x\n", "line 2: keypoints: expected four"),
         ("keypoints.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\na,1,2,3,4\na,1,2,3,4\n", "each frame once"),
         ("golden.json", "{", "no valid JSON"),
-        ("golden.json", "[]", "frames: expected an object"),
+        ("golden.json", "[]", "expected the truth of a session (golden.json), got []"),
         ("golden.json", '{"frames": {"a": {"joints": {}}}}', "frame a: T_camera_roll_link: expected 4 rows"),
         ("golden.json", json.dumps({"frames": {"a": {"T_camera_roll_link": POSE}}}), "frame a: joints: expected an"),
         (
@@ -141,6 +141,13 @@ def test_a_golden_pose_is_read_as_it_is() -> None:
         truth.frames["0003"].camera_from_root, document["frames"]["0003"]["T_camera_roll_link"]
     )
     assert truth.frames["0003"].joints["jaw"] == document["frames"]["0003"]["joints"]["jaw"]
+
+
+def test_a_golden_file_is_written_as_it_is_read(tmp_path: Path) -> None:
+    write_golden(tmp_path / "golden.json", read_golden(DEMO / "golden.json"))
+    again, first = (json.loads((folder / "golden.json").read_text()) for folder in (tmp_path, DEMO))
+    assert again["frames"]["0003"] == first["frames"]["0003"]
+    assert again["camera_from_base"] == first["camera_from_base"]
 
 
 def test_a_frame_s_parts_must_fit_and_the_camera_is_made_to(tmp_path: Path) -> None:

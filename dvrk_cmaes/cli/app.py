@@ -14,6 +14,7 @@ from dvrk_cmaes.cli.consistency import consistency
 from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
 from dvrk_cmaes.cli.export import export
+from dvrk_cmaes.cli.golden import golden
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.terminal import complain
@@ -33,6 +34,7 @@ app.command(estimate)
 app.command(demo)
 app.command(batch)
 app.command(export)
+app.command(golden)
 app.command(consistency)
 app.command(pnp)
 app.command(import_recording, name="import")

@@ -1,8 +1,11 @@
-"""Known truth of a session's frames: ``golden.json``, to compare results with."""
+"""Known truth of a session's frames, or poses kept to compare later ones with: ``golden.json``.
+
+``frames``, by name: ``T_camera_roll_link`` 4 x 4 (camera_from_root), ``joints`` by name, ``tips_camera_m`` if known.
+``camera_from_base``: 4 x 4 or null.
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,20 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.files import read_text
-from dvrk_cmaes.io.shown import shown
+from dvrk_cmaes.document import Fields
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import read_json_object
 
 _EXPECTED = "the truth of a session (golden.json)"
-_LARGEST = 100_000_000  # bytes
 
 
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """True ``camera_from_root`` (4, 4) and joints, rad or m, of one frame."""
+    """True ``camera_from_root`` (4, 4), joints, rad or m, and if known the jaw tips (2, 3) in the camera, m."""
 
     camera_from_root: NDArray[np.float64]
     joints: Mapping[str, float]
+    tips: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,51 +39,50 @@ class SessionTruth:
 
 
 def read_golden(path: str | Path) -> SessionTruth:
-    """Read a golden.json: ``{"frames": {name: {"T_camera_roll_link", "joints"}}, "camera_from_base"}``.
+    """Read a golden.json.
 
     Raises
     ------
     InputError
         Naming the file, the frame and the field, and what was expected.
     """
-    try:
-        document = json.loads(read_text(path, expected=_EXPECTED, largest=_LARGEST))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected {_EXPECTED}, got no valid JSON ({error})") from None
-    frames = _mapping(str(path), "frames", document)
-    base = document.get("camera_from_base")
+    fields = Fields(str(path), read_json_object(path, expected=_EXPECTED))
+    frames = fields.inner("frames", required=True)
+    assert frames is not None
     return SessionTruth(
-        frames={name: _frame(f"{path}: frame {name}", entry) for name, entry in frames.items()},
-        camera_from_base=None if base is None else _pose(f"{path}: camera_from_base", base),
+        frames={name: _frame(Fields.of(f"{path}: frame {name}", entry)) for name, entry in frames.values.items()},
+        camera_from_base=fields.pose("camera_from_base"),
     )
 
 
-def _frame(where: str, entry: Any) -> FrameTruth:
-    joints = _mapping(where, "joints", entry)
-    for name, value in joints.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise InputError(f"{where}: joints.{name}: expected a finite number, got {shown(value)}")
-    pose = _pose(f"{where}: T_camera_roll_link", entry.get("T_camera_roll_link"))
-    return FrameTruth(pose, {name: float(value) for name, value in joints.items()})
+def write_golden(path: str | Path, truth: SessionTruth) -> None:
+    """Write a golden.json, whole or not at all; errors as `dvrk_cmaes.io.atomic.write_bytes`."""
+    base = truth.camera_from_base
+    write_json(
+        path,
+        {
+            "frames": {name: _entry(frame) for name, frame in truth.frames.items()},
+            "camera_from_base": None if base is None else _rounded(base),
+        },
+    )
 
 
-def _mapping(where: str, field_name: str, entry: Any) -> dict[str, Any]:
-    """Entry of a mapping that must be a mapping itself."""
-    value = entry.get(field_name) if isinstance(entry, dict) else None
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: {field_name}: expected an object, got {shown(value)}")
-    return value
+def _frame(fields: Fields) -> FrameTruth:
+    joints = fields.numbers("joints", required=True)
+    pose = fields.pose("T_camera_roll_link", required=True)
+    assert pose is not None
+    tips = fields.array("tips_camera_m", (2, 3)) if fields.values.get("tips_camera_m") else None  # a hook has none
+    return FrameTruth(pose, joints, tips)
 
 
-def _pose(where: str, value: Any) -> NDArray[np.float64]:
-    """Check a rigid transform (4, 4), rows first."""
-    try:
-        pose = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        pose = np.empty(0)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise InputError(f"{where}: expected 4 rows of 4 finite numbers, got {shown(value)}")
-    off = np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max()
-    if off > 1e-4 or np.linalg.det(pose[:3, :3]) < 0 or (pose[3] != [0, 0, 0, 1]).any():
-        raise InputError(f"{where}: expected a rotation and a translation over 0 0 0 1, got {shown(value)}")
-    return pose
+def _entry(frame: FrameTruth) -> dict[str, Any]:
+    entry = {
+        "T_camera_roll_link": _rounded(frame.camera_from_root),
+        "joints": {name: round(float(value), 9) for name, value in frame.joints.items()},
+    }
+    return entry if frame.tips is None else {**entry, "tips_camera_m": _rounded(frame.tips)}
+
+
+def _rounded(array: NDArray[np.float64]) -> Any:
+    """Numbers to a nanometre, as results have them."""
+    return np.round(array, 9).tolist()

@@ -40,11 +40,17 @@ def check_output(out: Path, frame: str) -> None:
     """
     check_frame_name(frame)
     for folder in (result_path(out, frame).parent, overlay_path(out, frame).parent):
-        there = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
-        if not there.is_dir():
-            raise InputError(f"{out}: expected a folder to write to, but {there} is a file")
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise InputError(f"{out}: expected a folder to write to, but {there} may not be written to")
+        check_writable(folder, named=out)
+
+
+def check_writable(folder: Path, *, named: Path | None = None) -> None:
+    """Refuse, by `InputError`, a folder that cannot be written to or made; ``named`` is how the message calls it."""
+    name = folder if named is None else named
+    there = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
+    if not there.is_dir():
+        raise InputError(f"{name}: expected a folder to write to, but {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(f"{name}: expected a folder to write to, but {there} may not be written to")
 
 
 def write_frame(out: Path, result: Result, overlay: NDArray[np.uint8]) -> tuple[Path, Path]:

@@ -1,0 +1,276 @@
+"""``dvrk-cmaes golden record`` and ``golden check``: keep poses of a lab's own frames, and see whether they drift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+from cyclopts import App, Group, Parameter
+
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_INSTRUMENT,
+    DEFAULT_METHOD,
+    OUTPUT,
+    CameraOptions,
+    Flag,
+    InstrumentOptions,
+    MethodOptions,
+)
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.comparison import Tolerance
+    from dvrk_cmaes.golden import FrameCheck
+    from dvrk_cmaes.io.session_folder import Session
+    from dvrk_cmaes.silhouette import Body
+
+T = TypeVar("T")
+
+TOLERANCE = Group.create_ordered("Tolerance")
+
+golden = App(name="golden", help="Keep the poses of a session's frames, and check that they stay what they were.")
+
+
+@Parameter(name="*", group=TOLERANCE)
+@dataclass(frozen=True, kw_only=True)
+class ToleranceOptions:
+    """How far a pose may be from the golden one.
+
+    Parameters
+    ----------
+    root_mm
+        Of the root's origin.
+    tip_mm
+        Of the jaw tips, mean of both.
+    shaft_deg
+        Between the shafts' directions.
+    roll_deg
+        About the shaft.
+    pitch_yaw_deg
+        Of every joint but the jaw.
+    jaw_deg
+        Of the jaw.
+    modulo_twin
+        The golden pose's mirror twin is right, too.
+    """
+
+    root_mm: float = 0.5
+    tip_mm: float = 0.5
+    shaft_deg: float = 1.5
+    roll_deg: float = 3.0
+    pitch_yaw_deg: float = 3.0
+    jaw_deg: float = 3.0
+    modulo_twin: Flag = False
+
+    def resolve(self) -> Tolerance:
+        """Check the values (`InputError`)."""
+        from dvrk_cmaes.comparison import Tolerance
+
+        values = {name: value for name, value in asdict(self).items() if name != "modulo_twin"}
+        for name, value in values.items():
+            if not value >= 0:
+                raise InputError(f"--{name.replace('_', '-')}: expected a number of at least 0, got {value:g}")
+        return Tolerance(**values)
+
+
+DEFAULT_TOLERANCE = ToleranceOptions()
+
+
+@golden.command
+def record(
+    session: Path,
+    /,
+    *,
+    golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+    allow_doubtful: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Estimate all frames of a session and keep their poses in its golden.json.
+
+    Look at the poses first (estimate draws them): what is kept is what was found, not the truth. Exit codes: 0 all
+    frames kept, 1 none could be, 2 wrong usage or input, 3 some were left out.
+
+    Example:
+
+    `dvrk-cmaes golden record session`
+
+    Parameters
+    ----------
+    session
+        A session folder: camera.yaml, joints.csv, masks.
+    golden
+        The file to write; golden.json in the session unless given.
+    overwrite
+        Replace a file that is there.
+    allow_doubtful
+        Keep the poses of doubtful frames, too.
+    camera
+        The camera.
+    instrument
+        Which instrument.
+    method
+        How to search.
+    json
+        Print as JSON, and nothing else, on stdout what was kept.
+    """
+    from dvrk_cmaes.golden import estimate_all
+    from dvrk_cmaes.golden import record as recorded
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.golden_file import write_golden
+    from dvrk_cmaes.report.files import check_writable
+
+    path = session / "golden.json" if golden is None else golden
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
+    check_writable(path.parent)
+    config = method.resolve()
+    body, found = _load(session, camera, instrument)
+    results = _tracked(estimate_all(found.frames, found, body, arm=instrument.arm, config=config), len(found.frames))
+    recording = recorded(results, body.instrument, allow_doubtful=allow_doubtful)
+    kept = list(recording.truth.frames)
+    if kept:
+        write_golden(path, recording.truth)
+    for frame, reason in recording.left_out.items():
+        warn(f"left out {frame}: {reason}")
+    if json:
+        document = {"kept": kept, "left_out": dict(recording.left_out), "written": str(path) if kept else None}
+        print(json_text(document), end="")
+    else:
+        show([Line(f"kept {len(kept)} of {len(found.frames)} frames")])
+        show([Line(f"written: {path}" if kept else "nothing to keep, nothing written")])
+    return (3 if recording.left_out else 0) if kept else 1
+
+
+@golden.command
+def check(
+    session: Path,
+    /,
+    *,
+    golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    tolerance: ToleranceOptions = DEFAULT_TOLERANCE,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Estimate a session's frames anew and compare them with its golden poses.
+
+    Exit codes: 0 all within tolerance, 1 drift (the table marks what is off), 2 wrong usage or input.
+
+    Example:
+
+    `dvrk-cmaes golden check session --tip-mm 1`
+
+    Parameters
+    ----------
+    session
+        A session folder: camera.yaml, joints.csv, masks.
+    golden
+        The file of golden poses; golden.json in the session unless given.
+    tolerance
+        How far they may be off.
+    camera
+        The camera.
+    instrument
+        Which instrument.
+    method
+        How to search.
+    json
+        Print the comparison as JSON, and nothing else, on stdout.
+    """
+    from dvrk_cmaes.golden import check as checked
+    from dvrk_cmaes.golden import estimate_all
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.golden_file import read_golden
+
+    most, config = tolerance.resolve(), method.resolve()
+    path = session / "golden.json" if golden is None else golden
+    kept = read_golden(path)
+    body, found = _load(session, camera, instrument)
+    _check_names(path, kept.frames, found)
+    frames = [files for files in found.frames if files.name in kept.frames]
+    results = _tracked(estimate_all(frames, found, body, arm=instrument.arm, config=config), len(frames))
+    checks = list(checked(results, kept, body.instrument, most, modulo_twin=tolerance.modulo_twin))
+    right = all(one.check.right for one in checks)
+    not_checked = [files.name for files in found.frames if files.name not in kept.frames]
+    if json:
+        document = {
+            "right": right,
+            "tolerance": asdict(most),
+            "frames": [one.to_dict() for one in checks],
+            "not_checked": not_checked,
+        }
+        print(json_text(document), end="")
+    else:
+        show(_table(checks, asdict(most), not_checked))
+    return 0 if right else 1
+
+
+def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -> tuple[Body, Session]:
+    from dvrk_cmaes.io.session_folder import read_session
+
+    body = instrument.load()
+    found = read_session(
+        session,
+        camera=camera.camera,
+        rectified=camera.rectified,
+        side=camera.side,
+        known=body.instrument.joint_names,
+    )
+    return body, found
+
+
+def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
+    """Refuse golden poses of frames that are not there, and a file without any."""
+    from dvrk_cmaes.io.shown import listed
+
+    names = list(golden)
+    if not names:
+        raise InputError(f"{path}: frames: expected golden poses, got none")
+    there = {files.name for files in session.frames}
+    gone = [name for name in names if name not in there]
+    if gone:
+        raise InputError(f"{path}: frames: expected frames of {session.folder}, got {listed(gone)} too")
+
+
+def _tracked(items: Iterable[T], count: int) -> Iterable[T]:
+    """Go through them with a bar on stderr, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(items, "Estimating", total=count, console=console, disable=not console.is_terminal)
+
+
+def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checked: Sequence[str]) -> Iterator[Line]:
+    """One line a frame with its errors; below, each frame that is off in full."""
+    from dvrk_cmaes.pose_check import table
+
+    quantities = list(dict.fromkeys(row.measured.quantity for one in checks for row in one.check.rows))
+    width = max(6, *(len(one.result.frame) for one in checks))
+    yield Line("Errors against the golden poses (root and tip in mm, all else in deg; ! is off)", "bold")
+    yield Line(f"{'frame':<{width}}  {'status':<8}" + "".join(f"{name:>12}" for name in quantities), "bold")
+    for one in checks:
+        cells = {row.measured.quantity: row.measured for row in one.check.rows}
+        shown = "".join(
+            f"{f'{cells[name].error:.2f}' + ('!' if cells[name].exceeds else ' '):>12}" for name in quantities if cells
+        )
+        style = "" if one.check.right else STATUS_STYLES["failed"]
+        yield Line(f"{one.result.frame:<{width}}  {one.result.status:<8}{shown}{one.check.no_pose}".rstrip(), style)
+    for one in checks:
+        if not one.check.right:
+            yield Line(f"{one.result.frame}: not as the golden pose", STATUS_STYLES["failed"])
+            yield from (Line(f"  {text}") for text in table(one.check))
+    right = sum(one.check.right for one in checks)
+    most = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in tolerance.items())
+    yield Line(f"{right} of {len(checks)} frames within tolerance (at most: {most})")
+    if not_checked:
+        yield Line(f"without a golden pose, not checked: {len(not_checked)}")
