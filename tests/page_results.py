@@ -1,0 +1,78 @@
+"""Results folders for tests of the page: made up, with overlays of noise between the strips of text of real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.report.files import write_frame
+from dvrk_cmaes.report.overlay import LEGEND
+from dvrk_cmaes.report.panels import footer, header
+from dvrk_cmaes.result import Alternative, Quality, Result
+
+JOINTS = {"wrist_pitch": 0.5, "wrist_yaw": -0.25, "jaw": 0.75}
+OUTER = {"yaw": 0.1, "pitch": -0.2, "insertion": 0.15, "roll": 1.0}
+
+
+def result(name: str, **changes: object) -> Result:
+    """A frame that is ok, 100 mm before the camera, whose joints were read 0.1 rad too small."""
+    pose = transform(exp_rotation([0.3, -0.2, 0.1]), [0.01, -0.02, 0.1])
+    one = Result(
+        frame=name,
+        status="ok",
+        reasons=(),
+        instrument="lnd",
+        root_link="roll_link",
+        camera_from_root=pose,
+        joints=JOINTS,
+        readings={joint: value - 0.1 for joint, value in JOINTS.items()} | OUTER,
+        camera_from_base=transform(exp_rotation([0.3, 0.2, 0.1]), [0.06, -0.07, 0.05]),
+        quality=Quality(0.96, 0.08, {"mse": 0.05, "dist": 0.03}, 0.6, 2.1),
+        covariance=np.diag([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06]) ** 2,
+        alternatives=(Alternative(pose, {"wrist_pitch": -0.5}, 0.1, 0.955, "mirror twin", 41.5),),
+        seconds=1.5,
+        evaluations=1301,
+        rays=3210,
+        version="1.2.3",
+        config={"search": {"method": "cmaes"}},
+    )
+    return replace(one, **changes)  # type: ignore[arg-type]
+
+
+def doubtful(name: str, *reasons: str, iou: float = 0.9) -> Result:
+    """A frame with reasons to doubt it."""
+    return result(name, status="doubtful", reasons=reasons, quality=Quality(iou, 0.2, {}, 1.5, 6.0))
+
+
+def failed(name: str, reason: str = "no pose: the mask is empty") -> Result:
+    """A frame without a pose."""
+    return result(
+        name,
+        status="failed",
+        reasons=(reason,),
+        camera_from_root=None,
+        camera_from_base=None,
+        joints={},
+        quality=None,
+        covariance=None,
+        alternatives=(),
+    )
+
+
+def overlay(one: Result, width: int = 640) -> np.ndarray:
+    """Noise, which hardly compresses, between strips of text as on a real overlay."""
+    rough = np.random.default_rng(0).integers(0, 255, (width * 3 // 4, width, 3), dtype=np.uint8)
+    unit = width / 1280
+    return np.concatenate([header(one, width, unit), cv2.blur(rough, (9, 9)), footer(one, LEGEND, width, unit)])
+
+
+def write_results(out: Path, results: Iterable[Result]) -> Path:
+    """Write results as commands do, and return their folder."""
+    for one in results:
+        write_frame(out, one, overlay(one))
+    return out
