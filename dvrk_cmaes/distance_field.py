@@ -1,4 +1,4 @@
-"""Distance outside a mask, by fast marching as in the paper or by a faster transform on request."""
+"""Distances in masks: outside one, by fast marching as in the paper or by a faster transform on request, and within."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from dvrk_cmaes.errors import InputError, nearest_first
 
 FIELDS = ("fmm", "exact", "chamfer")
 """Fast marching (scikit-fmm), SciPy's exact Euclidean transform, OpenCV's 5 x 5 chamfer."""
+
+_FARTHEST = 1000.0  # px; beyond, single precision cannot tell the squares of distances apart
 
 
 def distance_field(mask: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.float64]:
@@ -30,3 +32,14 @@ def distance_field(mask: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.f
     if method == "chamfer":
         return np.maximum(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5).astype(np.float64) - 0.5, 0.0)
     raise InputError(f"distance field: expected one of {', '.join(nearest_first(method, FIELDS))}, got {method!r}")
+
+
+def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distance in pixels from each pixel of a mask (H, W) to the nearest centre outside it, 0 outside; to 1000 px exact.
+
+    The same wherever in memory the mask lies: OpenCV takes square roots of whole numbers in two ways, one of them not
+    exactly, and where an array begins decides which pixels get which.
+    """
+    distance = cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    near = np.minimum(distance, np.float32(_FARTHEST))
+    return np.asarray(np.sqrt(np.rint(near * near)), dtype=np.float32)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.distance_field import distance_within
 from dvrk_cmaes.shaft_edges import Contour
 
 Float64 = NDArray[np.float64]
@@ -42,10 +43,7 @@ class OutlineNoise:
 
 def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Distance in px to a mask's outline, negative inside, (H, W); the mask must be neither empty nor full."""
-    image = mask.astype(np.uint8)
-    inside = cv2.distanceTransform(image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    outside = cv2.distanceTransform(1 - image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.where(mask, 0.5 - inside, outside - 0.5).astype(np.float32)
+    return np.where(mask, 0.5 - distance_within(mask), distance_within(~mask) - 0.5).astype(np.float32)
 
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.distance_field import distance_within
 from dvrk_cmaes.noise import measure_noise, sampled, signed_distance
 from dvrk_cmaes.shaft_edges import find_contour
 
@@ -49,3 +51,9 @@ def test_a_wavy_mask_is_seen_as_wavy() -> None:
 def test_without_a_silhouette_the_noise_is_large() -> None:
     noise = measure_noise(find_contour(disc(60), CAMERA), np.zeros((240, 320), dtype=np.bool_))
     assert noise.sigma >= 2
+
+
+def test_distances_within_a_mask_are_square_roots_of_whole_numbers_to_the_last_bit() -> None:
+    mask = disc(100) & ~disc(5)
+    squared = np.rint(distance_transform_edt(mask) ** 2).astype(np.float32)
+    np.testing.assert_array_equal(distance_within(mask), np.sqrt(squared))
