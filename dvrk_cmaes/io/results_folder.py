@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,4 +77,4 @@ def _by_name(paths: list[Path]) -> dict[str, Result]:
 
 
 def _document(path: Path, expected: str) -> dict[str, Any] | None:
-    return read_json_object(path, expected=expected) if path.exists() else None
+    return read_json_object(path, expected=expected) if os.path.lexists(path) else None

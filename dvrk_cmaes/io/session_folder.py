@@ -9,6 +9,7 @@ joints.csv there may be dumps of the arm's topics, called as these are: measured
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -98,7 +99,7 @@ def read_session(
         folder=root,
         camera=lens.camera,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
-        truth=read_golden(golden) if golden.exists() else SessionTruth(),
+        truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
         notes=(*notes, f"camera: {lens.kind}", *lens.notes),
     )
 
@@ -115,8 +116,9 @@ def _own_frames(
     if not masks and not images:
         raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
     files = [read_joint_file(path, known=known) for path in joints or _joint_files(root)]
-    times = read_image_times(root / "images.csv") if (root / "images.csv").exists() else {}
-    tips = read_keypoints(root / "keypoints.csv") if (root / "keypoints.csv").exists() else {}
+    # lexists: a broken link is damage, not absence
+    times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
+    tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
     frames, farthest = [], None
     for name in sorted({*masks, *images}):
         frame = FrameFiles(name, masks.get(name), {}, images.get(name), ignore.get(name), tips.get(name))
@@ -135,7 +137,7 @@ def _own_frames(
 def _joint_files(root: Path) -> list[Path]:
     """Files of readings of a session: its joints.csv, or else whatever is called as a topic of an arm."""
     own = root / "joints.csv"
-    if own.exists():
+    if os.path.lexists(own):
         return [own]
     folders = [root, *(path for path in (root / "jaw",) if path.is_dir())]
     dumps = [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]

@@ -1,0 +1,93 @@
+"""Damaged inputs of every command: one clear line that names the file, exit code 2, no traceback, nothing written."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from damage import DAMAGES, INPUTS, Input
+
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.cli.options import InstrumentOptions
+from dvrk_cmaes.errors import DvrkCmaesError
+
+READ = "all was read"
+
+Refused = Callable[[Input, Callable[[Path, bytes], None]], str]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def read_only() -> Iterator[None]:
+    """Stop commands once all is read, with an error of their own, and load the bundled instrument once."""
+
+    def stop(*_: object, **__: object) -> None:
+        raise DvrkCmaesError(READ)
+
+    load = functools.cache(InstrumentOptions.load)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dvrk_cmaes.frame_run.estimate", stop)
+        patch.setattr("dvrk_cmaes.batch.run_batch", stop)
+        patch.setattr(InstrumentOptions, "load", load)
+        yield
+
+
+def run(arguments: list[object], capfd: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    code = main([str(argument) for argument in arguments])
+    printed = capfd.readouterr()
+    return code, printed.out, printed.err
+
+
+@pytest.mark.parametrize("one", INPUTS, ids=lambda one: one.name)
+def test_what_is_not_damaged_is_read(one: Input, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = one.place(tmp_path)
+    path.write_bytes(one.good())
+    code, _, error = run(one.arguments(path), capfd)
+    assert (code, error) in ((0, ""), (1, f"dvrk-cmaes: {READ}\n"))
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Refused:
+    """Give a command a damaged file, check how it ends, and give the line that it says."""
+
+    def go(one: Input, damage: Callable[[Path, bytes], None]) -> str:
+        path = one.place(tmp_path)
+        path.unlink(missing_ok=True)
+        damage(path, one.good())
+        arguments = one.arguments(path)
+        before = sorted(tmp_path.rglob("*"))
+        code, out, error = run(arguments, capfd)
+        assert sorted(tmp_path.rglob("*")) == before
+        assert out == ""
+        assert error.startswith("dvrk-cmaes: ")
+        assert error.count("\n") == 1
+        assert len(error) < 1000
+        assert code == 2, error
+        assert path.name in error or path.parent.name in error
+        return error
+
+    return go
+
+
+@pytest.mark.parametrize(
+    ("one", "damage"),
+    [
+        pytest.param(one, damage, id=f"{one.name}, {kind}")
+        for one in INPUTS
+        for kind, damage in DAMAGES.items()
+        if not (one.optional and kind == "missing")
+    ],
+)
+def test_a_file_that_is_something_else_is_refused(
+    refused: Refused, one: Input, damage: Callable[[Path, bytes], None]
+) -> None:
+    refused(one, damage)
+
+
+@pytest.mark.parametrize(
+    ("one", "share"),
+    [pytest.param(one, share, id=f"{one.name}, {share:.0%} left") for one in INPUTS for share in one.cuts],
+)
+def test_a_file_that_is_cut_off_is_refused(refused: Refused, one: Input, share: float) -> None:
+    refused(one, lambda path, data: (path.write_bytes(data[: int(share * len(data))]), None)[1])
