@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,16 +69,38 @@ def _split_readings(
     spread = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])
     unused = [f"reading of {n}: not given" for n, v in zip(instrument.joint_names, values, strict=True) if np.isnan(v)]
     warnings = [
-        f"reading of {name}: {np.degrees(value):.1f} deg is outside its limits, "
-        f"{np.degrees(low):.1f} to {np.degrees(high):.1f} deg"
+        _outside(name, value, low, high)
         for name, value, (low, high) in zip(instrument.joint_names, values, instrument.limits, strict=True)
         if value < low - 1e-6 or value > high + 1e-6
     ]
+    turned = joints.get("roll")
+    if turned is not None and instrument.roll_limits is not None:
+        least, most = instrument.roll_limits
+        if not least - 1e-6 <= turned <= most + 1e-6:
+            warnings.append(_outside("roll", turned, least, most))
     low, high = instrument.limits.T.copy()
     if "jaw" in instrument.joint_names:
         # Jaws cannot pass through each other: a reading below zero presses them shut, and they look closed.
         low[instrument.joint_index("jaw")] = 0.0
     return Readings(values, spread, low, high), unused, warnings
+
+
+def _outside(name: str, value: float, low: float, high: float) -> str:
+    """Warn of a reading beyond limits, rad."""
+    return (
+        f"reading of {name}: {np.degrees(value):.1f} deg is outside its limits, "
+        f"{np.degrees(low):.1f} to {np.degrees(high):.1f} deg"
+    )
+
+
+def _described(instrument: Instrument, arm: Arm) -> dict[str, Any]:
+    """Say which limits and which kinematics of the arm a result is made with: rad, m."""
+    return {
+        "limits_from": instrument.limits_from,
+        "limits": {name: pair.tolist() for name, pair in zip(instrument.joint_names, instrument.limits, strict=True)},
+        "arm": arm,
+        "roll_offset": instrument.roll_offset,
+    }
 
 
 def _reading_distance(readings: Readings, joints: Float64) -> float | None:
@@ -186,7 +209,7 @@ def estimate(
 
     base = None
     if all(value is not None for value in outer):
-        reached = base_from_root(np.array(outer, dtype=np.float64), arm=arm)
+        reached = base_from_root(np.array(outer, dtype=np.float64), arm, roll_offset=model.roll_offset)
         base = np.asarray(best.camera_from_root @ inverse(reached))
     return Result(
         frame=frame,
@@ -208,5 +231,5 @@ def estimate(
         rays=search.renderer.rays + local.rays + renderer.rays + confirming,
         seed=settings.seed,
         version=__version__,
-        config=settings.as_dict(),
+        config={**settings.as_dict(), "instrument": _described(model, arm)},
     )

@@ -69,6 +69,9 @@ class InstrumentOptions:
         The URDF's link whose pose is sought, with the shaft on it or below it; roll_link unless given.
     shaft_radius
         Radius of the shaft in metres, instead of the one measured on its mesh.
+    tool
+        The dVRK's description of the tool (JSON): its joint limits instead of the URDF's, and where it lies along the
+        shaft.
     arm
         The arm's kinematics, for camera_from_base.
     """
@@ -77,21 +80,24 @@ class InstrumentOptions:
     package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     root_link: str | None = None
     shaft_radius: float | None = None
+    tool: Path | None = None
     arm: Literal["classic", "si"] = "classic"
 
     def load(self) -> Body:
         """Load the instrument and prepare it for rendering."""
         from dvrk_cmaes.instrument import load_instrument
+        from dvrk_cmaes.instrument.tool import with_tool
+        from dvrk_cmaes.io.dvrk_description import read_tool
         from dvrk_cmaes.silhouette import Body
 
-        return Body.prepare(
-            load_instrument(
-                self.instrument,
-                package_paths=dict(_package(text) for text in self.package_path),
-                root_link=self.root_link,
-                shaft_radius=self.shaft_radius,
-            )
+        tool = None if self.tool is None else read_tool(self.tool)
+        loaded = load_instrument(
+            self.instrument,
+            package_paths=dict(_package(text) for text in self.package_path),
+            root_link=self.root_link,
+            shaft_radius=self.shaft_radius,
         )
+        return Body.prepare(loaded if tool is None else with_tool(loaded, tool))
 
 
 @Parameter(name="*", group=METHOD)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dvrk_cmaes.arm import ROLL_OFFSET
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument.kinematics import Chain
 
@@ -101,6 +102,12 @@ class Instrument:
         Of each link, the index in the chain of the joint above it; -1 for the root link.
     has_twin
         Whether the mirror twin of a pose looks the same but for small details (see `twin`).
+    limits_from
+        Where the limits are from: the URDF, or the name of a tool's description.
+    roll_offset
+        D of the tool's roll joint, m: where the root lies along the shaft (see `dvrk_cmaes.arm`).
+    roll_limits
+        Lower and upper of the roll joint, rad, where they are known.
     """
 
     name: str
@@ -113,6 +120,9 @@ class Instrument:
     chain: Chain
     link_joints: tuple[int, ...]
     has_twin: bool = False
+    limits_from: str = "URDF"
+    roll_offset: float = ROLL_OFFSET
+    roll_limits: tuple[float, float] | None = None
 
     def _values(self, joints: ArrayLike) -> NDArray[np.float64]:
         values = np.asarray(joints, dtype=np.float64)

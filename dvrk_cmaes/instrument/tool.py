@@ -1,0 +1,40 @@
+"""An instrument with the limits of its tool's own description instead of the URDF's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.model import Instrument
+from dvrk_cmaes.io.dvrk_description import Tool
+
+_WRIST_TOLERANCE = 5e-4  # m; tools differ by 1 mm and more, descriptions of one tool by their rounding
+
+
+def with_tool(instrument: Instrument, tool: Tool) -> Instrument:
+    """Give an instrument a tool's limits and its place along the shaft; joints that the tool lacks keep theirs.
+
+    Raises
+    ------
+    InputError
+        The distance between the wrist's axes is not the instrument's: it is another tool.
+    """
+    for joint in instrument.chain.joints:
+        length = float(np.linalg.norm(joint.parent_from_joint[:3, 3]))
+        if joint.name == "wrist_yaw" and abs(length - tool.wrist_length) > _WRIST_TOLERANCE:
+            raise InputError(
+                f"{tool.name}: wrist_yaw: expected A {1e3 * length:.2f} mm as in {instrument.name}, "
+                f"got {1e3 * tool.wrist_length:.2f} mm: another tool"
+            )
+    limits = instrument.limits.copy()
+    for index, name in enumerate(instrument.joint_names):
+        limits[index] = tool.limits.get(name, limits[index])
+    return replace(
+        instrument,
+        limits=limits,
+        limits_from=tool.name,
+        roll_offset=tool.roll_offset,
+        roll_limits=tool.limits["roll"],
+    )
