@@ -36,7 +36,7 @@ _FLAGS = (
 
 @contextmanager
 def chromium(profile: Path, *, scripts: bool = True) -> Iterator[WebDriver]:
-    """Run Chromium with a new profile; where it is missing, a test fails if ``CI=true``, and else says what it needs."""
+    """Run Chromium with a new profile; where it is missing, tests fail if ``CI=true``, and else say what they need."""
     programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
     if None in programs:
         message = "needs chromium and chromedriver (Debian: apt-get install chromium chromium-driver)"

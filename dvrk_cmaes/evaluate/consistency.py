@@ -140,6 +140,10 @@ def rcm_spread(camera_from_root: Float64, insertion: ArrayLike, arm: Arm = "clas
 
 def base_spread(camera_from_root: Float64, outer: ArrayLike, arm: Arm = "classic") -> BaseSpread:
     """Find the arm's base in each frame, from its pose (N, 4, 4) and the outer readings (N, 4), rad and m."""
-    bases = np.asarray(camera_from_root @ inverse(base_from_root(outer, arm)))
-    apart = rotation_angle(bases[:, None], bases[None, :])
-    return BaseSpread(bases, apart[int(apart.sum(axis=1).argmin())])
+    return spread_of_bases(np.asarray(camera_from_root @ inverse(base_from_root(outer, arm))))
+
+
+def spread_of_bases(camera_from_base: Float64) -> BaseSpread:
+    """Compare the arm's bases of frames, (N, 4, 4), with the most central of them."""
+    apart = rotation_angle(camera_from_base[:, None], camera_from_base[None, :])
+    return BaseSpread(camera_from_base, apart[int(apart.sum(axis=1).argmin())])

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evaluate.consistency import FEWEST, BaseSpread, PointSpread, converge_shafts
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.evaluate.consistency import FEWEST, PointSpread, converge_shafts, spread_of_bases
 from dvrk_cmaes.result import Result
 
 Float64 = NDArray[np.float64]
@@ -148,8 +147,7 @@ def _agreement(results: Sequence[Result], base: SessionBase | None) -> Iterator[
             f"{1e3 * points.rms:.1f} mm",
             f"half of {len(base.frames)} frames within {1e3 * np.median(base.distances):.1f} mm of the median",
         )
-        apart = rotation_angle(base.camera_from_base[:, None], base.camera_from_base[None, :])
-        turned = BaseSpread(base.camera_from_base, apart[int(apart.sum(axis=1).argmin())])
+        turned = spread_of_bases(base.camera_from_base)
         yield Figure(
             "Arm's base, rotation",
             f"{turned.median_deg:.1f}°",
