@@ -111,7 +111,10 @@ def _result(
         if doubtful:
             reasons = (f"points: {answer.error_px:.1f} px rms from where the pose puts them",)
         if all(name in files.readings for name in OUTER_JOINTS):
-            base = np.asarray(answer.camera_from_root @ inverse(base_from_root(files.readings, arm)))
+            base = np.asarray(
+                answer.camera_from_root
+                @ inverse(base_from_root(files.readings, arm, roll_offset=instrument.roll_offset))
+            )
     return Result(
         frame=files.name,
         status="failed" if not posed else "doubtful" if doubtful else "ok",
