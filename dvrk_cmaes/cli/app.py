@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 
@@ -17,7 +16,7 @@ from dvrk_cmaes.cli.export import export
 from dvrk_cmaes.cli.golden import golden
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.pnp import pnp
-from dvrk_cmaes.cli.terminal import complain
+from dvrk_cmaes.cli.terminal import complain, ensure_streams, give_up_stdout
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 _INTERRUPTED = 130  # as shells have it: 128 + SIGINT
@@ -42,6 +41,7 @@ app.command(import_recording, name="import")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line (``sys.argv`` by default) and return its exit code; never raises on wrong input."""
+    ensure_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
@@ -62,5 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complain("interrupted")
         return _INTERRUPTED
     except BrokenPipeError:  # Whoever read our output has had enough, as in ``| head``.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        give_up_stdout()
+        return DvrkCmaesError.exit_code
+    except OSError as error:  # Reading and writing files have errors of their own: this is stdout on a full disk.
+        complain(f"{error.filename or 'stdout'}: {error.strerror}")
+        give_up_stdout()
         return DvrkCmaesError.exit_code

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -16,9 +18,23 @@ class Line(NamedTuple):
     style: str = ""
 
 
+def ensure_streams() -> None:
+    """Give a program that was started without stdout or stderr, as by ``>&-``, somewhere to write to."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program ends)
+
+
+def give_up_stdout() -> None:
+    """Let go of what could not be written to stdout, so that it is not tried again at the end."""
+    with contextlib.suppress(OSError):  # nothing below it, as in tests
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def complain(message: str) -> None:
-    """Say on stderr, in one line, what is wrong."""
-    print("dvrk-cmaes:", " ".join(message.split()), file=sys.stderr)
+    """Say on stderr, in one line, what is wrong; where even that cannot be written, the exit code must do."""
+    with contextlib.suppress(OSError):
+        print("dvrk-cmaes:", " ".join(message.split()), file=sys.stderr)
 
 
 def warn(message: str) -> None:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
-_MACHINE_AT_FAULT = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # not the path that was asked for
+# not the path that was asked for; EFBIG is what a limit on the size of files says (ulimit -f)
+_MACHINE_AT_FAULT = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
