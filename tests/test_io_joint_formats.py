@@ -114,7 +114,7 @@ def test_many_messages_are_interpolated_to_the_time_of_the_image(tmp_path: Path)
     assert found.farthest == 40_000_000
     with pytest.raises(InputError, match=r"frame 0026: yaw: expected readings before and after the image's time 100.3"):
         frame_readings(files, "0026", time=parse_time("", "100.3"))
-    with pytest.raises(InputError, match=r"expected the image's time \(in images.csv\)"):
+    with pytest.raises(InputError, match=r"expected the image's time \(images.csv, or --time\)"):
         frame_readings(files, "0026")
 
 

@@ -27,6 +27,8 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dvrk_cmaes.io.joints import FrameReadings
+
 EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
 NO_READINGS = "none"
 
@@ -36,8 +38,9 @@ _Hyphens = Parameter(allow_leading_hyphen=True)
 def estimate(
     *,
     mask: Annotated[Path, Parameter(group=FRAME)],
-    joints: Annotated[str, Parameter(group=FRAME)],
+    joints: Annotated[tuple[str, ...], Parameter(group=FRAME, negative=())],
     frame: Annotated[str | None, Parameter(group=FRAME)] = None,
+    time: Annotated[str | None, Parameter(group=FRAME)] = None,
     image: Annotated[Path | None, Parameter(group=FRAME)] = None,
     ignore: Annotated[Path | None, Parameter(group=FRAME)] = None,
     keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
@@ -62,9 +65,12 @@ def estimate(
     mask
         The instrument's mask: 8-bit PNG or JPEG, above 127 is instrument.
     joints
-        Readings: a joints.csv, or wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m), or none.
+        Readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or
+        wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none. May be given several times.
     frame
         The frame's row in joints.csv and its name in the output; the mask's name unless given.
+    time
+        The image's time in seconds, for readings by time: they are interpolated, from at most 0.05 s away.
     image
         The image, to draw the overlay on.
     ignore
@@ -92,17 +98,19 @@ def estimate(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     from dvrk_cmaes.frame_run import run_frame
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
+    from dvrk_cmaes.io.frame_files import FrameFiles, frame_size, read_frame
     from dvrk_cmaes.io.keypoints import parse_keypoints
 
     settings = method.resolve()
-    lens = camera.read()
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
-    files = FrameFiles(mask.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked, lens.notes)
+    files = FrameFiles(mask.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
+    lens = camera.read(lambda: frame_size(files))
     data = read_frame(files, lens.camera)
     body = instrument.load()
-    files = replace(files, readings=_readings(joints, frame, mask.stem, body.instrument.joint_names))
+    found = _readings(joints, frame, mask.stem, time, body.instrument.joint_names)
+    files = replace(files, readings=found.readings)
+    data = replace(data, notes=(*lens.notes, *found.notes, *data.notes))
     run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out)
     for text in run.result.warnings:
         warn(text)
@@ -113,16 +121,14 @@ def estimate(
     return EXIT_CODES[run.result.status]
 
 
-def _readings(joints: str, frame: str | None, stem: str, known: Sequence[str]) -> dict[str, float]:
-    """Read a frame's readings; it is called as the mask unless named, and a table's only row will do for any."""
-    from dvrk_cmaes.io.joints import is_written_out, read_joint_table, read_joints
+def _readings(
+    joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str]
+) -> FrameReadings:
+    """Read a frame's readings, of which there may be none."""
+    from dvrk_cmaes.io.joints import FrameReadings, read_frame_joints
+    from dvrk_cmaes.io.times import parse_time
 
-    if joints == NO_READINGS:
-        return {}
-    if is_written_out(joints):
-        return read_joints(joints, known=known)
-    table = read_joint_table(joints, known=known)
-    if frame is None and stem not in table and len(table) == 1:
-        return next(iter(table.values()))
-    name = stem if frame is None else frame
-    return table[name] if name in table else read_joints(joints, frame=name, known=known)
+    if tuple(joints) == (NO_READINGS,):
+        return FrameReadings()
+    moment = None if time is None else parse_time("--time", time)
+    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known)

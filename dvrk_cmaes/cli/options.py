@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -45,8 +45,8 @@ class CameraOptions:
     rectified: Flag = False
     side: Literal["left", "right"] = "left"
 
-    def read(self, size: tuple[int, int] | None = None) -> CameraFile:
-        """Read the file; ``size`` is that of the images, px, for a file that does not state it."""
+    def read(self, size: Callable[[], tuple[int, int]] | None = None) -> CameraFile:
+        """Read the file; ``size`` finds that of the images, px, for a file that does not state it."""
         from dvrk_cmaes.io.camera_file import read_camera_file
 
         if self.camera is None:

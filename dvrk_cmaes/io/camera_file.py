@@ -5,6 +5,7 @@ ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML; each kind h
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,13 +43,15 @@ class CameraFile:
     notes: tuple[str, ...] = ()
 
 
-def read_camera(path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | None = None) -> Camera:
+def read_camera(
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
+) -> Camera:
     """Read a camera file, as ``read_camera_file`` does, for the camera alone."""
     return read_camera_file(path, rectified=rectified, side=side, size=size).camera
 
 
 def read_camera_file(
-    path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | None = None
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
 ) -> CameraFile:
     """Read a camera file of any kind.
 
@@ -61,7 +64,7 @@ def read_camera_file(
     side
         Which camera of a stereo pair.
     size
-        Width and height in pixels of the images, for a file that does not state them.
+        Width and height in pixels of the images, or how to find them, for a file that does not state them.
 
     Returns
     -------
@@ -76,16 +79,17 @@ def read_camera_file(
     """
     found = read_intrinsics(path, rectified=rectified, side=side)
     notes = found.notes
+    width, height = found.size or (0, 0)
     if found.size is None:
         if size is None:
             raise InputError(f"{path}: image size: not stated in the file; expected it to be given, in pixels")
-        if not (0 <= found.cx < size[0] and 0 <= found.cy < size[1]):
+        width, height = size() if callable(size) else size
+        if not (0 <= found.cx < width and 0 <= found.cy < height):
             raise InputError(
-                f"{path}: principal point: expected one within images of {size[0]} x {size[1]}, "
+                f"{path}: principal point: expected one within images of {width} x {height}, "
                 f"got {found.cx:g}, {found.cy:g}: the calibration is of another size, which the file does not state"
             )
-        notes = (*notes, f"the camera file states no image size: taken to be {size[0]} x {size[1]}, that of the frames")
-    width, height = found.size or size or (0, 0)
+        notes = (*notes, f"the camera file states no image size: taken to be {width} x {height}, that of the frames")
     try:
         camera = Camera(width, height, found.fx, found.fy, found.cx, found.cy, found.distortion, found.model)
     except InputError as error:

@@ -20,6 +20,7 @@ from dvrk_cmaes.io.joint_names import OUTER_JOINTS, WRIST_JOINTS, all_names, che
 from dvrk_cmaes.io.joint_npy import MAGIC, read_joint_npy
 from dvrk_cmaes.io.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.io.shown import listed, shown
+from dvrk_cmaes.io.times import time_in_name
 from dvrk_cmaes.timed_readings import NANOSECONDS
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "JointFile",
     "frame_readings",
     "is_written_out",
+    "read_frame_joints",
     "read_joint_file",
     "read_joint_table",
     "read_joints",
@@ -168,6 +170,44 @@ def frame_readings(
     return FrameReadings(readings, tuple(notes), farthest)
 
 
+def read_frame_joints(
+    sources: Sequence[str | Path],
+    *,
+    frame: str | None,
+    image: str,
+    time: int | None = None,
+    known: Iterable[str] = (),
+) -> FrameReadings:
+    """Read the readings of a frame that stands by itself from all its sources.
+
+    Parameters
+    ----------
+    sources
+        As ``read_joints``; each joint in one of them only.
+    frame
+        The frame's name, where it was given; its row must then be there.
+    image
+        The image's name, which is the frame's if none was given; a table's only row will then do for any.
+    time
+        The image's time, ns; the one that its name ends in unless given.
+    known
+        As in ``read_joints``.
+
+    Raises
+    ------
+    InputError
+        As ``frame_readings``; a frame without a row.
+    """
+    files = [read_joint_file(source, known=known) for source in sources]
+    name = image if frame is None else frame
+    moment = time_in_name(image) if time is None else time
+    for file in files:
+        only = len(file.rows) == 1 and (frame is None or file.labels == "number")
+        if file.labels != "message" and not only and not (moment is not None and file.timed):
+            _chosen(file, name)  # refuses a name that is not there
+    return frame_readings(files, name, time=moment, single=True)
+
+
 def is_written_out(text_or_path: str | Path) -> bool:
     """Whether readings are written out as ``name=value,...`` rather than named by a path."""
     return isinstance(text_or_path, str) and "=" in text_or_path and not os.path.exists(text_or_path)
@@ -219,7 +259,7 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | No
             )
         return None, ()
     raise InputError(
-        f"{file.path}: frame {frame}: expected the image's time (in images.csv), to find its readings among "
+        f"{file.path}: frame {frame}: expected the image's time (images.csv, or --time), to find its readings among "
         f"{len(file.rows)} without a frame's name"
     )
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.camera_file import Side, read_camera_file, read_intrinsics
+from dvrk_cmaes.io.camera_file import Side, read_camera_file
 from dvrk_cmaes.io.frame_files import FrameFiles, frame_size
 from dvrk_cmaes.io.golden_file import SessionTruth, read_golden
 from dvrk_cmaes.io.joints import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
@@ -90,10 +90,7 @@ def read_session(
     path = camera or root / "camera.yaml"
     if camera is None and not path.exists() and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
-    stated = read_intrinsics(path, rectified=rectified, side=side).size
-    lens = read_camera_file(
-        path, rectified=rectified, side=side, size=None if stated is not None else frame_size(frames[0])
-    )
+    lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
     golden = root / "golden.json"
     return Session(
         folder=root,
