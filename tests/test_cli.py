@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from commands import Ran, run_command
 from instrument_files import mesh_link, write_urdf
 
 from dvrk_cmaes.bundled import bundled_path
-from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError
 
 DEMO = bundled_path("demo")
@@ -32,26 +30,6 @@ RESULT_FIELDS = [
 ]
 
 
-class Ran:
-    """What a command printed, and its exit code."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-    @property
-    def complaint(self) -> str:
-        """The only line on stderr, of a command that printed nothing else."""
-        assert self.out == ""
-        assert self.err.startswith("dvrk-cmaes: ")
-        assert self.err.count("\n") == 1
-        return self.err.strip()
-
-    @property
-    def result(self) -> dict[str, Any]:
-        parsed: dict[str, Any] = json.loads(self.out)
-        return parsed
-
-
 Run = Callable[..., Ran]
 
 
@@ -61,9 +39,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.chdir(tmp_path)
 
     def go(*arguments: object) -> Ran:
-        code = main([str(a) for a in arguments])
-        printed = capsys.readouterr()
-        return Ran(code, printed.out, printed.err)
+        return run_command(capsys, *arguments)
 
     return go
 

@@ -4,32 +4,28 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from commands import Ran, run_command
 
 from dvrk_cmaes.bundled import bundled_path
-from dvrk_cmaes.cli import main
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.io.golden_file import FrameTruth, SessionTruth, read_golden, write_golden
 
 SURE, UNSURE = "0001", "0003"
 
 
-class Run:
-    """A finished ``golden`` command: its exit code and what it said."""
+Run = Callable[..., Ran]
 
-    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: object) -> None:
-        self.code = main(["golden", *map(str, arguments)])
-        said = capsys.readouterr()
-        self.out, self.error = said.out, said.err
 
-    @property
-    def json(self) -> dict[str, Any]:
-        parsed: dict[str, Any] = json.loads(self.out)
-        return parsed
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run ``dvrk-cmaes golden``."""
+    return partial(run_command, capsys, "golden")
 
 
 @pytest.fixture
@@ -54,12 +50,12 @@ def kept(session: Path) -> Path:
     return session
 
 
-def test_what_is_ok_is_kept_and_checks(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recorded = Run(capsys, "record", session, "--json")
+def test_what_is_ok_is_kept_and_checks(session: Path, run: Run) -> None:
+    recorded = run("record", session, "--json")
     assert recorded.code == 3
-    assert recorded.json["kept"] == [SURE]
-    assert list(recorded.json["left_out"]) == [UNSURE]
-    assert f"left out {UNSURE}: doubtful: " in recorded.error
+    assert recorded.result["kept"] == [SURE]
+    assert list(recorded.result["left_out"]) == [UNSURE]
+    assert f"left out {UNSURE}: doubtful: " in recorded.err
     document = json.loads((session / "golden.json").read_text())
     assert set(document) == {"frames", "camera_from_base"}
     assert set(document["frames"][SURE]) == {"T_camera_roll_link", "joints", "tips_camera_m"}
@@ -68,29 +64,29 @@ def test_what_is_ok_is_kept_and_checks(session: Path, capsys: pytest.CaptureFixt
     assert tips is not None
     assert truth.tips is not None
     assert np.linalg.norm(tips.mean(axis=0) - truth.tips.mean(axis=0)) < 2e-3
-    again = Run(capsys, "check", session, "--json", "--root-mm", "0.001")
-    assert (again.code, again.json["right"], again.json["not_checked"]) == (0, True, [UNSURE])
-    assert again.json["frames"][0]["errors"]["root_mm"] < 1e-5
+    again = run("check", session, "--json", "--root-mm", "0.001")
+    assert (again.code, again.result["right"], again.result["not_checked"]) == (0, True, [UNSURE])
+    assert again.result["frames"][0]["errors"]["root_mm"] < 1e-5
 
 
-def test_doubtful_frames_are_kept_if_asked_for(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_doubtful_frames_are_kept_if_asked_for(session: Path, run: Run) -> None:
     (session / "masks" / f"{SURE}.png").unlink()
     other = session.parent / "elsewhere.json"
-    nothing = Run(capsys, "record", session, "--golden", other)
+    nothing = run("record", session, "--golden", other)
     assert (nothing.code, other.exists()) == (1, False)
     assert nothing.out == "kept 0 of 1 frames\nnothing to keep, nothing written\n"
-    allowed = Run(capsys, "record", session, "--golden", other, "--allow-doubtful")
+    allowed = run("record", session, "--golden", other, "--allow-doubtful")
     assert (allowed.code, list(read_golden(other).frames)) == (0, [UNSURE])
     assert allowed.out == f"kept 1 of 1 frames\nwritten: {other}\n"
 
 
-def test_drift_is_a_table_and_exit_code_one(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drift_is_a_table_and_exit_code_one(kept: Path, run: Run) -> None:
     golden = read_golden(kept / "golden.json").frames[SURE]
     away = moved(golden.camera_from_root, [0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
     write_golden(kept / "golden.json", SessionTruth({SURE: FrameTruth(away, golden.joints)}))
-    run = Run(capsys, "check", kept, "--tip-mm", "3", "--shaft-deg", "5")
-    assert run.code == 1
-    heading, columns, line, *rest = run.out.splitlines()
+    ran = run("check", kept, "--tip-mm", "3", "--shaft-deg", "5")
+    assert ran.code == 1
+    heading, columns, line, *rest = ran.out.splitlines()
     assert heading == "Errors against the golden poses (root and tip in mm, all else in deg; ! is off)"
     assert columns.split() == ["frame", "status", "root", "tip", "shaft", "roll", "wrist_pitch", "wrist_yaw", "jaw"]
     assert line.split()[:2] == [SURE, "ok"]
@@ -101,44 +97,34 @@ def test_drift_is_a_table_and_exit_code_one(kept: Path, capsys: pytest.CaptureFi
     )
 
 
-def test_a_frame_that_cannot_be_estimated_is_drift(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_frame_that_cannot_be_estimated_is_drift(kept: Path, run: Run) -> None:
     (kept / "masks" / f"{SURE}.png").write_bytes(b"no picture")
-    run = Run(capsys, "check", kept, "--json")
-    assert (run.code, run.json["right"]) == (1, False)
-    assert run.json["frames"][0]["status"] == "failed"
-    assert str(kept / "masks" / f"{SURE}.png") in run.json["frames"][0]["reasons"][0]
+    ran = run("check", kept, "--json")
+    assert (ran.code, ran.result["right"]) == (1, False)
+    assert ran.result["frames"][0]["status"] == "failed"
+    assert str(kept / "masks" / f"{SURE}.png") in ran.result["frames"][0]["reasons"][0]
 
 
-def complaint(run: Run) -> str:
-    assert (run.code, run.out) == (2, "")
-    assert run.error.count("\n") == 1
-    return run.error.removeprefix("dvrk-cmaes: ").rstrip()
-
-
-def test_golden_poses_are_not_overwritten_unless_asked(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_golden_poses_are_not_overwritten_unless_asked(kept: Path, run: Run) -> None:
     before = (kept / "golden.json").read_bytes()
-    assert complaint(Run(capsys, "record", kept)) == (
+    assert run("record", kept).refusal == (
         f"{kept / 'golden.json'}: expected no file yet, got one; --overwrite replaces it"
     )
     assert (kept / "golden.json").read_bytes() == before
-    assert Run(capsys, "record", kept, "--overwrite").code == 0
+    assert run("record", kept, "--overwrite").code == 0
     assert (kept / "golden.json").read_bytes() != before
 
 
-def test_what_is_missing_is_named(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_missing_is_named(kept: Path, run: Run) -> None:
     path = kept / "golden.json"
-    assert complaint(Run(capsys, "check", kept, "--jaw-deg", "-1")) == (
-        "--jaw-deg: expected a number of at least 0, got -1"
-    )
+    assert run("check", kept, "--jaw-deg", "-1").refusal == ("--jaw-deg: expected a number of at least 0, got -1")
     golden = read_golden(path).frames[SURE]
     write_golden(path, SessionTruth({SURE: golden, "0009": golden}))
-    assert complaint(Run(capsys, "check", kept)) == f"{path}: frames: expected frames of {kept}, got 0009 too"
+    assert run("check", kept).refusal == f"{path}: frames: expected frames of {kept}, got 0009 too"
     write_golden(path, SessionTruth({}))
-    assert complaint(Run(capsys, "check", kept)) == f"{path}: frames: expected golden poses, got none"
+    assert run("check", kept).refusal == f"{path}: frames: expected golden poses, got none"
     path.unlink()
-    assert complaint(Run(capsys, "check", kept)) == (
-        f"{path}: no such file; expected the truth of a session (golden.json)"
-    )
-    assert complaint(Run(capsys, "record", kept, "--golden", kept / "camera.yaml" / "golden.json")).startswith(
+    assert run("check", kept).refusal == (f"{path}: no such file; expected the truth of a session (golden.json)")
+    assert run("record", kept, "--golden", kept / "camera.yaml" / "golden.json").refusal.startswith(
         f"{kept / 'camera.yaml'}: expected a folder to write to, but"
     )

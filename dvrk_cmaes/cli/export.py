@@ -48,7 +48,7 @@ def export(
     them; m, rad.
 
     Which camera_from_base: the session calibration's (session.json) if there is one; else the one frame's; else the
-    median of the frames that are ok (of the doubtful ones if none is), with its spread.
+    median of the frames that are ok, with its spread (of fewer than three, the doubtful ones count as well).
 
     Example:
 

@@ -2,8 +2,8 @@
 
 1. Of a session calibration, its own.
 2. Of one frame (a result by itself, or a frame that was asked for), that frame's.
-3. Of a folder of results, the frames' median: of all frames marked ok that have one, or where there are none, of the
-   doubtful ones. Failed frames never count.
+3. Of a folder of results, the frames' median: of those marked ok that have one, if they are at least three; of fewer,
+   the doubtful ones count as well, which is said. Failed frames never count.
 
 A frame's own comes from its readings of the outer joints as they are, with their offsets; a session's is without them.
 """
@@ -26,6 +26,7 @@ from dvrk_cmaes.result import Result
 Float64 = NDArray[np.float64]
 
 _WIDE_MM, _WIDE_DEG = 5.0, 5.0  # a median spread beyond which somebody should look
+_ENOUGH = 3  # ok frames that make a median by themselves
 _STEPS = 200  # of the medians; they settle long before
 _NEAR = 1e-9  # m and rad: keeps weights finite
 
@@ -96,12 +97,12 @@ def base_of_frames(where: str, results: Sequence[Result]) -> ChosenBase:
     InputError
         None of the frames that did not fail has one.
     """
-    usable = [result for result in results if result.camera_from_base is not None]
+    usable = [result for result in results if result.camera_from_base is not None and result.status != "failed"]
     chosen = [result for result in usable if result.status == "ok"]
     warnings: list[str] = []
-    if not chosen:
-        chosen = [result for result in usable if result.status == "doubtful"]
-        warnings.append("no frame that has a camera_from_base is ok: doubtful ones are used")
+    if len(chosen) < _ENOUGH and len(chosen) < len(usable):
+        warnings.append(f"too few frames are ok ({len(chosen)} of {len(results)}): doubtful ones are used as well")
+        chosen = usable
     if not chosen:
         raise InputError(
             f"{where}: camera_from_base: expected a session calibration (session.json), or frames that were estimated "
@@ -117,7 +118,7 @@ def base_of_frames(where: str, results: Sequence[Result]) -> ChosenBase:
         warnings.append("the frames disagree: calibrate the session, which takes the outer joints' offsets out")
     return ChosenBase(
         middle,
-        f"the median of {len(chosen)} {chosen[0].status} frames of {len(results)}, from their readings of the outer "
+        f"the median of {len(chosen)} of {len(results)} frames, from their readings of the outer "
         f"joints as they are; half of them lie within {spread_mm:.1f} mm and {spread_deg:.1f} deg of it",
         tuple(result.frame for result in chosen),
         round(spread_mm, 6),
