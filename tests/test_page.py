@@ -20,6 +20,8 @@ from page_results import doubtful, failed, overlay, result, write_results
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.report.canvas import DARK
+from dvrk_cmaes.report.overlay import LEGEND, MASK, SILHOUETTE
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_axes import name_axis, round_step, value_axis
 from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
@@ -30,8 +32,11 @@ from dvrk_cmaes.report.page_session import (
     origins,
     reason_counts,
 )
-from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, thumbnail
+from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
+from dvrk_cmaes.report.panels import footer, header
 from dvrk_cmaes.result import Result
+
+JPEG = "data:image/jpeg;base64,"
 
 
 class Page(HTMLParser):
@@ -70,6 +75,12 @@ class Page(HTMLParser):
     @property
     def text(self) -> str:
         return " ".join(word for word in self.words if word)
+
+
+def pixels_of(small: Thumbnail | None) -> np.ndarray:
+    assert small is not None
+    data = base64.b64decode(small.address.removeprefix(JPEG))
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
 
 def page_of(out: Path) -> Page:
@@ -221,10 +232,22 @@ def test_thumbnails_are_small_and_leave_the_strips_of_text_out(tmp_path: Path) -
     cv2.imwrite(str(path), overlay(one, 1280))
     small = thumbnail(path, one)
     assert small is not None
-    data = base64.b64decode(small.address.removeprefix("data:image/jpeg;base64,"))
-    assert len(data) <= LARGEST
+    assert len(base64.b64decode(small.address.removeprefix(JPEG))) <= LARGEST
     assert (small.width, small.height) == (WIDTH, WIDTH * 3 // 4)
-    assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape == (small.height, small.width, 3)
+    assert pixels_of(small).shape == (small.height, small.width, 3)
+
+
+def test_a_thumbnail_shows_the_part_where_outlines_are_drawn(tmp_path: Path) -> None:
+    one = result("a")
+    picture = np.full((960, 1280, 3), DARK, np.uint8)
+    cv2.rectangle(picture, (100, 600), (560, 900), SILHOUETTE, 4)
+    cv2.rectangle(picture, (104, 604), (564, 904), MASK, 4)
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), np.concatenate([header(one, 1280, 1.0), picture, footer(one, LEGEND, 1280, 1.0)]))
+    bright = pixels_of(thumbnail(path, one)).max(axis=2) > 100
+    v, u = np.nonzero(bright)
+    assert 0.8 * WIDTH < u.max() - u.min() < 0.95 * WIDTH
+    assert v.max() < WIDTH * 3 / 4 - 4
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xd8\xff\xe0 not a picture"])

@@ -1,4 +1,4 @@
-"""Small pictures of overlays, for a page that holds a thousand of them."""
+"""Small pictures of overlays, for a page that holds a thousand of them: the instrument as large as it can be seen."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.images import read_image
-from dvrk_cmaes.report.overlay import LEGEND
+from dvrk_cmaes.report.overlay import LEGEND, MASK, SILHOUETTE
 from dvrk_cmaes.report.panels import footer, header
 from dvrk_cmaes.result import Result
 
 WIDTH = 288  # px
 LARGEST = 9000  # bytes
 _QUALITIES = (50, 35, 20, 8)  # of JPEG; the first that is small enough, or the last
+_LEAST_SHARE = 0.4  # of the picture's width that is always shown
+_BESIDE = 0.06  # of the outlines' extent, left free on each side
+_LIKE = 50  # a channel's largest difference from a colour that is drawn: thin lines mix with what is below
 _TALLEST = 1.25  # of the width; what is higher is narrowed
 
 
@@ -30,12 +35,12 @@ class Thumbnail:
 
 
 def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
-    """Shrink an overlay without its strips of text; None where there is none that can be read.
+    """Shrink the part of an overlay where outlines are drawn; None where there is no overlay that can be read.
 
     Parameters
     ----------
     overlay
-        The picture that ``draw_overlay`` made of the result.
+        The picture, with its strips of text, that ``draw_overlay`` made of the result.
     result
         Its words, which say how high the strips are.
     """
@@ -50,7 +55,7 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
     above = header(result, width, unit).shape[0]
     below = footer(result, LEGEND, width, unit).shape[0]
     if above + below < height / 2:  # else it is some other picture
-        picture = picture[above : height - below]
+        picture = _around_outlines(picture[above : height - below])
     height, width = picture.shape[:2]
     scale = min(WIDTH / width, _TALLEST * WIDTH / height)
     size = max(1, round(width * scale)), max(1, round(height * scale))
@@ -60,3 +65,23 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
         if len(encoded) <= LARGEST:
             break
     return Thumbnail("data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii"), *size)
+
+
+def _around_outlines(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Cut a picture (H, W, 3) to where the mask's and the silhouette's outlines are drawn, keeping its proportions."""
+    height, width = picture.shape[:2]
+    drawn = np.zeros((height, width), dtype=bool)
+    for colour in (MASK, SILHOUETTE):
+        low, high = (np.clip(np.add(colour, by), 0, 255).astype(np.float64) for by in (-_LIKE, _LIKE))
+        drawn |= cv2.inRange(picture, low, high) > 0
+    v, u = np.nonzero(drawn)
+    if not len(u):
+        return picture
+    left, right = np.percentile(u, [0.5, 99.5])  # a few pixels of the image may look alike
+    top, bottom = np.percentile(v, [0.5, 99.5])
+    wanted = max(right - left, (bottom - top) * width / height) * (1 + 2 * _BESIDE)
+    wide = min(max(round(wanted), round(_LEAST_SHARE * width)), width)
+    high = round(wide * height / width)
+    x = min(max(round((left + right - wide) / 2), 0), width - wide)
+    y = min(max(round((top + bottom - high) / 2), 0), height - high)
+    return picture[y : y + high, x : x + wide]
