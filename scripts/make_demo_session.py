@@ -20,11 +20,15 @@ from dvrk_cmaes.arm import OUTER_JOINTS
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.joints import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
-from dvrk_cmaes.synth.frames import WRIST_JOINTS, exact_mask, random_session, session_readings, tissue_before_a_jaw
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.masks import MEDIUM, segmented
+from dvrk_cmaes.synth.occluders import tissue_before_a_jaw
+from dvrk_cmaes.synth.poses import arm_session
+from dvrk_cmaes.synth.readings import steady_readings
+from dvrk_cmaes.synth.truth import exact_mask
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "demo"
 CAMERA: Final = Camera(640, 480, fx=1042.6, fy=1042.6, cx=326.3, cy=235.1)
@@ -56,8 +60,8 @@ def main() -> int:
     out: Path = arguments.out
     rng = np.random.default_rng(arguments.seed)
     body = Body.prepare(load_instrument("lnd"))
-    camera_from_base, truths = random_session(body, CAMERA, rng, FRAMES)
-    readings = session_readings(truths, rng)
+    camera_from_base, truths = arm_session(body, CAMERA, rng, FRAMES)
+    readings = steady_readings(truths, rng)
     names = [f"{k:04d}" for k in range(FRAMES)]
     for k, (name, truth) in enumerate(zip(names, truths, strict=True)):
         occluder = tissue_before_a_jaw(CAMERA, truth, rng) if k in OCCLUDED else None

@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import cv2
 import numpy as np
 from committed_data import refuse_in_ci
 from numpy.typing import NDArray
@@ -25,8 +24,11 @@ from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
-from dvrk_cmaes.synth.frames import Truth, aimed, exact_mask, session_readings, tissue_before_a_jaw
-from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, Mistakes, segmented
+from dvrk_cmaes.synth.levels import Mistakes
+from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, segmented
+from dvrk_cmaes.synth.occluders import tissue_before_a_jaw, with_brim
+from dvrk_cmaes.synth.readings import steady_readings
+from dvrk_cmaes.synth.truth import Truth, aimed, exact_mask
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "golden"
 SCHEMA: Final = 1
@@ -45,7 +47,7 @@ LOOSE: Final = Tolerance(root_mm=3.0, tip_mm=3.0, shaft_deg=8.0, roll_deg=20.0, 
 
 @dataclass(frozen=True)
 class Case:
-    """One golden case. Angles in degrees, lengths in millimetres, pixels; see ``dvrk_cmaes.synth.frames.aimed``.
+    """One golden case. Angles in degrees, lengths in millimetres, pixels; see ``dvrk_cmaes.synth.truth.aimed``.
 
     ``reason`` is a word that the reasons contain if the result is doubtful.
     """
@@ -168,13 +170,12 @@ def masks_of(
         mask = segmented(mask, rng, case.mistakes, occluder).mask
     if occluder is None:
         return mask, None
-    brim = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
-    return mask, np.asarray(cv2.dilate(occluder.astype(np.uint8), brim) > 0)
+    return mask, with_brim(occluder)
 
 
 def entry(name: str, case: Case, truth: Truth, rng: np.random.Generator) -> dict[str, Any]:
     """Write out what golden.json holds of a case."""
-    reading = session_readings([truth], rng)[0] if case.read else {}
+    reading = steady_readings([truth], rng)[0] if case.read else {}
     return {
         "about": case.about,
         "camera": {**asdict(case.camera), "distortion": list(case.camera.distortion)},

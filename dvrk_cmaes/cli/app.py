@@ -16,7 +16,8 @@ from dvrk_cmaes.cli.export import export
 from dvrk_cmaes.cli.golden import golden
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.pnp import pnp
-from dvrk_cmaes.cli.terminal import complain, ensure_streams, give_up_stdout
+from dvrk_cmaes.cli.synth import synth
+from dvrk_cmaes.cli.terminal import complain, give_up_stdout, prepare_streams
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 _INTERRUPTED = 130  # as shells have it: 128 + SIGINT
@@ -36,12 +37,13 @@ app.command(export)
 app.command(golden)
 app.command(consistency)
 app.command(pnp)
+app.command(synth)
 app.command(import_recording, name="import")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line (``sys.argv`` by default) and return its exit code; never raises on wrong input."""
-    ensure_streams()
+    prepare_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
@@ -66,5 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return DvrkCmaesError.exit_code
     except OSError as error:  # Reading and writing files have errors of their own: this is stdout on a full disk.
         complain(f"{error.filename or 'stdout'}: {error.strerror}")
+        if error.filename is not None:  # or a name that the system does not take
+            return InputError.exit_code
         give_up_stdout()
         return DvrkCmaesError.exit_code

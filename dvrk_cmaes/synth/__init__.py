@@ -1,1 +1,1 @@
-"""Sessions with known truth, drawn from an instrument's meshes: poses, readings, masks and images as a robot has them."""
+"""Sessions with known truth, drawn from meshes: poses, readings, masks and images as a robot has them."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.io.atomic import write_text
-from dvrk_cmaes.synth.frames import Truth
+from dvrk_cmaes.synth.truth import Truth
 
 
 def rounded(array: NDArray[np.floating], digits: int = 9) -> Any:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.synth.frames import Truth
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
+from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.views import NOTHING, trace_links
 
 Bool = NDArray[np.bool_]
@@ -35,8 +35,13 @@ def draw_image(
     *,
     holes: Bool | None = None,
     occluder: Bool | None = None,
+    beyond: Bool | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a frame, (H, W, 3) BGR; at ``holes`` the steel glares, an ``occluder`` lies before it (both (H, W))."""
+    """Draw a frame, (H, W, 3) BGR.
+
+    Of the regions (H, W), the steel glares at ``holes``, an ``occluder`` lies before it, and ``beyond`` the lens's edge
+    it is dark.
+    """
     shape = (camera.height, camera.width)
     tissue = _tissue(shape, rng)
     tool, alpha = _tool(camera, truth)
@@ -49,6 +54,8 @@ def draw_image(
     if occluder is not None:
         image = _over(image, _lump(occluder, rng), occluder)
     image *= _vignette(camera)[..., None]
+    if beyond is not None:
+        image *= cv2.GaussianBlur(1 - beyond.astype(np.float32), (0, 0), 2.0)[..., None]
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + 0.004 * rng.standard_normal(image.shape).astype(np.float32)
     return np.asarray(np.clip(image * 255 + 0.5, 0, 255), dtype=np.uint8)
 

@@ -14,31 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.synth.levels import Mistakes
+
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Mistakes:
-    """How badly a mask is segmented; lengths in pixels.
-
-    Parameters
-    ----------
-    cell
-        Side of a logit's cell.
-    wave, wavelength
-        Rms wavering of the outline, and over what length it wavers.
-    lumps
-        How many lumps and bites the outline has, about as many of each.
-    holes
-        How many highlights are missing from the inside.
-    """
-
-    cell: int
-    wave: float
-    wavelength: float
-    lumps: int
-    holes: int
 
 
 SLIGHT: Final = Mistakes(cell=2, wave=0.6, wavelength=36.0, lumps=2, holes=1)
@@ -62,7 +41,7 @@ def segmented(exact: Bool, rng: np.random.Generator, mistakes: Mistakes, occlude
     v, u = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     outline = _inner(np.argwhere(visible & (np.abs(logits) < 1.5)), shape)
     for k, (row, column) in enumerate(rng.permutation(outline)[: mistakes.lumps]):
-        lump = rng.uniform(1.8, 4.2) - np.hypot(u - column, v - row)
+        lump = rng.uniform(*mistakes.lump_radius) - np.hypot(u - column, v - row)
         logits = np.maximum(logits, lump) if k % 2 else np.minimum(logits, -lump)
     holes = np.zeros(shape, dtype=np.bool_)
     inside = _inner(np.argwhere(signed_distance(visible) > 8), shape)

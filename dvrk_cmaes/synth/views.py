@@ -48,20 +48,38 @@ def trace_links(
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
 
+    left, top, width, height = _window(camera, corners.reshape(-1, 3))
     v, u = np.mgrid[: camera.height, : camera.width]
     pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
     rays = np.c_[camera.normalise(pixels), np.ones(len(pixels))].astype(np.float32)
+    inside = np.zeros((camera.height, camera.width), dtype=np.bool_)
+    inside[top : top + height, left : left + width] = True
+    traced = np.ascontiguousarray(rays[inside.ravel()])
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
-    found = scene.run(np.ascontiguousarray(NEAR * rays), rays, output=True)
+    found = scene.run(np.ascontiguousarray(NEAR * traced), traced, output=True)
 
-    face = found["primID"]
+    face = np.full(len(rays), NOTHING, dtype=np.int64)
+    face[inside.ravel()] = found["primID"]
+    depth = np.zeros(len(rays), dtype=np.float32)
+    depth[inside.ravel()] = found["tfar"] + NEAR
     seen = face != NOTHING
     shape = (camera.height, camera.width)
     link_of = np.where(seen, np.concatenate(owner)[face], NOTHING).astype(np.int32)
     return View(
         link=link_of.reshape(shape),
-        depth=np.where(seen, found["tfar"] + NEAR, 0.0).astype(np.float32).reshape(shape),
+        depth=np.where(seen, depth, 0.0).astype(np.float32).reshape(shape),
         normal=np.where(seen[:, None], normals[face], 0.0).astype(np.float32).reshape(*shape, 3),
         direction=(rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*shape, 3),
     )
+
+
+def _window(camera: Camera, points: NDArray[np.float64]) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the pixels in which points (N, 3) appear; the whole image if some are behind."""
+    if points[:, 2].min() <= NEAR:
+        return 0, 0, camera.width, camera.height
+    pixels = camera.project(points)
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 1, 0, size)
+    high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 2, low, size)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])

@@ -1,0 +1,188 @@
+"""Poses of frames: an arm that moves about its remote centre of motion (RCM), or an instrument anywhere.
+
+Poses are drawn at random and kept when the picture is a sensible one. Random numbers come from the generator that is
+handed in, so a seed gives the same frames again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.joints import WRIST_JOINTS
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.truth import Truth, aimed
+from dvrk_cmaes.synth.views import trace_links
+
+Float64 = NDArray[np.float64]
+
+_LARGEST_BEND: Final = 1.0  # rad, of pitch and of yaw
+_OPENINGS: Final = (0.15, 1.1)  # rad, of the jaws
+
+
+@dataclass(frozen=True)
+class View:
+    """What a sensible picture is. Angles in degrees, lengths in m, pixels of an image of 640 x 480.
+
+    Parameters
+    ----------
+    least_tilt
+        Between the shaft and the optical axis.
+    arm_tilt
+        The same for the middle of the arm's range: lowest and highest.
+    least_bend
+        Of wrist pitch and yaw together: an unbent wrist looks like its mirror twin.
+    least_jaw
+        Pixels in view of each jaw.
+    least_shaft
+        Length of its straight part in view.
+    margin
+        Between the border and the wrist or the tips.
+    depths
+        Of wrist and tips.
+    """
+
+    least_tilt: float = 28.0
+    arm_tilt: tuple[float, float] = (48.0, 68.0)
+    least_bend: float = 26.0
+    least_jaw: int = 350
+    least_shaft: float = 0.010
+    margin: float = 45.0
+    depths: tuple[float, float] = (0.07, 0.16)
+
+
+DEFAULT_VIEW: Final = View()
+
+
+def arm_session(
+    body: Body,
+    camera: Camera,
+    rng: np.random.Generator,
+    frames: int,
+    view: View = DEFAULT_VIEW,
+    *,
+    attempts: int = 20_000,
+) -> tuple[Float64, list[Truth]]:
+    """Place an arm before a camera and move it about its RCM, until there are enough sensible frames.
+
+    Returns
+    -------
+    camera_from_base : (4, 4)
+    truths
+        One a frame.
+
+    Raises
+    ------
+    DvrkCmaesError
+        The attempts are used up.
+    """
+    while attempts > 0:
+        camera_from_base = _random_base(rng, view)
+        found: list[Truth] = []
+        for _ in range(60 * frames):
+            attempts -= 1
+            truth = _arm_truth(body.instrument, camera_from_base, rng)
+            if is_sensible(body, camera, truth, view):
+                found.append(truth)
+            if len(found) == frames:
+                return camera_from_base, found
+    raise DvrkCmaesError(f"no arm was found whose frames of {body.instrument.name} are sensible pictures")
+
+
+def free_poses(
+    body: Body,
+    camera: Camera,
+    rng: np.random.Generator,
+    frames: int,
+    view: View = DEFAULT_VIEW,
+    *,
+    attempts: int = 20_000,
+) -> list[Truth]:
+    """Place an instrument anywhere, anew in each frame; DvrkCmaesError where the attempts are used up."""
+    found: list[Truth] = []
+    for _ in range(attempts):
+        if len(found) == frames:
+            return found
+        pose = aimed(
+            camera,
+            wrist=(rng.uniform(0.2, 0.8) * camera.width, rng.uniform(0.2, 0.8) * camera.height),
+            depth=rng.uniform(*view.depths),
+            tilt=np.deg2rad(rng.uniform(view.least_tilt, 75.0)),
+            heading=rng.uniform(-np.pi, np.pi),
+            roll=rng.uniform(-np.pi, np.pi),
+        )
+        truth = Truth(body.instrument, pose, _wrist(body.instrument, rng))
+        if is_sensible(body, camera, truth, view):
+            found.append(truth)
+    raise DvrkCmaesError(f"no poses of {body.instrument.name} were found that are sensible pictures")
+
+
+def _random_base(rng: np.random.Generator, view: View) -> Float64:
+    """Pose of an arm that reaches the middle of the view from one side."""
+    middle = np.array([rng.uniform(-0.006, 0.006), rng.uniform(-0.006, 0.006), rng.uniform(0.10, 0.12)])
+    tilt, heading = np.deg2rad(rng.uniform(*view.arm_tilt)), rng.uniform(-np.pi, np.pi)
+    direction = np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
+    rcm_to_root = np.linalg.norm(base_from_root([0.0, 0.0, rng.uniform(0.12, 0.15), 0.0])[:3, 3])
+    # at rest the shaft points against the base's z axis
+    rotation = frame_along(-direction) @ rotation_about_z(rng.uniform(-np.pi, np.pi))
+    return transform(rotation, middle - rcm_to_root * direction)
+
+
+def _arm_truth(instrument: Instrument, camera_from_base: Float64, rng: np.random.Generator) -> Truth:
+    outer = dict(
+        zip(
+            OUTER_JOINTS,
+            (*rng.uniform(-0.25, 0.25, 2), rng.uniform(0.10, 0.17), rng.uniform(-2.0, 2.0)),
+            strict=True,
+        )
+    )
+    joints = _wrist(instrument, rng)
+    return Truth(instrument, camera_from_base @ base_from_root(outer), joints, outer)
+
+
+def _wrist(instrument: Instrument, rng: np.random.Generator) -> dict[str, float]:
+    """Draw an instrument's joints: the wrist's about straight, the jaws open, any other within its limits."""
+    pitch, yaw = rng.uniform(-_LARGEST_BEND, _LARGEST_BEND, 2)
+    drawn = dict(zip(WRIST_JOINTS, (pitch, yaw, rng.uniform(*_OPENINGS)), strict=True))
+    joints = {}
+    for name, (low, high) in zip(instrument.joint_names, instrument.limits, strict=True):
+        value = drawn[name] if name in drawn else rng.uniform(low, high)
+        joints[name] = float(np.clip(value, low, high))
+    return joints
+
+
+def is_sensible(body: Body, camera: Camera, truth: Truth, view: View = DEFAULT_VIEW) -> bool:
+    """Whether a surgeon would see the tool so: wrist and open jaws well in view, the shaft from the border."""
+    points = np.concatenate([truth.wrist, truth.tips])
+    size = np.array([camera.width, camera.height])
+    scale = camera.width * camera.height / (640 * 480)
+    margin = view.margin * np.sqrt(scale)
+    if points[:, 2].min() < view.depths[0] or points[:, 2].max() > view.depths[1]:
+        return False
+    pixels = camera.project(points)
+    if np.any(pixels < margin) or np.any(pixels > size - 1 - margin):
+        return False
+    on_shaft = truth.point_on_shaft(view.least_shaft)
+    if truth.camera_from_root[2, 2] > np.cos(np.deg2rad(view.least_tilt)) or on_shaft[2] < view.depths[0] / 2:
+        return False
+    if np.any(camera.project(on_shaft) < 0) or np.any(camera.project(on_shaft) > size - 1):
+        return False
+    bend = np.hypot(truth.joints.get("wrist_pitch", 0.0), truth.joints.get("wrist_yaw", 0.0))
+    if bend < np.deg2rad(view.least_bend):
+        return False
+    link = trace_links(truth.instrument, camera, truth.camera_from_root, truth.values).link
+    border = np.concatenate([link[0], link[-1], link[:, 0], link[:, -1]])
+    root, jaws = 0, [tip.link for tip in truth.instrument.jaw_tips]
+    return bool(
+        (border == root).sum() >= 20
+        and not np.any(border > root)
+        and all((link == jaw).sum() >= view.least_jaw * scale for jaw in jaws)
+    )

@@ -1,0 +1,87 @@
+"""Where an instrument truly is in a frame, and the mask that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import rotation_about_z, transform
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where the instrument truly is: ``camera_from_root`` (4, 4), and joints by name, the outer arm's too if known."""
+
+    instrument: Instrument
+    camera_from_root: Float64
+    joints: Mapping[str, float]
+    outer: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def values(self) -> Float64:
+        """Joints in the instrument's order, (J,)."""
+        return np.array([self.joints[name] for name in self.instrument.joint_names])
+
+    @property
+    def tips(self) -> Float64:
+        """Jaw tips in the camera's frame, (2, 3) m; (0, 3) without jaws."""
+        return self._in_camera(self.instrument.tips(self.values))
+
+    @property
+    def wrist(self) -> Float64:
+        """Pitch and yaw axis, the last two points of the skeleton before the tips, in the camera's frame, (2, 3) m."""
+        tips = len(self.instrument.jaw_tips)
+        return self._in_camera(self.instrument.skeleton(self.values)[-2 - tips :][:2])
+
+    def point_on_shaft(self, distance: float) -> Float64:
+        """Point of the shaft's axis that is a distance, m, before the end of its straight part; in the camera, (3,)."""
+        shaft = self.instrument.shaft
+        if shaft is None:
+            raise ValueError(f"{self.instrument.name} has no shaft")
+        return self._in_camera(shaft.point + (shaft.distal_end - distance) * shaft.direction)
+
+    def _in_camera(self, points: Float64) -> Float64:
+        return np.asarray(points @ self.camera_from_root[:3, :3].T + self.camera_from_root[:3, 3])
+
+
+def exact_mask(body: Body, camera: Camera, truth: Truth) -> NDArray[np.bool_]:
+    """Pixels covered by more than half, (H, W)."""
+    coverage = Renderer(body, camera, threads=1).coverage(
+        truth.camera_from_root[None], truth.values[None], lines_per_pixel=4
+    )
+    return np.asarray(coverage[0] > 0.5)
+
+
+def aimed(
+    camera: Camera, *, wrist: tuple[float, float], depth: float, tilt: float, heading: float, roll: float
+) -> Float64:
+    """Aim an instrument: ``camera_from_root`` (4, 4).
+
+    Parameters
+    ----------
+    camera
+        The camera it is seen by.
+    wrist
+        Pixel (u, v) where the root's origin appears.
+    depth
+        Its z, m.
+    tilt
+        Angle between the shaft, distally, and the optical axis, rad.
+    heading
+        Where the shaft points in the image, rad: 0 to the right, a quarter turn downwards.
+    roll
+        Turn about the shaft, rad; at 0 the root's x axis is in the plane of the shaft and the optical axis.
+    """
+    direction = np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
+    across = np.array([-np.sin(heading), np.cos(heading), 0.0])
+    rotation = np.stack([np.cross(across, direction), across, direction], axis=-1) @ rotation_about_z(roll)
+    position = depth * np.append(camera.normalise(np.array(wrist)), 1.0)
+    return transform(rotation, position)
