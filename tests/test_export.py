@@ -59,7 +59,7 @@ def test_every_format_is_written_beside_the_results_and_named(to: str, results: 
 def test_a_session_calibration_wins_over_its_frames(results: Path, run: Run) -> None:
     write_json(results / "session.json", session())
     ran = run(results, "--to", "dvrk", "--json")
-    np.testing.assert_allclose(exported_base(run), OTHER, atol=1e-8)
+    np.testing.assert_allclose(exported_base(ran), OTHER, atol=1e-8)
     assert ran.result["base"]["origin"] == f"the session calibration {results / 'session.json'} of 2 frames"
 
 
@@ -75,13 +75,13 @@ def test_a_session_calibration_alone_will_do(tmp_path: Path, run: Run) -> None:
 def test_a_frame_that_is_named_wins_over_the_session(results: Path, run: Run) -> None:
     write_json(results / "session.json", session())
     ran = run(results, "--to", "dvrk", "--frame", "0001", "--json")
-    np.testing.assert_allclose(exported_base(run), BASE, atol=1e-8)
+    np.testing.assert_allclose(exported_base(ran), BASE, atol=1e-8)
     assert ran.result["base"]["frames"] == ["0001"]
 
 
 def test_frames_give_the_median_of_those_that_are_ok(results: Path, run: Run) -> None:
     ran = run(results, "--to", "dvrk", "--json")
-    np.testing.assert_allclose(exported_base(run), BASE, atol=1e-6)
+    np.testing.assert_allclose(exported_base(ran), BASE, atol=1e-6)
     assert ran.result["base"]["frames"] == ["0000", "0001", "0002"]
     assert ran.result["base"]["origin"] == (
         "the median of 3 of 5 frames, from their readings of the outer joints as they are; "
@@ -106,7 +106,7 @@ def test_frames_that_disagree_are_exported_with_a_warning(tmp_path: Path, run: R
 
 def test_one_doubtful_frame_is_exported_with_its_reasons(results: Path, run: Run) -> None:
     ran = run(results / "frames" / "0003.json", "--to", "dvrk", "--json")
-    np.testing.assert_allclose(exported_base(run), OTHER, atol=1e-8)
+    np.testing.assert_allclose(exported_base(ran), OTHER, atol=1e-8)
     assert ran.err == "dvrk-cmaes: warning: frame 0003 is doubtful: tiny\n"
 
 
