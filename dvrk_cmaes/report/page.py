@@ -15,7 +15,6 @@ from pathlib import Path
 from urllib.parse import quote
 
 import jinja2
-from markupsafe import Markup
 
 from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.io.results_folder import ResultsFolder, read_results, result_paths
@@ -70,8 +69,8 @@ def render_page(folder: ResultsFolder) -> str:
     )
     environment.filters |= {"fixed": fixed, "signed": signed, "anchor": anchor, "short": short, "mark": mark_path}
     return environment.get_template("page.html").render(
-        script=Markup(script),
-        style=Markup(style),
+        script=script,
+        style=style,
         script_hash=_hash(script),
         style_hash=_hash(style),
         results=results,
