@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import sys
 from collections.abc import Iterable
@@ -18,11 +19,14 @@ class Line(NamedTuple):
     style: str = ""
 
 
-def ensure_streams() -> None:
-    """Give a program that was started without stdout or stderr, as by ``>&-``, somewhere to write to."""
+def prepare_streams() -> None:
+    """Make stdout and stderr fit for all names of files, and for a program that was started without them (``>&-``)."""
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
+        stream = getattr(sys, name)
+        if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program ends)
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # for names that are not text
 
 
 def give_up_stdout() -> None:

@@ -14,7 +14,9 @@ from dvrk_cmaes.io.atomic import not_written
 
 
 @contextlib.contextmanager
-def whole_folder(path: str | Path, *, sign: str, overwrite: bool = False) -> Iterator[Path]:
+def whole_folder(
+    path: str | Path, *, sign: str, overwrite: bool = False, source: str | Path | None = None
+) -> Iterator[Path]:
     """Give a folder to fill, which takes its place when the block ends well and is removed when it does not.
 
     Parameters
@@ -25,6 +27,8 @@ def whole_folder(path: str | Path, *, sign: str, overwrite: bool = False) -> Ite
         Name of a file by which a folder of this kind is known; no other kind is overwritten.
     overwrite
         Replace an older folder, all of it.
+    source
+        What is read meanwhile, which must not lie in the folder.
 
     Raises
     ------
@@ -33,10 +37,13 @@ def whole_folder(path: str | Path, *, sign: str, overwrite: bool = False) -> Ite
     DvrkCmaesError
         The disk is full or failing. Errors of the block that name the folder being filled name ``path`` instead.
     """
-    target = Path(os.path.realpath(path))
-    beside = target.with_name(f".{uuid.uuid4().hex}.tmp")
+    beside = Path(path)
     try:
+        target = Path(os.path.realpath(path))
+        if source is not None and target in ((real := Path(os.path.realpath(source))), *real.parents):
+            raise InputError(f"{path}: expected a folder apart from {source}, got one that holds it")
         _refuse_other(path, target, sign, overwrite)
+        beside = target.with_name(f".{uuid.uuid4().hex}.tmp")
         beside.mkdir(parents=True)
         try:
             yield beside

@@ -115,11 +115,9 @@ def write_session(
     DvrkCmaesError
         The disk is full or failing.
     """
-    if out.resolve() in (recording.path.resolve(), *recording.path.resolve().parents):
-        raise InputError(f"{out}: expected a folder apart from the recording, got one that holds it")
     names: list[str] = []
     times: list[int] = []
-    with whole_folder(out, sign="camera.yaml", overwrite=overwrite) as folder:
+    with whole_folder(out, sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
         counted = _Counted(recording.images)
         size = _write_images(folder / "images", recording, selection.of(counted.images()), names, times)
         tables, columns, outcomes = _interpolate(recording, times, round(tolerance * NANOSECONDS))
