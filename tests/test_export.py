@@ -110,6 +110,11 @@ def test_one_doubtful_frame_is_exported_with_its_reasons(results: Path, run: Run
     assert ran.err == "dvrk-cmaes: warning: frame 0003 is doubtful: tiny\n"
 
 
+def test_one_result_of_a_batch_is_exported_beside_its_folder_of_frames(results: Path, run: Run) -> None:
+    ran = run(results / "frames" / "0001.json", "--to", "csv", "--json")
+    assert ran.result["written"] == [str(results / "exports" / "poses.csv")]
+
+
 def test_the_tf_line_alone_goes_to_stdout(results: Path, run: Run) -> None:
     ran = run(results, "--to", "tf", "--arm", "PSM3")
     (line,) = ran.out.splitlines()

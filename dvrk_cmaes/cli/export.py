@@ -87,7 +87,7 @@ def export(
 
     names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
     exported = exported_files(read_source(results, frame), to, names, scene=scene, obj=object_id)
-    folder = (results if results.is_dir() else results.parent) / "exports" if out is None else out
+    folder = _home(results) / "exports" if out is None else out
     to_stdout = to == "tf" and out is None
     written = [] if to_stdout else [folder / name for name in exported.files]
     for path, data in zip(written, exported.files.values(), strict=False):
@@ -107,6 +107,13 @@ def export(
     else:
         show(_said(exported, DIRECTIONS[to], written))
     return 0
+
+
+def _home(results: Path) -> Path:
+    """Folder of the results that a path belongs to: above ``frames``, for one result's file."""
+    if results.is_dir():
+        return results
+    return results.parent.parent if results.parent.name == "frames" else results.parent
 
 
 def _line(exported: Exported) -> str:
