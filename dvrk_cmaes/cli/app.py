@@ -15,6 +15,7 @@ from dvrk_cmaes.cli.estimate import estimate
 from dvrk_cmaes.cli.export import export
 from dvrk_cmaes.cli.golden import golden
 from dvrk_cmaes.cli.import_recording import import_recording
+from dvrk_cmaes.cli.inspect import inspect
 from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.synth import synth
 from dvrk_cmaes.cli.terminal import complain, give_up_stdout, prepare_streams
@@ -38,6 +39,7 @@ app.command(golden)
 app.command(consistency)
 app.command(pnp)
 app.command(synth)
+app.command(inspect)
 app.command(import_recording, name="import")
 
 

@@ -93,7 +93,7 @@ class InstrumentOptions:
         tool = None if self.tool is None else read_tool(self.tool)
         loaded = load_instrument(
             self.instrument,
-            package_paths=dict(_package(text) for text in self.package_path),
+            package_paths=split_packages(self.package_path),
             root_link=self.root_link,
             shaft_radius=self.shaft_radius,
         )
@@ -167,6 +167,11 @@ def _check_name(option: str, name: str, known: Iterable[str]) -> None:
 
     if name not in known:
         raise InputError(f"--{option}: expected one of {', '.join(nearest_first(name, known))}, got {name!r}")
+
+
+def split_packages(texts: Iterable[str]) -> dict[str, Path]:
+    """Folders of ROS packages by name, from NAME=DIR each."""
+    return dict(_package(text) for text in texts)
 
 
 def _package(text: str) -> tuple[str, Path]:

@@ -25,6 +25,8 @@ def read_joint_npy(path: str, data: bytes) -> JointFile:
     InputError
         Naming the file, and what was expected.
     """
+    if Path(path).stem.endswith("_ctr"):
+        raise InputError(f"{path}: expected {EXPECTED}, got by its name a pose (axis-angle and translation)")
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)

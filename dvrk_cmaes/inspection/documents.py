@@ -1,0 +1,113 @@
+"""JSON documents in words: registrations, results, truth and what else this program and the dVRK write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from dvrk_cmaes.document import Fields
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.inspection.cameras import inspect_camera
+from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.inspection.instruments import inspect_kinematics, inspect_tool
+from dvrk_cmaes.io.dvrk_description import is_description
+from dvrk_cmaes.io.golden_file import read_golden
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.result_file import read_result
+from dvrk_cmaes.io.shown import listed
+
+
+def inspect_json(path: Path, options: Options) -> Finding:
+    """Read a JSON document of any known kind; InputError if it is of none."""
+    document = read_json_object(path, expected="a JSON document", comments=True)
+    if is_description(document):
+        names = [joint.get("name") for joint in document["DH"].get("joints", ()) if isinstance(joint, dict)]
+        return inspect_kinematics(path) if "insertion" in names else inspect_tool(path)
+    if any(isinstance(value, dict) and "type_id" in value for value in document.values()):
+        return inspect_camera(path, options)
+    for sign, read in _KINDS.items():
+        if sign in document:
+            return read(path, Fields.of(str(path), document))
+    raise InputError(
+        f"{path}: expected a dVRK tool, kinematics or registration, a result, a session or golden.json, "
+        f"got the fields {listed(document) or '(none)'}"
+    )
+
+
+def _registration(path: Path, fields: Fields) -> Finding:
+    frame = fields.inner("base-frame", required=True)
+    assert frame is not None
+    pose = frame.pose("transform", required=True)
+    assert pose is not None
+    convention = fields.text("convention")
+    notes = () if convention else ("the camera's axes are not stated: OpenCV's, or the dVRK's with x and y reversed",)
+    reference = frame.text("reference-frame")
+    return Finding(
+        "dVRK registration",
+        (f"{convention or 'the base'} in {reference or 'an unnamed frame'}", _pose_in_words(pose)),
+        {"reference_frame": reference, "transform": pose.tolist(), "convention": convention or None},
+        notes,
+    )
+
+
+def _result(path: Path, fields: Fields) -> Finding:
+    result = read_result(path)
+    lines = [f"frame {result.frame or '(unnamed)'}, {result.status}, {result.instrument or 'unnamed instrument'}"]
+    if result.camera_from_root is not None:
+        lines.append(f"{result.root_link or 'root'} in the camera: {_pose_in_words(result.camera_from_root)}")
+    lines += result.reasons
+    read = {"frame": result.frame, "status": result.status, "joints": result.joints, "readings": result.readings}
+    return Finding("result", tuple(lines), read)
+
+
+def _golden(path: Path, fields: Fields) -> Finding:
+    if any(
+        "status" in entry for entry in (fields.inner("frames") or fields).values.values() if isinstance(entry, dict)
+    ):
+        return _summary(path, fields)
+    truth = read_golden(path)
+    base = "no base" if truth.camera_from_base is None else f"base: {_pose_in_words(truth.camera_from_base)}"
+    line = f"poses and joints of {len(truth.frames)} frames: {listed(truth.frames)}"
+    return Finding("known poses (golden.json)", (line, base), {"frames": list(truth.frames)})
+
+
+def _summary(path: Path, fields: Fields) -> Finding:
+    counts = fields.inner("counts") or Fields(str(path), {})
+    text = ", ".join(f"{name} {count}" for name, count in counts.values.items())
+    return Finding("summary of a batch", (text or "no counts",), {"counts": dict(counts.values)})
+
+
+def _session(path: Path, fields: Fields) -> Finding:
+    base = fields.pose("camera_from_base")
+    offsets = fields.numbers("offsets")
+    lines = [f"base in the camera: {'not known' if base is None else _pose_in_words(base)}"]
+    lines += [
+        f"offset of {name}: {1e3 * value:.2f} mm"
+        if name == "insertion"
+        else f"offset of {name}: {np.degrees(value):.2f} deg"
+        for name, value in offsets.items()
+    ]
+    return Finding("session calibration (session.json)", tuple(lines), {"offsets": offsets})
+
+
+_KINDS: dict[str, Callable[[Path, Fields], Finding]] = {
+    "base-frame": _registration,
+    "camera_from_root": _result,
+    "rcm": _session,
+    "frames": _golden,
+}
+
+
+def _pose_in_words(pose: NDArray[Any]) -> str:
+    """Say a pose (4, 4) as a position in mm and an axis-angle in degrees."""
+    turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True)
+    return f"position {_triple(1e3 * pose[:3, 3])} mm, axis-angle {_triple(turn)} deg"
+
+
+def _triple(values: NDArray[Any]) -> str:
+    return " ".join(f"{value:.2f}" for value in values)

@@ -1,0 +1,84 @@
+"""Folders in words: sessions, results, and recordings by their names only."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.io.published_layout import find_published_frames, is_published_layout
+from dvrk_cmaes.io.results_folder import read_results
+from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.io.shown import listed
+
+RECORDINGS = (".bag", ".db3", ".mcap")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov")
+
+
+def inspect_folder(path: Path, options: Options) -> Finding:
+    """Tell what a folder is by what lies in it; InputError if it is of no known kind."""
+    if (path / "masks").is_dir() or (path / "images").is_dir():
+        return _session(path, options)
+    if (path / "frames").is_dir():
+        return _results(path)
+    if (path / "metadata.yaml").is_file():
+        return recording(path)
+    if is_published_layout(path):
+        if options.camera is None and not (path / "camera.yaml").exists():
+            return _without_camera(path)
+        return _session(path, options)
+    raise InputError(
+        f"{path}: expected a session (masks, images, or frames in the published layout), results (frames) or a ROS 2 "
+        f"bag (metadata.yaml), got a folder of {listed(sorted(p.name for p in path.iterdir())) or 'nothing'}"
+    )
+
+
+def recording(path: Path) -> Finding:
+    """Name a recording, which is not opened."""
+    kind = "video" if path.suffix.lower() in VIDEOS else "ROS bag"
+    return Finding(kind, ("told by its name only: dvrk-cmaes import reads it",), {})
+
+
+def _session(path: Path, options: Options) -> Finding:
+    session = read_session(path, camera=options.camera, rectified=options.rectified, side=options.side)
+    frames = session.frames
+    problems = {frame.name: frame.problem for frame in frames if frame.problem is not None}
+    parts = {
+        "masks": sum(frame.mask is not None for frame in frames),
+        "images": sum(frame.image is not None for frame in frames),
+        "readings": sum(bool(frame.readings) for frame in frames),
+        "ignored pixels": sum(frame.ignore is not None for frame in frames),
+        "jaw tips": sum(frame.keypoints is not None for frame in frames),
+        "truth": len(session.truth.frames),
+    }
+    camera = session.camera
+    lines = [
+        f"{len(frames)} frames: {listed(frame.name for frame in frames)}",
+        f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
+        f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
+        *problems.values(),
+    ]
+    noted = Counter(note for frame in frames for note in frame.notes if note not in session.notes)
+    read = {"frames": [frame.name for frame in frames], "counts": parts, "problems": problems}
+    return Finding("session", tuple(lines), read, (*session.notes, *noted))
+
+
+def _without_camera(path: Path) -> Finding:
+    """Describe published frames whose camera is not known here."""
+    frames = find_published_frames(path)
+    lines = (
+        f"{len(frames)} frames in the published layout: {listed(frame.name for frame in frames)}",
+        "no camera file: --camera is needed",
+        *(frame.problem for frame in frames if frame.problem is not None),
+    )
+    return Finding("session", lines, {"frames": [frame.name for frame in frames]}, ("found by looking, not by a name",))
+
+
+def _results(path: Path) -> Finding:
+    results = read_results(path)
+    statuses = Counter(result.status for result in results.frames.values())
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
+    line = f"{len(results.frames)} frames ({counts}): {listed(results.frames)}"
+    session = "with a session calibration" if results.session is not None else "each frame by itself"
+    return Finding("results", (line, session), {"statuses": dict(statuses), "frames": list(results.frames)})

@@ -1,0 +1,97 @@
+"""Instruments, meshes and the dVRK's descriptions of tools and arms in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument.meshes import read_mesh
+from dvrk_cmaes.io.dvrk_description import read_kinematics, read_tool
+
+MESHES = (".stl", ".obj", ".dae", ".ply")
+
+
+def inspect_urdf(path: Path, options: Options) -> Finding:
+    """Load an instrument; InputError if it cannot be."""
+    found = load_instrument(path, package_paths=options.package_paths)
+    faces = {link.name: len(link.faces) for link in found.links}
+    shaft = found.shaft
+    limits = {
+        name: (float(low), float(high)) for name, (low, high) in zip(found.joint_names, found.limits, strict=True)
+    }
+    straight = "no straight shaft found"
+    if shaft is not None:
+        straight = f"shaft of {2e3 * shaft.radius:.2f} mm diameter, straight over {1e3 * shaft.length:.0f} mm"
+    return Finding(
+        "instrument (URDF)",
+        (
+            f"{found.name}, pose sought of {found.root_link}",
+            f"links with meshes: {', '.join(f'{name} ({count} triangles)' for name, count in faces.items())}",
+            *_limits(limits),
+            straight,
+            "a pair of jaws" if found.jaw_tips else "no pair of jaws",
+            "looks alike in its mirror twin" if found.has_twin else "does not look alike in its mirror twin",
+        ),
+        {
+            "name": found.name,
+            "root_link": found.root_link,
+            "triangles": faces,
+            "limits": limits,
+            "shaft_radius": None if shaft is None else shaft.radius,
+            "jaws": bool(found.jaw_tips),
+            "has_twin": found.has_twin,
+        },
+        ("limits are the URDF's unless --tool gives others",),
+    )
+
+
+def inspect_mesh(path: Path) -> Finding:
+    """Read a mesh; InputError if it cannot be."""
+    vertices, faces = read_mesh(path)
+    extent = np.ptp(vertices, axis=0)
+    sides = " x ".join(f"{1e3 * side:.2f}" for side in extent)
+    return Finding(
+        "mesh",
+        (f"{len(faces)} triangles, {len(vertices)} vertices", f"{sides} mm, if its unit is the metre"),
+        {"triangles": len(faces), "vertices": len(vertices), "extent": extent.tolist()},
+        ("meshes have no unit but COLLADA's: a URDF's scale makes them metres",),
+    )
+
+
+def inspect_tool(path: Path) -> Finding:
+    """Read a tool's description; InputError if it cannot be."""
+    tool = read_tool(path)
+    return Finding(
+        "dVRK tool",
+        (
+            f"wrist {1e3 * tool.roll_offset:.1f} mm beyond the frame of the insertion (D of roll), "
+            f"{1e3 * tool.wrist_length:.2f} mm between its axes",
+            *_limits(tool.limits),
+        ),
+        {"roll_offset": tool.roll_offset, "wrist_length": tool.wrist_length, "limits": dict(tool.limits)},
+    )
+
+
+def inspect_kinematics(path: Path) -> Finding:
+    """Read an arm's description; InputError if it cannot be."""
+    arm = read_kinematics(path)
+    which = "neither the Classic's nor the Si's" if arm.arm is None else f"that of --arm {arm.arm}"
+    return Finding(
+        "dVRK kinematics",
+        (f"insertion offset {1e3 * arm.insertion_offset:.1f} mm, {which}", *_limits(arm.limits)),
+        {"arm": arm.arm, "insertion_offset": arm.insertion_offset, "limits": dict(arm.limits)},
+    )
+
+
+def _limits(limits: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
+    """Limits of joints, in mm or degrees."""
+    texts = []
+    for name, (low, high) in limits.items():
+        scale, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
+        texts.append(f"{name} from {scale * low:.1f} to {scale * high:.1f} {unit}")
+    return (f"limits: {', '.join(texts)}",) if texts else ("no joints",)

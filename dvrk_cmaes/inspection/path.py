@@ -1,0 +1,98 @@
+"""Which kind a file is: by its first bytes and its fields; by its name only where it is too large to be opened."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config_file import leaves, read_config
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.inspection.cameras import inspect_camera
+from dvrk_cmaes.inspection.documents import inspect_json
+from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.inspection.folders import RECORDINGS, VIDEOS, inspect_folder, recording
+from dvrk_cmaes.inspection.instruments import MESHES, inspect_mesh, inspect_urdf
+from dvrk_cmaes.inspection.pictures import inspect_picture
+from dvrk_cmaes.inspection.tables import (
+    inspect_image_times,
+    inspect_joints,
+    inspect_keypoints,
+    inspect_published_poses,
+)
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.joint_npy import MAGIC as NUMPY
+from dvrk_cmaes.io.joint_state import is_joint_state
+
+_EXPECTED = "a file or folder to look at"
+_PICTURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
+_START = 65536  # bytes, enough to tell text of one kind from another
+_ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
+_TIMES = {"frame", "time"}
+
+
+def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
+    """Say what a file or folder is taken for, and what was read from it.
+
+    Raises
+    ------
+    InputError
+        It does not exist, is of no known kind, or is damaged; the message is that of its own reader.
+    """
+    settings = Options() if options is None else options
+    file = Path(path)
+    try:
+        if file.is_dir():
+            return inspect_folder(file, settings)
+        check_file(file, expected=_EXPECTED)
+        with file.open("rb") as stream:
+            start = stream.read(_START)
+    except OSError as error:
+        raise InputError(f"{path}: not readable ({error.strerror}); expected {_EXPECTED}") from None
+    if file.suffix.lower() in (*RECORDINGS, *VIDEOS):
+        return recording(file)
+    if file.suffix.lower() in MESHES:
+        return inspect_mesh(file)
+    if file.suffix.lower() == ".toml":
+        return _settings(file)
+    if start.startswith(_PICTURES):
+        return inspect_picture(file)
+    if start.startswith(NUMPY):
+        return inspect_joints(file)
+    return _text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
+
+
+def _text(path: Path, start: bytes, options: Options) -> Finding:
+    """Tell texts apart."""
+    begin = start.lstrip()
+    if begin.startswith(b"<"):
+        root = _ROOT.search(begin)
+        return (
+            inspect_urdf(path, options) if root is not None and root[1] == b"robot" else inspect_camera(path, options)
+        )
+    if begin.startswith((b"{", b"/*", b"//")):
+        return inspect_json(path, options)
+    text = start.decode("utf-8", errors="replace")
+    if is_joint_state(text):
+        return inspect_joints(path)
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    header = {name.strip() for name in lines[0].split(",")} if lines else set()
+    if len(header) > 1 and ":" not in lines[0]:
+        if "tip_1_u" in header:
+            return inspect_keypoints(path)
+        if header == _TIMES:
+            return inspect_image_times(path)
+        if {"rx", "tx", "jaw_1"} <= header:
+            return inspect_published_poses(path)
+        return inspect_joints(path)
+    return inspect_camera(path, options)
+
+
+def _settings(path: Path) -> Finding:
+    """Name what a file of settings changes."""
+    default = EstimateConfig()
+    changed = dict(leaves(read_config(path, default)))
+    usual = dict(leaves(default))
+    changes = {name: value for name, value in changed.items() if value != usual[name]}
+    lines = tuple(f"{name} = {value} instead of {usual[name]}" for name, value in changes.items())
+    return Finding("settings", lines or ("nothing but the defaults",), changes)

@@ -1,0 +1,95 @@
+"""Readings, jaw tips and times of images in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dvrk_cmaes.inspection.finding import Finding
+from dvrk_cmaes.io.joint_file import JointFile
+from dvrk_cmaes.io.joints import TIME_TOLERANCE, read_joint_file
+from dvrk_cmaes.io.keypoints import read_keypoints
+from dvrk_cmaes.io.published_poses import read_published_poses
+from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.io.times import read_image_times
+from dvrk_cmaes.timed_readings import NANOSECONDS
+
+_LABELS = {
+    "frame": "a frame's readings are found by its name",
+    "number": "a frame's readings are found by the number that its name ends in",
+    "message": "a frame's readings are found by the image's time",
+}
+
+
+def inspect_joints(path: Path) -> Finding:
+    """Read joint readings of any kind; InputError if they cannot be."""
+    file = read_joint_file(path)
+    rows = [row.readings() for row in file.rows.values()]
+    ranges = {name: _range([row[name] for row in rows if name in row]) for name in file.joints}
+    lines = [f"{file.kind}: {_count(len(rows), 'row')}", *(_span(name, *pair) for name, pair in ranges.items() if pair)]
+    unread = [name for name, pair in ranges.items() if pair is None]
+    if unread:
+        lines.append(f"no reading of {', '.join(unread)}")
+    notes = list(file.notes)
+    span = _time_span(file)
+    if span is not None:
+        lines.append(f"times from {span[0] / NANOSECONDS:.3f} to {span[1] / NANOSECONDS:.3f} s")
+        notes.append(
+            f"readings are interpolated to an image's time, from at most {TIME_TOLERANCE / NANOSECONDS:g} s away"
+        )
+    if len(rows) > 1:
+        notes.append(_LABELS[file.labels])
+    read: dict[str, Any] = {
+        "form": file.kind,
+        "rows": len(rows),
+        "found_by": file.labels,
+        "ranges": {name: pair for name, pair in ranges.items() if pair},
+        "time_ns": span,
+    }
+    if len(rows) == 1:
+        read["readings"] = rows[0]
+    return Finding("joint readings", tuple(lines), read, tuple(notes))
+
+
+def inspect_keypoints(path: Path) -> Finding:
+    """Read jaw tips; InputError if they cannot be."""
+    tips = read_keypoints(path)
+    line = f"both jaw tips of {_count(len(tips), 'frame')}: {listed(tips)}"
+    read = {"frames": {name: pair.tolist() for name, pair in tips.items()}}
+    return Finding("jaw tips", (line,), read, ("the two tips of a frame may be in either order",))
+
+
+def inspect_image_times(path: Path) -> Finding:
+    """Read the times of images; InputError if they cannot be."""
+    times = read_image_times(path)
+    line = f"the times of {_count(len(times), 'image')}: {listed(times)}"
+    return Finding("image times", (line,), {"time_ns": times})
+
+
+def inspect_published_poses(path: Path) -> Finding:
+    """Read a table of published poses; InputError if it cannot be."""
+    poses = read_published_poses(path)
+    line = f"poses (axis-angle and translation of camera_from_root) and joints of {_count(len(poses), 'frame')}"
+    return Finding("published poses", (line,), {"frames": list(poses)})
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _range(values: Sequence[float]) -> tuple[float, float] | None:
+    return (min(values), max(values)) if values else None
+
+
+def _span(name: str, low: float, high: float) -> str:
+    """Range of a joint, in mm or degrees."""
+    scale, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
+    low, high = scale * low, scale * high
+    return f"{name} {low:.2f} {unit}" if low == high else f"{name} from {low:.2f} to {high:.2f} {unit}"
+
+
+def _time_span(file: JointFile) -> tuple[int, int] | None:
+    times = [row.time for row in file.rows.values() if row.time is not None]
+    return (min(times), max(times)) if times else None
