@@ -40,8 +40,8 @@ Motion = Literal["free", "rcm"]
 SIGN: Final = "synth.json"
 """File by which a made session is known."""
 
-_HIDDEN: Final = (0.002, 0.006)  # m, of a jaw behind tissue
-_LUMP: Final = (45.0, 80.0)  # px at 640 x 480, radius of the tissue
+_HIDDEN: Final = (0.001, 0.004)  # m, of a jaw behind tissue
+_LUMP: Final = (25.0, 50.0)  # px at 640 x 480, radius of the tissue
 
 
 @dataclass(frozen=True, eq=False)
