@@ -9,18 +9,21 @@ import os
 import random
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 import trimesh
 from canned_results import canned
 from instrument_files import TETRA_OBJ, mesh_link, write_urdf
 from made_recordings import good, write_bag, write_video
 
 from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.cli.options import InstrumentOptions
 
 DEMO = bundled_path("demo")
 MASK, IMAGE, CAMERA, JOINTS = (DEMO / p for p in ("masks/0000.png", "images/0000.jpg", "camera.yaml", "joints.csv"))
@@ -48,6 +51,16 @@ def frame(**changes: object) -> Arguments:
     """Give the arguments of ``estimate`` for a good frame, with some exchanged."""
     options: dict[str, object] = {"mask": MASK, "camera": CAMERA, "joints": JOINTS, "frame": "0000", **changes}
     return ["estimate", *(part for key, value in options.items() for part in (f"--{key}", value))]
+
+
+@contextmanager
+def stopped_after_reading(frame: Callable[..., None], session: Callable[..., None]) -> Iterator[None]:
+    """Call these with what ``estimate`` and ``batch`` have read, instead of working on; load the instrument once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dvrk_cmaes.frame_run.estimate", frame)
+        patch.setattr("dvrk_cmaes.batch.run.run_batch", session)
+        patch.setattr(InstrumentOptions, "load", functools.cache(InstrumentOptions.load))
+        yield
 
 
 # good files

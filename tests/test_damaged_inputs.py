@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from damage import DAMAGES, INPUTS, Input
+from damage import DAMAGES, INPUTS, Input, stopped_after_reading
 
 from dvrk_cmaes.cli import main
-from dvrk_cmaes.cli.options import InstrumentOptions
 from dvrk_cmaes.errors import DvrkCmaesError
 
 READ = "all was read"
@@ -20,16 +18,12 @@ Refused = Callable[[Input, Callable[[Path, bytes], None]], str]
 
 @pytest.fixture(scope="module", autouse=True)
 def read_only() -> Iterator[None]:
-    """Stop commands once all is read, with an error of their own, and load the bundled instrument once."""
+    """Stop commands once all is read, with an error of their own."""
 
     def stop(*_: object, **__: object) -> None:
         raise DvrkCmaesError(READ)
 
-    load = functools.cache(InstrumentOptions.load)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvrk_cmaes.frame_run.estimate", stop)
-        patch.setattr("dvrk_cmaes.batch.run_batch", stop)
-        patch.setattr(InstrumentOptions, "load", load)
+    with stopped_after_reading(stop, stop):
         yield
 
 
