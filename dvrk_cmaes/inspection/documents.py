@@ -13,11 +13,12 @@ from scipy.spatial.transform import Rotation
 from dvrk_cmaes.document import Fields
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection.cameras import inspect_camera
-from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.instruments import inspect_kinematics, inspect_tool
 from dvrk_cmaes.io.dvrk_description import is_description
 from dvrk_cmaes.io.golden_file import read_golden
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.markers import read_marker_table
 from dvrk_cmaes.io.result_file import read_result
 from dvrk_cmaes.io.shown import listed
 
@@ -30,6 +31,8 @@ def inspect_json(path: Path, options: Options) -> Finding:
         return inspect_kinematics(path) if "insertion" in names else inspect_tool(path)
     if any(isinstance(value, dict) and "type_id" in value for value in document.values()):
         return inspect_camera(path, options)
+    if document and all(isinstance(value, dict) and "position_m" in value for value in document.values()):
+        return _markers(path)
     for sign, read in _KINDS.items():
         if sign in document:
             return read(path, Fields.of(str(path), document))
@@ -72,7 +75,7 @@ def _golden(path: Path, fields: Fields) -> Finding:
         return _summary(path, fields)
     truth = read_golden(path)
     base = "no base" if truth.camera_from_base is None else f"base: {_pose_in_words(truth.camera_from_base)}"
-    line = f"poses and joints of {len(truth.frames)} frames: {listed(truth.frames)}"
+    line = f"poses and joints of {counted(len(truth.frames), 'frame')}: {listed(truth.frames)}"
     return Finding("known poses (golden.json)", (line, base), {"frames": list(truth.frames)})
 
 
@@ -80,6 +83,12 @@ def _summary(path: Path, fields: Fields) -> Finding:
     counts = fields.inner("counts") or Fields(str(path), {})
     text = ", ".join(f"{name} {count}" for name, count in counts.values.items())
     return Finding("summary of a batch", (text or "no counts",), {"counts": dict(counts.values)})
+
+
+def _markers(path: Path) -> Finding:
+    markers = read_marker_table(path)
+    line = f"{counted(len(markers), 'painted marker')} on {', '.join(dict.fromkeys(m.link for m in markers.values()))}"
+    return Finding("marker positions", (line,), {"markers": {name: m.position.tolist() for name, m in markers.items()}})
 
 
 def _session(path: Path, fields: Fields) -> Finding:

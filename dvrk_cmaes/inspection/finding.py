@@ -36,3 +36,8 @@ class Options:
     side: Side = "left"
     package_paths: Mapping[str, Path] = field(default_factory=dict)
     camera: Path | None = None
+
+
+def counted(number: int, what: str) -> str:
+    """Say how many there are of something."""
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.io.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.io.results_folder import read_results
 from dvrk_cmaes.io.session_folder import read_session
@@ -14,6 +14,8 @@ from dvrk_cmaes.io.shown import listed
 
 RECORDINGS = (".bag", ".db3", ".mcap")
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov")
+
+_DESCRIPTIONS = ("readings: ", "camera: ")
 
 
 def inspect_folder(path: Path, options: Options) -> Finding:
@@ -54,31 +56,33 @@ def _session(path: Path, options: Options) -> Finding:
     }
     camera = session.camera
     lines = [
-        f"{len(frames)} frames: {listed(frame.name for frame in frames)}",
+        f"{counted(len(frames), 'frame')}: {listed(frame.name for frame in frames)}",
         f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
+        *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
         *problems.values(),
     ]
-    noted = Counter(note for frame in frames for note in frame.notes if note not in session.notes)
+    rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]
+    rules += dict.fromkeys(note for frame in frames for note in frame.notes if note not in session.notes)
     read = {"frames": [frame.name for frame in frames], "counts": parts, "problems": problems}
-    return Finding("session", tuple(lines), read, (*session.notes, *noted))
+    return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]))
 
 
 def _without_camera(path: Path) -> Finding:
     """Describe published frames whose camera is not known here."""
     frames = find_published_frames(path)
     lines = (
-        f"{len(frames)} frames in the published layout: {listed(frame.name for frame in frames)}",
+        f"{counted(len(frames), 'frame')} in the published layout: {listed(frame.name for frame in frames)}",
         "no camera file: --camera is needed",
         *(frame.problem for frame in frames if frame.problem is not None),
     )
-    return Finding("session", lines, {"frames": [frame.name for frame in frames]}, ("found by looking, not by a name",))
+    return Finding("session", lines, {"frames": [frame.name for frame in frames]}, ("its layout is found by looking",))
 
 
 def _results(path: Path) -> Finding:
     results = read_results(path)
     statuses = Counter(result.status for result in results.frames.values())
     counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
-    line = f"{len(results.frames)} frames ({counts}): {listed(results.frames)}"
+    line = f"{counted(len(results.frames), 'frame')} ({counts}): {listed(results.frames)}"
     session = "with a session calibration" if results.session is not None else "each frame by itself"
     return Finding("results", (line, session), {"statuses": dict(statuses), "frames": list(results.frames)})

@@ -15,20 +15,24 @@ from dvrk_cmaes.inspection.folders import RECORDINGS, VIDEOS, inspect_folder, re
 from dvrk_cmaes.inspection.instruments import MESHES, inspect_mesh, inspect_urdf
 from dvrk_cmaes.inspection.pictures import inspect_picture
 from dvrk_cmaes.inspection.tables import (
+    inspect_detections,
     inspect_image_times,
     inspect_joints,
     inspect_keypoints,
     inspect_published_poses,
+    inspect_tracker_array,
 )
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.joint_npy import MAGIC as NUMPY
 from dvrk_cmaes.io.joint_state import is_joint_state
 
 _EXPECTED = "a file or folder to look at"
+_KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
 _PICTURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
 _START = 65536  # bytes, enough to tell text of one kind from another
 _ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
 _TIMES = {"frame", "time"}
+_TRACKER = re.compile(r".*_ctr|optimized_joint_angles")
 
 
 def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
@@ -57,6 +61,8 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
         return _settings(file)
     if start.startswith(_PICTURES):
         return inspect_picture(file)
+    if start.startswith(NUMPY) and _TRACKER.fullmatch(file.stem):
+        return inspect_tracker_array(file)
     if start.startswith(NUMPY):
         return inspect_joints(file)
     return _text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
@@ -64,6 +70,8 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
 
 def _text(path: Path, start: bytes, options: Options) -> Finding:
     """Tell texts apart."""
+    if b"\0" in start:
+        raise InputError(f"{path}: expected {_KNOWN}, got something else")
     begin = start.lstrip()
     if begin.startswith(b"<"):
         root = _ROOT.search(begin)
@@ -80,6 +88,8 @@ def _text(path: Path, start: bytes, options: Options) -> Finding:
     if len(header) > 1 and ":" not in lines[0]:
         if "tip_1_u" in header:
             return inspect_keypoints(path)
+        if "marker" in header:
+            return inspect_detections(path)
         if header == _TIMES:
             return inspect_image_times(path)
         if {"rx", "tx", "jaw_1"} <= header:

@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dvrk_cmaes.inspection.finding import Finding
+from dvrk_cmaes.inspection.finding import Finding, counted
+from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.joint_file import JointFile
+from dvrk_cmaes.io.joint_npy import read_small_array
 from dvrk_cmaes.io.joints import TIME_TOLERANCE, read_joint_file
 from dvrk_cmaes.io.keypoints import read_keypoints
+from dvrk_cmaes.io.markers import read_detections
 from dvrk_cmaes.io.published_poses import read_published_poses
 from dvrk_cmaes.io.shown import listed
 from dvrk_cmaes.io.times import read_image_times
@@ -28,7 +31,10 @@ def inspect_joints(path: Path) -> Finding:
     file = read_joint_file(path)
     rows = [row.readings() for row in file.rows.values()]
     ranges = {name: _range([row[name] for row in rows if name in row]) for name in file.joints}
-    lines = [f"{file.kind}: {_count(len(rows), 'row')}", *(_span(name, *pair) for name, pair in ranges.items() if pair)]
+    lines = [
+        f"{file.kind}: {counted(len(rows), 'row')}",
+        *(_span(name, *pair) for name, pair in ranges.items() if pair),
+    ]
     unread = [name for name, pair in ranges.items() if pair is None]
     if unread:
         lines.append(f"no reading of {', '.join(unread)}")
@@ -56,27 +62,44 @@ def inspect_joints(path: Path) -> Finding:
 def inspect_keypoints(path: Path) -> Finding:
     """Read jaw tips; InputError if they cannot be."""
     tips = read_keypoints(path)
-    line = f"both jaw tips of {_count(len(tips), 'frame')}: {listed(tips)}"
+    line = f"both jaw tips of {counted(len(tips), 'frame')}: {listed(tips)}"
     read = {"frames": {name: pair.tolist() for name, pair in tips.items()}}
     return Finding("jaw tips", (line,), read, ("the two tips of a frame may be in either order",))
+
+
+def inspect_detections(path: Path) -> Finding:
+    """Read detected markers; InputError if they cannot be."""
+    found = read_detections(path)
+    line = f"painted markers seen in {counted(len(found), 'frame')}: {listed(found)}"
+    read = {"frames": {name: sorted(markers) for name, markers in found.items()}}
+    return Finding("marker detections", (line,), read)
+
+
+def inspect_tracker_array(path: Path) -> Finding:
+    """Describe a pose or joints as a tracker takes them, which are told by their names."""
+    expected = "a tracker's start (a NumPy array of 6 or 4 numbers)"
+    numbers = read_small_array(
+        str(path), read_bytes(path, expected=expected, largest=10_000), expected=expected
+    ).tolist()
+    pose = path.stem.endswith("_ctr")
+    meaning = "axis-angle rad, translation m" if pose else "wrist_pitch, wrist_yaw, jaw_2, jaw_1 rad"
+    text = f"{meaning}: {' '.join(f'{number:.5g}' for number in numbers)}"
+    kind = "tracker's pose" if pose else "tracker's joints"
+    return Finding(kind, (text,), {"values": numbers}, ("told by its name",))
 
 
 def inspect_image_times(path: Path) -> Finding:
     """Read the times of images; InputError if they cannot be."""
     times = read_image_times(path)
-    line = f"the times of {_count(len(times), 'image')}: {listed(times)}"
+    line = f"the times of {counted(len(times), 'image')}: {listed(times)}"
     return Finding("image times", (line,), {"time_ns": times})
 
 
 def inspect_published_poses(path: Path) -> Finding:
     """Read a table of published poses; InputError if it cannot be."""
     poses = read_published_poses(path)
-    line = f"poses (axis-angle and translation of camera_from_root) and joints of {_count(len(poses), 'frame')}"
+    line = f"poses (axis-angle and translation of camera_from_root) and joints of {counted(len(poses), 'frame')}"
     return Finding("published poses", (line,), {"frames": list(poses)})
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _range(values: Sequence[float]) -> tuple[float, float] | None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.joint_file import JointFile, JointRow
@@ -18,7 +20,7 @@ _MOST = 7
 
 
 def read_joint_npy(path: str, data: bytes) -> JointFile:
-    """Read the bytes of a .npy; pickled objects are refused, and nothing larger than it should be is read.
+    """Read the bytes of a .npy of joint readings.
 
     Raises
     ------
@@ -27,26 +29,35 @@ def read_joint_npy(path: str, data: bytes) -> JointFile:
     """
     if Path(path).stem.endswith("_ctr"):
         raise InputError(f"{path}: expected {EXPECTED}, got by its name a pose (axis-angle and translation)")
+    values = read_small_array(path, data, expected=EXPECTED)
+    joints = ordered_joints(path, values.size)
+    cells = dict(zip(joints, values.tolist(), strict=True))
+    return JointFile(path, f"NumPy array of {values.size}", {Path(path).stem: JointRow(path, cells)}, "message")
+
+
+def read_small_array(path: str, data: bytes, *, expected: str) -> NDArray[np.float64]:
+    """Read the bytes of a .npy of a few numbers, (N,); pickled objects are refused, and larger arrays before they grow.
+
+    Raises
+    ------
+    InputError
+        Naming the file, and what was expected.
+    """
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
-        raise InputError(f"{path}: expected {EXPECTED}, got no valid NumPy file ({_line(error)})") from None
-    size = 1
-    for length in shape:
-        size *= length
-    if dtype.kind not in "fiu" or not 0 < size <= _MOST:
-        raise InputError(f"{path}: expected {EXPECTED}, got {dtype} of shape {shape}")
-    joints = ordered_joints(path, size)
+        raise InputError(f"{path}: expected {expected}, got no valid NumPy file ({_line(error)})") from None
+    if dtype.kind not in "fiu" or not 0 < math.prod(shape) <= _MOST:
+        raise InputError(f"{path}: expected {expected}, got {dtype} of shape {shape}")
     stream.seek(0)
     try:
         values = np.load(stream, allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: expected {EXPECTED}, got no valid NumPy file ({_line(error)})") from None
-    cells = dict(zip(joints, np.asarray(values, np.float64).ravel().tolist(), strict=True))
-    return JointFile(path, f"NumPy array of {size}", {Path(path).stem: JointRow(path, cells)}, "message")
+        raise InputError(f"{path}: expected {expected}, got no valid NumPy file ({_line(error)})") from None
+    return np.asarray(values, np.float64).ravel()
 
 
 def _line(error: BaseException) -> str:
