@@ -36,7 +36,7 @@ def read_config(path: str | Path, default: T) -> T:
     """
     try:
         document = tomllib.loads(read_text(path, expected="settings (TOML)", largest=_LARGEST))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError: also a whole number that Python will not read
         raise InputError(f"{path}: expected settings (TOML), got no valid TOML: {error}") from None
     return updated(default, document, where=str(path))
 
