@@ -242,6 +242,8 @@ def test_numpy_files_of_anything_else_are_refused_and_run_no_code(tmp_path: Path
     assert message(path).startswith(f"{expected}no valid NumPy file (")
     path.write_bytes(whole.replace(b"(6,)", b"(10**9,)"))
     assert message(path).startswith(f"{expected}no valid NumPy file (")
+    path.write_bytes(whole.replace(b"False", b"Fals]"))
+    assert message(path).startswith(f"{expected}no valid NumPy file (")
     path.write_bytes(whole[:6] + b"\x09\x09" + pickle.dumps(1))
     assert message(path).startswith(f"{expected}no valid NumPy file (")
 
@@ -258,7 +260,7 @@ def test_milliseconds_and_microseconds_since_1970_are_told_by_their_size() -> No
     assert parse_time("x", "1755000000123") == parse_time("x", "1755000000123000") == 1755000000123000000
 
 
-@pytest.mark.parametrize("text", ["", "soon", "nan", "inf", "1e400"])
+@pytest.mark.parametrize("text", ["", "soon", "nan", "inf", "1e400", "1e9999999", "-9e999999"])
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"^x: time: expected a finite number of seconds, got "):
         parse_time("x", text)

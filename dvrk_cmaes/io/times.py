@@ -7,7 +7,7 @@ for another 3,000 years.
 from __future__ import annotations
 
 import re
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -28,7 +28,7 @@ def parse_time(where: str, cell: object) -> int:
             factor = next((factor for least, factor in _UNITS if abs(time) >= least), NANOSECONDS)
             if abs(time * factor) < _LATEST:
                 return round(time * factor)
-    except InvalidOperation:
+    except ArithmeticError:  # no number, or one beyond any
         pass
     raise InputError(f"{where}: time: expected a finite number of seconds, got {shown(cell)}")
 
