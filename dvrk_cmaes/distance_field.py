@@ -35,7 +35,7 @@ def distance_field(mask: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.f
 
 
 def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Distance in pixels from each pixel of a mask (H, W) to the nearest centre outside it, 0 outside; to 1000 px exact.
+    """Distance in pixels from each pixel of a mask (H, W) to the nearest centre outside it, at most 1000; 0 outside.
 
     The same wherever in memory the mask lies: OpenCV takes square roots of whole numbers in two ways, one of them not
     exactly, and where an array begins decides which pixels get which.

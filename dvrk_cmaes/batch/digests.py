@@ -32,7 +32,7 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
         if path is not None
     }
     rest = {
-        "readings": dict(sorted(files.readings.items())),
+        "readings": (dict(sorted(files.readings.items())), files.notes, files.problem),
         "keypoints": files.keypoints,
         "part of the mask": (files.label, files.pick),
     }

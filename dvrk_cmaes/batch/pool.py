@@ -6,6 +6,7 @@ in a fresh process (something else may have used up the memory), then given up.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import queue
@@ -89,6 +90,10 @@ def through_processes(
             thread.join()
 
 
+class _NothingMoreError(Exception):
+    """A task is left undone, because nobody wants it any more."""
+
+
 class _Source(Generic[T]):
     """Tasks for several threads, until there are none or nobody wants them."""
 
@@ -122,20 +127,17 @@ def _drive(
 ) -> None:
     """Do tasks one after the other in one process."""
     try:
-        for task in source:
-            outcome = _tried(process, call, task, time_limit, source)
-            if outcome is not None:
-                give((task, outcome))
+        with contextlib.suppress(_NothingMoreError):
+            for task in source:
+                give((task, _tried(process, call, task, time_limit, source)))
         process.close(wait=True)
         give(None)
     except Exception as error:
         give(error)
 
 
-def _tried(
-    process: _Process, call: Callable[[T], R], task: T, time_limit: float, source: _Source[T]
-) -> R | Died | None:
-    """Value of a task; None if its process died when nothing more should be begun."""
+def _tried(process: _Process, call: Callable[[T], R], task: T, time_limit: float, source: _Source[T]) -> R | Died:
+    """Do a task, again if its process dies, unless nothing more should be begun by then."""
     for _ in range(_TRIES):
         try:
             return process.run(call, task, time_limit)
@@ -145,7 +147,7 @@ def _tried(
         except BrokenExecutor:
             process.close()
             if source.ended:
-                return None
+                raise _NothingMoreError from None
     return Died(f"its process died {_TRIES} times: out of memory, or a crash in a native library")
 
 
@@ -164,11 +166,8 @@ class _Process:
         return pool.submit(call, task).result(timeout=time_limit)
 
     def _started(self) -> ProcessPoolExecutor:
-        for _ in range(_STARTS):
-            if self._over:
-                raise BrokenExecutor("nothing more is to be begun")
-            if self._pool is not None:
-                return self._pool
+        deaths = 0
+        while self._pool is None and not self._over:
             pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
             _leave_interrupts_to_the_main_thread()
             try:
@@ -176,11 +175,14 @@ class _Process:
                 self._pool = pool
             except BrokenExecutor:
                 pool.shutdown(wait=False)
-        if self._pool is None:
-            raise DvrkCmaesError(
-                f"worker processes died {_STARTS} times at their start: out of memory? Try fewer workers; "
-                "what is done is kept, and the same command goes on from there"
-            )
+                deaths += 1
+            if deaths == _STARTS:
+                raise DvrkCmaesError(
+                    f"worker processes died {_STARTS} times at their start: out of memory? Try fewer workers; "
+                    "what is done is kept, and the same command goes on from there"
+                )
+        if self._pool is None or self._over:
+            raise BrokenExecutor("nothing more is to be begun")
         return self._pool
 
     def close(self, *, wait: bool = False) -> None:

@@ -31,6 +31,7 @@ from dvrk_cmaes.batch.worker import (
     FrameOutcome,
     PackedSetup,
     failed_outcome,
+    named_from,
     prepare_process,
     run_task,
 )
@@ -138,7 +139,7 @@ def run_batch(
     settings = replace(EstimateConfig() if config is None else config, threads=threads)
     check_config(settings)
     folder = out if shard is None else shard.folder(out)
-    chosen = chosen_frames([_absolute(files) for files in session.frames], pattern)
+    chosen = chosen_frames([_from_anywhere(files, session.folder) for files in session.frames], pattern)
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
     setup = BatchSetup(instrument, session.camera, settings, arm, Path(os.path.abspath(session.folder)))
@@ -268,9 +269,11 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _absolute(files: FrameFiles) -> FrameFiles:
-    """Name a frame's files so that they are found from any folder."""
+def _from_anywhere(files: FrameFiles, folder: Path) -> FrameFiles:
+    """Name a frame's files so that any process finds them, and in words from the session's folder."""
     mask, image, ignore = (
         None if path is None else Path(os.path.abspath(path)) for path in (files.mask, files.image, files.ignore)
     )
-    return replace(files, mask=mask, image=image, ignore=ignore)
+    notes = tuple(named_from(folder, note) for note in files.notes)
+    problem = None if files.problem is None else named_from(folder, files.problem)
+    return replace(files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem)

@@ -99,13 +99,13 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
     result = Result(
         frame=files.name,
         status="failed",
-        reasons=(_from_the_folder(setup, reason),),
+        reasons=(named_from(setup.folder, reason),),
         instrument=setup.instrument.name,
         root_link=setup.instrument.root_link,
         camera_from_root=None,
         joints={},
         readings=dict(files.readings),
-        warnings=_told(setup, files.notes),
+        warnings=files.notes,
         seed=setup.config.seed,
         version=__version__,
         config=setup.config.as_dict(),
@@ -115,7 +115,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
 
 def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes]:
     data = read_frame(files, setup.camera)
-    data = replace(data, notes=_told(setup, data.notes))
+    data = replace(data, notes=tuple(named_from(setup.folder, note) for note in data.notes))
     result = estimate_frame(files, data, body, arm=setup.arm, config=setup.config)
     drawing = draw_frame(result, files, data, body)
     return result, encoded_image(overlay_path(Path(), files.name), drawing)
@@ -126,13 +126,9 @@ def _outcome(result: Result, overlay: bytes | None) -> FrameOutcome:
     return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay)
 
 
-def _told(setup: BatchSetup, notes: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(_from_the_folder(setup, note) for note in notes)
-
-
-def _from_the_folder(setup: BatchSetup, text: str) -> str:
+def named_from(folder: Path, text: str) -> str:
     """Name files from the session's folder, so that results are the same wherever it lies; on one line."""
-    return " ".join(text.replace(f"{setup.folder}{os.sep}", "").splitlines())
+    return " ".join(text.replace(f"{folder}{os.sep}", "").splitlines())
 
 
 def _unpacked(packed: PackedSetup) -> tuple[BatchSetup, Body]:

@@ -24,8 +24,8 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.batch import BatchSummary, Shard
-    from dvrk_cmaes.io.session_folder import Session
+    from dvrk_cmaes.batch.run import BatchSummary
+    from dvrk_cmaes.batch.worklist import Shard
 
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
@@ -42,6 +42,7 @@ def batch(
     frames: Annotated[str | None, Parameter(group=FOLDER)] = None,
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
+    joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     label: Annotated[int | None, Parameter(group=FOLDER)] = None,
     shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
     merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
@@ -82,6 +83,8 @@ def batch(
         Keep the results that are there, if they were made from the same files in the same way; or remove them first.
     retry_failed
         Do frames again that failed.
+    joints
+        A file of readings, where it is not the session's own. May be given several times.
     label
         The masks are of labels: the instrument is where they have this value.
     shard
@@ -103,7 +106,7 @@ def batch(
     json
         Print summary.json, and nothing else, on stdout.
     """
-    from dvrk_cmaes.batch import Shard
+    from dvrk_cmaes.batch.worklist import Shard
 
     if merge is not None:
         if session is not None or out is not None or shard is not None:
@@ -125,6 +128,7 @@ def batch(
         camera,
         instrument,
         method,
+        joints=joints,
         label=label,
         scheduler=scheduler,
         pattern=frames,
@@ -150,16 +154,28 @@ def _run(
     instrument: InstrumentOptions,
     method: MethodOptions,
     *,
+    joints: tuple[Path, ...],
     label: int | None,
     scheduler: str | None,
     **options: Any,
 ) -> BatchSummary:
-    from dvrk_cmaes.batch import dask_executor, run_batch
+    from dvrk_cmaes.batch.cluster import dask_executor
+    from dvrk_cmaes.batch.run import run_batch
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.io.session_folder import read_session
 
     settings = method.resolve()
     model = instrument.load().instrument
-    session = _session(folder, camera, model.joint_names, label)
+    session = read_session(
+        folder,
+        camera=camera.camera,
+        rectified=camera.rectified,
+        side=camera.side,
+        known=model.joint_names,
+        joints=joints,
+    )
+    if label is not None:
+        session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
         return run_batch(
@@ -176,17 +192,8 @@ def _run(
         )
 
 
-def _session(folder: Path, camera: CameraOptions, known: tuple[str, ...], label: int | None) -> Session:
-    from dvrk_cmaes.io.session_folder import read_session
-
-    session = read_session(folder, camera=camera.camera, rectified=camera.rectified, side=camera.side, known=known)
-    if label is None:
-        return session
-    return replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
-
-
 def _merge(out: Path, json: bool) -> int:
-    from dvrk_cmaes.batch import merge_shards
+    from dvrk_cmaes.batch.merge import merge_shards
 
     document = merge_shards(out)
     _report(document, out, json)
@@ -212,7 +219,8 @@ def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Itera
     for status in ("failed", "doubtful"):
         listed = [(name, frame["reasons"]) for name, frame in document["frames"].items() if frame["status"] == status]
         for name, reasons in listed[:_MOST_LISTED]:
-            yield Line(f"{name}: {status}: {'; '.join(reasons)}", STATUS_STYLES[status].removeprefix("bold "))
+            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+            yield Line(f"{name}: {status}: {reasons[0]}{more}", STATUS_STYLES[status].removeprefix("bold "))
         if len(listed) > _MOST_LISTED:
             yield Line(f"... and {len(listed) - _MOST_LISTED} more that are {status}")
     words = [

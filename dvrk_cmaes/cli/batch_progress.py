@@ -16,7 +16,8 @@ from typing import Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from dvrk_cmaes.batch import FrameOutcome, Watcher
+from dvrk_cmaes.batch.run import Watcher
+from dvrk_cmaes.batch.worker import FrameOutcome
 from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.result import Status
 

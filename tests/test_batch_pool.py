@@ -1,0 +1,135 @@
+"""Processes of our own: every task gets done or is said to have died, whatever happens to its process."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dvrk_cmaes.batch.pool import Died, through_processes
+from dvrk_cmaes.errors import DvrkCmaesError
+
+
+def nothing() -> None:
+    """Prepare a process that needs no preparation."""
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def squared(task: int) -> int:
+    return task * task
+
+
+def squared_unless_deadly(notes: Path, task: int) -> int:
+    """Die on multiples of seven every time, on five the first time; hang on eleven."""
+    with (notes / str(task)).open("a") as tried:
+        tried.write(f"{os.getpid()}\n")
+    if task % 7 == 0 or (task == 5 and len((notes / "5").read_text().split()) == 1):
+        die()
+    if task == 11:
+        time.sleep(100)
+    return task * task
+
+
+def run(call: Callable[[int], int], tasks: range, **changes: object) -> dict[int, int | Died]:
+    options = {"start": nothing, "workers": 2, "time_limit": 60.0, "stop": threading.Event(), **changes}
+    return dict(through_processes(tasks, call, **options))  # type: ignore[arg-type]
+
+
+def test_a_process_that_dies_or_hangs_costs_its_task_only(tmp_path: Path) -> None:
+    found = run(functools.partial(squared_unless_deadly, tmp_path), range(1, 13), time_limit=3.0)
+    lost = {task: value.reason for task, value in found.items() if isinstance(value, Died)}
+    assert lost == {
+        7: "its process died 2 times: out of memory, or a crash in a native library",
+        11: "no result after 3 s: its process was ended",
+    }
+    assert {task: value for task, value in found.items() if task not in lost} == {
+        task: task * task for task in range(1, 13) if task not in lost
+    }
+    tries = {task: len((tmp_path / str(task)).read_text().split()) for task in range(1, 13)}
+    assert tries == dict.fromkeys(range(1, 13), 1) | {5: 2, 7: 2}
+    wait_until(lambda: not multiprocessing.active_children())
+
+
+def test_processes_that_die_at_their_start_end_the_work_with_a_reason() -> None:
+    with pytest.raises(DvrkCmaesError) as caught:
+        run(squared, range(3), start=die, workers=1)
+    assert str(caught.value) == (
+        "worker processes died 3 times at their start: out of memory? Try fewer workers; "
+        "what is done is kept, and the same command goes on from there"
+    )
+
+
+def test_once_stopped_what_is_running_is_finished_and_nothing_more_is_begun(tmp_path: Path) -> None:
+    stop = threading.Event()
+    found = through_processes(range(100), squared, start=nothing, workers=2, time_limit=60, stop=stop)
+    task, value = next(found)
+    stop.set()
+    rest = dict(found)
+    assert value == task * task
+    assert len(rest) <= 4
+    assert all(value == task * task for task, value in rest.items())
+
+
+def test_who_stops_listening_leaves_no_process_behind() -> None:
+    found = through_processes(
+        range(100), functools.partial(time.sleep), start=nothing, workers=2, time_limit=60, stop=threading.Event()
+    )
+    next(found)
+    began = time.monotonic()
+    found.close()  # type: ignore[attr-defined]
+    assert time.monotonic() - began < 20
+    wait_until(lambda: not multiprocessing.active_children())
+
+
+ORPHANS = """
+import os, pathlib, sys, threading, time
+from dvrk_cmaes.batch.pool import through_processes
+
+def sleep(task):
+    pathlib.Path(sys.argv[1], str(os.getpid())).touch()
+    time.sleep(100)
+
+def nothing():
+    pass
+
+if __name__ == "__main__":
+    list(through_processes(range(2), sleep, start=nothing, workers=2, time_limit=200, stop=threading.Event()))
+"""
+
+
+def test_processes_end_with_the_one_that_started_them_even_if_that_is_killed(tmp_path: Path) -> None:
+    script, notes = tmp_path / "script.py", tmp_path / "processes"
+    script.write_text(ORPHANS)
+    notes.mkdir()
+    started = subprocess.Popen([sys.executable, script, notes], stderr=subprocess.DEVNULL)
+    wait_until(lambda: len(list(notes.iterdir())) == 2)
+    started.kill()
+    started.wait()
+    wait_until(lambda: not any(is_running(int(path.name)) for path in notes.iterdir()))
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process is there, and not only waits to be buried."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
