@@ -4,10 +4,9 @@
     python scripts/accuracy.py calibration SESSION...  do the 90 % intervals hold the truth
     python scripts/accuracy.py lies SESSION...         are falsified frames doubted
     python scripts/accuracy.py bound SESSION...        errors against the smallest possible (Cramer-Rao)
-    python scripts/accuracy.py ablation SESSION...     each loss, search and refinement left out or exchanged
 
-A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; make_demo_session.py
-with other seeds makes more from the bundled instrument (--out DIR --seed N). A session's name without its digits is its
+A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; `dvrk-cmaes synth`
+makes more. A session's name without its digits is its
 level (clean, easy, ...). Calibration wants at least 200 frames. --keep DIR writes results there and takes those that
 are there already: several commands share them, and what is kept is from the program that wrote it.
 """
@@ -21,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from accuracy_ablation import ablation_report, variants
 from accuracy_bound import bound_report
 from accuracy_calibration import calibration_report
 from accuracy_cases import Case, Run, read_cases, run_cases
@@ -135,32 +133,11 @@ def bound(arguments: argparse.Namespace) -> Report:
     return bound_report(prepare(arguments.instrument), runs, _config(arguments))
 
 
-def ablation(arguments: argparse.Namespace) -> Report:
-    cases = _honest(arguments)
-    instrument = prepare(arguments.instrument).instrument
-    tried = variants(_config(arguments))
-    if arguments.quick:
-        tried = tried[:2]
-    arguments.keep = None  # other settings, other results
-    results = {}
-    for variant in tried:
-        prepared = [variant.changed(case) for case in cases]
-        results[variant.name] = run_cases(
-            prepared,
-            instrument=arguments.instrument,
-            config=variant.config,
-            workers=arguments.workers,
-            label=variant.name,
-        )
-    return {"ablation": ablation_report(instrument, results)}
-
-
 COMMANDS: Final = {
     "errors": errors,
     "calibration": calibration,
     "lies": lies,
     "bound": bound,
-    "ablation": ablation,
 }
 
 

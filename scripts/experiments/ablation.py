@@ -1,0 +1,207 @@
+"""What each part is worth: the same frames with a loss, edges or readings left out, or with other methods.
+
+    python scripts/experiments/ablation.py [--quick]
+
+Made frames of the medium and hard levels, each variant on the very same frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from experiment import Claim, Options, progress, read_options, table, write_experiment
+from made_sessions import RIGHT_MODE_DEG, Made, by_estimate, error_of, make
+
+from dvrk_cmaes.comparison import PoseError
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation import prepare
+from dvrk_cmaes.refine import METHODS as REFINEMENTS
+from dvrk_cmaes.report.figure import new_figure
+from dvrk_cmaes.search import METHODS as SEARCHES
+from dvrk_cmaes.synth.levels import LevelName
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVELS: Final[tuple[LevelName, ...]] = ("medium", "hard")
+AS_IT_IS: Final = "as it is"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is done: frames of each level, and at most so many variants."""
+
+    frames: int
+    variants: int | None
+
+
+FULL: Final = Size(frames=12, variants=None)
+QUICK: Final = Size(frames=1, variants=4)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to estimate the frames; ``readings`` says whether they are given."""
+
+    name: str
+    config: EstimateConfig
+    readings: bool = True
+
+
+def variants(config: EstimateConfig) -> list[Variant]:
+    """All variants of a configuration, itself first."""
+    found = [Variant(AS_IT_IS, config)]
+    for name in [field.name for field in fields(config.weights) if field.name != "line_offset"]:
+        found.append(Variant(f"loss: no {name}", replace(config, weights=replace(config.weights, **{name: 0.0}))))
+    found += [
+        Variant("seeds: shaft edges not used", replace(config, search=replace(config.search, use_edges=False))),
+        Variant(
+            "seeds: shaft edges only",
+            replace(config, search=replace(config.search, free_share=1 / config.search.samples)),
+        ),
+        Variant("readings: none given", config, readings=False),
+    ]
+    for method in SEARCHES:
+        if method != config.search.method:
+            found.append(Variant(f"search: {method}", replace(config, search=replace(config.search, method=method))))
+    for method in REFINEMENTS:
+        if method != config.refine.method:
+            found.append(
+                Variant(f"refinement: {method}", replace(config, refine=replace(config.refine, method=method)))
+            )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A frame by a variant: its error, None without a pose, and the seconds it took."""
+
+    error: PoseError | None
+    seconds: float
+
+    @property
+    def tip_mm(self) -> float:
+        """Error of the tips, infinite without a pose."""
+        return float("inf") if self.error is None or self.error.tip_mm is None else self.error.tip_mm
+
+    @property
+    def right_mode(self) -> bool:
+        """Whether the pose is the true one, to be made better, and not another."""
+        return self.error is not None and self.error.rotation_deg < RIGHT_MODE_DEG
+
+
+def outcomes_of(variant: Variant, sessions: Sequence[Made]) -> list[Outcome]:
+    """Estimate all frames by a variant."""
+    found = []
+    total = sum(len(made.frames) for made in sessions)
+    for made in sessions:
+        for frame in made.frames:
+            handed = frame if variant.readings else replace(frame, readings={})
+            result = by_estimate(made, handed, variant.config)
+            found.append(Outcome(error_of(frame, result), result.seconds))
+            progress(variant.name, len(found), total)
+    return found
+
+
+def row_of(name: str, level: str, found: Sequence[Outcome], as_it_is: Sequence[Outcome]) -> dict[str, Any]:
+    """One row: share in the right mode, errors' median and nine tenths, seconds, and in how many frames it is worse."""
+    tips = np.array([one.tip_mm for one in found])
+    axes = [one.error.shaft_deg for one in found if one.error is not None]
+    worse = [one.tip_mm > 1.1 * base.tip_mm for one, base in zip(found, as_it_is, strict=True)]
+    better = [1.1 * one.tip_mm < base.tip_mm for one, base in zip(found, as_it_is, strict=True)]
+    return {
+        "variant": name,
+        "level": level,
+        "frames": len(found),
+        "right_mode": sum(one.right_mode for one in found) / len(found),
+        "tip_mm_median": _finite(np.median(tips)),
+        "tip_mm_90": _finite(np.percentile(tips, 90)),
+        "axis_deg_median": _finite(np.median(axes)) if axes else None,
+        "worse": sum(worse),
+        "better": sum(better),
+        "seconds_median": round(float(np.median([one.seconds for one in found])), 2),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return round(float(value), 3) if np.isfinite(value) else None
+
+
+def claims_of(rows: Sequence[dict[str, Any]]) -> list[Claim]:
+    """Compare each part's worth: no variant should be ahead of what the program does."""
+    ahead = [f"{r['variant']} ({r['level']}: {r['better']} to {r['worse']})" for r in rows if r["better"] > r["worse"]]
+    text = "no variant is better (tips off by a tenth less) in more frames than it is worse in"
+    return [Claim(text, not ahead, "ahead: " + ", ".join(ahead) if ahead else "none is ahead")]
+
+
+def as_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Lay the rows out, the levels side by side."""
+    columns = ["variant"]
+    for level in LEVELS:
+        columns += [f"{level}: right mode", "tips, median / 90 %, mm", "worse / better"]
+    lines = []
+    for name in dict.fromkeys(row["variant"] for row in rows):
+        cells: list[object] = [name]
+        seconds = []
+        for level in LEVELS:
+            (row,) = (r for r in rows if r["variant"] == name and r["level"] == level)
+            tips = " / ".join("-" if row[key] is None else f"{row[key]:.2f}" for key in ("tip_mm_median", "tip_mm_90"))
+            cells += [f"{row['right_mode']:.0%}", tips, f"{row['worse']} / {row['better']}"]
+            seconds.append(row["seconds_median"])
+        lines.append([*cells, f"{np.mean(seconds):.1f}"])
+    return table([*columns, "s a frame"], lines)
+
+
+def draw(rows: Sequence[dict[str, Any]]) -> Figure:
+    """Draw the tips' median error of each variant, a colour a level, and what is not in the right mode."""
+    names = list(dict.fromkeys(row["variant"] for row in rows))
+    figure = new_figure(8.0, 1.0 + 0.26 * len(names))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for k, (level, colour) in enumerate(zip(LEVELS, ("#1d3557", "#e76f51"), strict=True)):
+        chosen = [row for row in rows if row["level"] == level]
+        places = np.arange(len(names)) + (k - 0.5) * 0.36
+        left.barh(places, [row["tip_mm_median"] or 0.0 for row in chosen], height=0.34, color=colour, label=level)
+        right.barh(places, [1 - row["right_mode"] for row in chosen], height=0.34, color=colour)
+    left.set_yticks(range(len(names)), names, fontsize=8)
+    left.invert_yaxis()
+    left.set_xscale("log")
+    left.set_xlabel("error of the tips, median, mm")
+    right.set_xlabel("share of frames in a wrong mode")
+    right.set_xlim(0, 1)
+    left.legend(fontsize=8)
+    for panel in (left, right):
+        panel.grid(axis="x", alpha=0.3)
+    return figure
+
+
+def run(options: Options, size: Size) -> None:
+    """Run the experiment and write what it shows."""
+    body = prepare("lnd")
+    sessions = {level: make(body, level, size.frames, 900 + options.seed) for level in LEVELS}
+    rows, first = [], {}
+    for variant in variants(EstimateConfig())[: size.variants]:
+        for level, made in sessions.items():
+            found = outcomes_of(variant, [made])
+            first.setdefault(level, found)
+            rows.append(row_of(variant.name, level, found, first[level]))
+    write_experiment(
+        options,
+        "ablation",
+        title="Ablation: losses, seeds, searches and refinements",
+        figures={"rows": rows},
+        claims=claims_of(rows),
+        tables=[as_table(rows)],
+        picture=draw(rows),
+        notes=[
+            f"{size.frames} frames of each level (`dvrk-cmaes synth --motion rcm`). Worse and better: in how many "
+            "frames the tips are off by a tenth more, or less, than with everything as it is."
+        ],
+    )
+
+
+if __name__ == "__main__":
+    chosen = read_options(__doc__ or "")
+    run(chosen, QUICK if chosen.quick else FULL)

@@ -1,0 +1,126 @@
+"""Made sessions in memory, and every method's results for their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from experiment import progress
+from numpy.typing import NDArray
+
+from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.comparison import PoseError, compare_poses
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.evaluate.pnp_frame import pose_from_markers, pose_from_tips
+from dvrk_cmaes.evaluate.result_set import ResultSet
+from dvrk_cmaes.io.frame_files import FrameData, FrameFiles
+from dvrk_cmaes.io.markers import read_marker_table
+from dvrk_cmaes.result import Result
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.levels import LEVELS, LevelName
+from dvrk_cmaes.synth.session import MadeFrame, Motion, SessionPlan, default_camera, make_frames, make_truths
+
+OURS: Final = "ours"
+PNP: Final = "PnP, SQPNP"
+PNP_RANSAC: Final = "PnP, RANSAC"
+PNP_TIPS: Final = "tips and shaft edges"
+RIGHT_MODE_DEG: Final = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A made session in memory; ``camera_from_base`` (4, 4) is the true one, None for free poses."""
+
+    plan: SessionPlan
+    camera_from_base: NDArray[np.float64] | None
+    frames: tuple[MadeFrame, ...]
+
+
+def make(body: Body, level: LevelName, frames: int, seed: int, motion: Motion = "rcm") -> Made:
+    """Make the session that ``dvrk-cmaes synth`` writes for the same level, motion, number of frames and seed."""
+    figures = LEVELS[level]
+    table = read_marker_table(bundled_path("markers", "lnd.json"))
+    plan = SessionPlan(body, default_camera(figures), figures, motion, frames, seed, table)
+    camera_from_base, truths = make_truths(plan)
+    return Made(plan, camera_from_base, tuple(make_frames(plan, truths)))
+
+
+def by_estimate(made: Made, frame: MadeFrame, config: EstimateConfig) -> Result:
+    """Our result, from mask and readings."""
+    return estimate(
+        frame.mask,
+        made.plan.camera,
+        frame.readings,
+        made.plan.body,
+        ignore=frame.ignore,
+        frame=frame.name,
+        config=config,
+    )
+
+
+def by_points(made: Made, frame: MadeFrame, method: str) -> Result:
+    """Give the result of a PnP method."""
+    files = FrameFiles(frame.name, None, readings=frame.readings, keypoints=frame.tips)
+    plan = made.plan
+    if method == PNP_TIPS:
+        data = FrameData(frame.mask, plan.camera, frame.ignore, None, ())
+        return pose_from_tips(files, data, plan.body.instrument)
+    return pose_from_markers(
+        files,
+        plan.camera,
+        plan.body.instrument,
+        plan.markers,
+        frame.markers,
+        solver="ransac" if method == PNP_RANSAC else "sqpnp",
+    )
+
+
+def results_by(
+    method: str, sessions: Sequence[Made], config: EstimateConfig, label: str = ""
+) -> list[dict[str, Result]]:
+    """Results of all frames of some sessions by a method, by frame."""
+    solve: Callable[[Made, MadeFrame], Result] = (
+        (lambda made, frame: by_estimate(made, frame, config))
+        if method == OURS
+        else (lambda made, frame: by_points(made, frame, method))
+    )
+    total, done, found = sum(len(made.frames) for made in sessions), 0, []
+    for made in sessions:
+        results = {}
+        for frame in made.frames:
+            results[frame.name] = solve(made, frame)
+            done += 1
+            progress(label or method, done, total)
+        found.append(results)
+    return found
+
+
+def result_set(name: str, made: Made, results: Mapping[str, Result]) -> ResultSet:
+    """Poses of one session, as the measures of agreement want them."""
+    posed = {n: r.camera_from_root for n, r in results.items() if r.camera_from_root is not None}
+    return ResultSet(
+        name=name,
+        frames=tuple(posed),
+        camera_from_root=np.stack(list(posed.values())) if posed else np.empty((0, 4, 4)),
+        readings={frame.name: frame.readings for frame in made.frames},
+        failed=tuple(n for n in results if n not in posed),
+    )
+
+
+def error_of(frame: MadeFrame, result: Result) -> PoseError | None:
+    """Error of a result, None without a pose."""
+    if result.camera_from_root is None:
+        return None
+    truth = frame.truth
+    return compare_poses(
+        truth.instrument, (result.camera_from_root, result.joints), (truth.camera_from_root, truth.joints)
+    )
+
+
+def errors_of(sessions: Sequence[Made], results: Sequence[Mapping[str, Result]]) -> list[PoseError | None]:
+    """Errors of all results, session by session."""
+    pairs = zip(sessions, results, strict=True)
+    return [error_of(frame, found[frame.name]) for made, found in pairs for frame in made.frames]
