@@ -43,7 +43,7 @@ def make_session(folder: Path, names: list[str]) -> Path:
         row = rows[k % len(rows)].split(",")
         mask = cv2.resize(read_mask(demo / "masks" / f"{row[0]}.png").astype("uint8") * 255, (160, 120))
         (folder / "masks" / f"{name}.png").write_bytes(cv2.imencode(".png", mask)[1].tobytes())
-        lines.append(",".join([name, *row[1:]]))
+        lines.append(",".join([f'"{name}"', *row[1:]]))
     (folder / "joints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
 
