@@ -18,6 +18,7 @@ from dvrk_cmaes.evidence import window_around
 from dvrk_cmaes.segment.colours import Colours, ColourTable, greyness, look
 from dvrk_cmaes.segment.confidence import GUESS, trust
 from dvrk_cmaes.segment.graph_cut import cut
+from dvrk_cmaes.segment.halfway import halfway_odds
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, instrument_region, without_holes
 from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
@@ -28,7 +29,8 @@ Float32 = NDArray[np.float32]
 
 # lengths without a unit are shares of the image's longer side
 _REDUCED = 320  # px, the longer side at the reduced size
-_UNSEEN = (0.3, 0.3, 0.1, 0.02)  # of the instrument, before each round: its shaft is found first, its wrist by and by
+_UNSEEN = ((0.5, 8), (0.1, 2), (0.02, 2))  # of the instrument, in at most so many rounds: the wrist is found last
+_SETTLED = 0.97  # overlap of a mask with the last round's at which more rounds change nothing
 _REACH = 0.125  # how far beyond a mask the instrument may go on
 _AROUND = 0.19  # how far the background beside the instrument goes
 _GAP = 0.06  # between pieces of an instrument, at the reduced size
@@ -37,7 +39,8 @@ _LARGEST_ODDS = 4.0  # by counted colours
 _BIASES = (1.0, 2.0, 3.0)  # log-odds added at first, for a mask that does not fill its box
 _FILLED = 0.9  # overlap of a box with the one around the mask that will do
 
-_FINE_ROUNDS = 2
+_FINE_ROUNDS = 3
+_COLOURS_WEIGHT = 0.4  # of counted colours beside the halfway place
 _BAND = 10.0  # px of the full image either side of an outline, within which it may move
 _BESIDE = 12.0  # px of the full image: colours count by exp(-distance from the outline / this)
 _FINE_GAP = 0.02
@@ -88,7 +91,9 @@ def refine_outline(
     known = shaft_odds(rough) if odds is None else odds
     for _ in range(_FINE_ROUNDS):
         by_colour = beside_odds(table, mask)
-        total = by_colour if known is None else by_colour + known[window]
+        total = _COLOURS_WEIGHT * by_colour + halfway_odds(image[window], mask)
+        if known is not None:
+            total += known[window]
         mask = _cut(total, colours, asked, distance_to(mask) > _BAND)
         if not mask.any() or mask.all():
             break
@@ -129,17 +134,20 @@ def _rough(colours: Colours, prompts: Prompts) -> Bool:
 def _rounds(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
     """Cut by a prior, and then again and again by the colours that were found, (H, W)."""
     longer = max(colours.shape)
-    mask = _cut(prior, colours, prompts)
-    for unseen in _UNSEEN:
-        mask = instrument_region(mask, _GAP * longer, prompts.points)
-        if not mask.any():
-            break
-        away = distance_to(mask)
-        odds = table.log_odds(mask, (away > 2) & (away < _AROUND * longer), unseen=unseen)
-        odds = np.clip(odds, -_LARGEST_ODDS, _LARGEST_ODDS)
-        odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
-        mask = _cut(odds, colours, prompts, away > _REACH * longer)
-    return without_holes(instrument_region(mask, _GAP * longer, prompts.points))
+    mask = instrument_region(_cut(prior, colours, prompts), _GAP * longer, prompts.points)
+    for unseen, rounds in _UNSEEN:
+        for _ in range(rounds):
+            if not mask.any():
+                return mask
+            away = distance_to(mask)
+            odds = table.log_odds(mask, (away > 2) & (away < _AROUND * longer), unseen=unseen)
+            odds = np.clip(odds, -_LARGEST_ODDS, _LARGEST_ODDS)
+            odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
+            before, mask = mask, _cut(odds, colours, prompts, away > _REACH * longer)
+            mask = instrument_region(mask, _GAP * longer, prompts.points)
+            if (before & mask).sum() > _SETTLED * (before | mask).sum():
+                break
+    return without_holes(mask)
 
 
 def _filling(mask: Bool, box: Box) -> float:
