@@ -1,11 +1,11 @@
-# make demo | test | lint: each makes the environment it needs first. VENV=DIR puts that elsewhere, PYTHON=... chooses
-# the interpreter, TESTS=... the tests.
+# make demo | test | lint | experiments: each makes the environment it needs first. VENV=DIR puts that elsewhere,
+# PYTHON=... chooses the interpreter, TESTS=... the tests. Experiments take half an hour and rebuild data/experiments.
 VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint experiments clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.package
@@ -18,6 +18,13 @@ lint: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+experiments: $(VENV)/.tools
+	$(BIN)/python scripts/experiments/table1.py
+	$(BIN)/python scripts/experiments/figure4.py
+	$(BIN)/python scripts/experiments/table2.py
+	$(BIN)/python scripts/experiments/ablation.py
+	$(BIN)/python scripts/experiments/readme_table.py
 
 clean:
 	rm -rf $(VENV)

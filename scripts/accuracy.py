@@ -6,9 +6,9 @@
     python scripts/accuracy.py bound SESSION...        errors against the smallest possible (Cramer-Rao)
 
 A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; `dvrk-cmaes synth`
-makes more. A session's name without its digits is its
-level (clean, easy, ...). Calibration wants at least 200 frames. --keep DIR writes results there and takes those that
-are there already: several commands share them, and what is kept is from the program that wrote it.
+makes more. A session's name without its digits is its level (clean, easy, ...). Calibration wants at least 200 frames.
+--keep DIR writes results there and takes those that are there already: several commands share them, and what is kept is
+from the program that wrote it. What each part of the method is worth: scripts/experiments/ablation.py.
 """
 
 from __future__ import annotations

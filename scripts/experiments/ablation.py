@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 LEVELS: Final[tuple[LevelName, ...]] = ("medium", "hard")
 AS_IT_IS: Final = "as it is"
+_COLOURS: Final = {"medium": "#1d3557", "hard": "#e76f51"}
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,8 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     names = list(dict.fromkeys(row["variant"] for row in rows))
     figure = new_figure(8.0, 1.0 + 0.26 * len(names))
     left, right = figure.subplots(1, 2, sharey=True)
-    for k, (level, colour) in enumerate(zip(LEVELS, ("#1d3557", "#e76f51"), strict=True)):
+    for k, level in enumerate(LEVELS):
+        colour = _COLOURS[level]
         chosen = [row for row in rows if row["level"] == level]
         places = np.arange(len(names)) + (k - 0.5) * 0.36
         left.barh(places, [row["tip_mm_median"] or 0.0 for row in chosen], height=0.34, color=colour, label=level)
@@ -181,7 +183,8 @@ def run(options: Options, size: Size) -> None:
     """Run the experiment and write what it shows."""
     body = prepare("lnd")
     sessions = {level: make(body, level, size.frames, 900 + options.seed) for level in LEVELS}
-    rows, first = [], {}
+    rows: list[dict[str, Any]] = []
+    first: dict[str, list[Outcome]] = {}
     for variant in variants(EstimateConfig())[: size.variants]:
         for level, made in sessions.items():
             found = outcomes_of(variant, [made])

@@ -110,17 +110,17 @@ def _joined(tables: Sequence[str]) -> list[str]:
 
 
 def _commit() -> str:
-    """Short name of the commit that is checked out, with a plus if files differ from it."""
+    """Short name of the commit that is checked out, with a plus if what is run differs from it."""
+    what = ("dvrk_cmaes", "scripts", "data/instruments", "pyproject.toml")
     try:
-        done = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+", "--exclude=*"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        name = _git("rev-parse", "--short", "HEAD")
+        return name + ("+" if _git("status", "--porcelain", "--", *what) else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
     return done.stdout.strip()
 
 

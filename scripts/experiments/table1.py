@@ -50,7 +50,7 @@ class Size:
 
 
 FULL: Final = Size(sessions=4, frames=10, real=None)
-QUICK: Final = Size(sessions=1, frames=4, real=FEWEST)
+QUICK: Final = Size(sessions=1, frames=FEWEST, real=FEWEST)
 
 
 def made_rows(level: LevelName, sessions: Sequence[Made], methods: Sequence[str]) -> list[dict[str, Any]]:
@@ -93,7 +93,10 @@ def _median(values: Sequence[float], digits: int) -> float | None:
 
 
 def real_rows(shared: Path, frames: int | None) -> list[dict[str, Any]]:
-    """Rows of the paper's real frames: the authors' poses, and ours with the scanned instrument; none without them."""
+    """Rows of the paper's real frames, none where they are not at hand.
+
+    The authors' poses, and ours with the scanned instrument, of at most so many ``frames``; 0 leaves ours out.
+    """
     rows = []
     urdf = shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"
     for level in ("easy", "medium"):
@@ -103,7 +106,7 @@ def real_rows(shared: Path, frames: int | None) -> list[dict[str, Any]]:
             continue
         authors = measure_agreement(read_result_set(folder / "published.csv"))
         rows.append(_real_row(level, AUTHORS, authors))
-        if urdf.exists():
+        if urdf.exists() and frames != 0:
             rows.append(_real_row(level, OURS_REAL, measure_agreement(_estimated(folder, str(urdf), frames))))
     return rows
 
@@ -161,7 +164,7 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Draw every session's sigma, by level and method, with the paper's figures."""
     figure = new_figure(9.0, 4.6)
     panel = figure.subplots()
-    names = [*(f"made, {level}" for level in LEVELS), "real, easy", "real, medium"]
+    names = [*(f"made, {level}" for level in TABLE_ONE), "real, easy", "real, medium"]
     methods = [*METHODS, AUTHORS, OURS_REAL]
     for k, method in enumerate(methods):
         points = [
@@ -173,7 +176,7 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
         if points:
             panel.plot(*zip(*points, strict=True), "os^dPX"[k], label=method, markersize=6, alpha=0.75)
     for level, row in TABLE_ONE.items():
-        place = names.index(f"made, {level}") + 0.35
+        place = list(TABLE_ONE).index(level) + 0.35
         panel.plot([place], [row.sigma_m], "k*", label="paper, its method (real frames)" if level == "easy" else None)
         panel.plot([place], [row.pnp_sigma_m], "kx", label="paper, PnP (real frames)" if level == "easy" else None)
     panel.set_yscale("log")
