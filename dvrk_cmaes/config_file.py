@@ -9,6 +9,7 @@ blur = 1.0
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -22,6 +23,7 @@ from dvrk_cmaes.io.shown import shown
 T = TypeVar("T")
 
 _LARGEST = 1_000_000  # bytes
+_MOST_DOTS = 100  # in a key or a value: tomllib takes memory with the square of a key's parts
 _SUGGESTED = 3
 _KINDS: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}
 
@@ -34,8 +36,11 @@ def read_config(path: str | Path, default: T) -> T:
     InputError
         Not a TOML file, an unknown key (with the nearest known ones), or a value of another type.
     """
+    text = read_text(path, expected="settings (TOML)", largest=_LARGEST)
+    if any(part.count(".") > _MOST_DOTS for part in re.split(r"[=\n]", text)):
+        raise InputError(f"{path}: expected settings (TOML), got a key of more than {_MOST_DOTS} parts")
     try:
-        document = tomllib.loads(read_text(path, expected="settings (TOML)", largest=_LARGEST))
+        document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also a whole number that Python will not read
         raise InputError(f"{path}: expected settings (TOML), got no valid TOML: {error}") from None
     return updated(default, document, where=str(path))

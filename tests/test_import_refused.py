@@ -319,9 +319,7 @@ def test_what_lies_in_the_session_s_place_is_safe(refused: Refused, tmp_path: Pa
     )
     (session / "camera.yaml").write_text(CAMERA)
     inside = write_bag(session / "bag", "mcap", good(1))
-    assert (
-        refused(inside, "--overwrite") == f"session: expected a folder apart from {inside}, got one that holds it"
-    )
+    assert refused(inside, "--overwrite") == f"session: expected a folder apart from {inside}, got one that holds it"
     assert (session / "thesis.tex").read_text() == "mine"
 
 

@@ -296,7 +296,7 @@ PLY_FACES = PLY_HEAD + b"element face 1\nproperty list uchar int vertex_indices\
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1e300 0\nf 1 2 3\n", "expected finite coordinates"),
         ("m.stl", nan_stl(), "expected finite coordinates"),
         ("m.stl", b"", "m.stl: "),
-        ("m.stl", b"\x00\x01garbage" * 20, "m.stl: an empty mesh"),
+        ("m.stl", b"\x00\x01garbage" * 20, "m.stl: cut off or no STL: expected "),
         ("m.stl", bytes(80) + struct.pack("<I", 0), "m.stl: "),
         ("m.ply", b"ply\nformat ascii 1.0\nend_header\n", "m.ply: cannot be read as PLY: "),
         ("m.ply", PLY_HEAD + b"end_header\n0 0 0\n1 0 0\n0 1 0\n", "an empty mesh: 3 vertices, 0 faces"),

@@ -180,7 +180,10 @@ def test_a_real_stereo_file_has_pixels_that_are_not_square(shared: Path) -> None
         ("<opencv_storage/>", "expected a camera file: ROS camera_info "),
         ("<opencv_storage><K1 type_id='opencv-matrix'/></opencv_storage>", "K1: expected 3 rows and 3 cols, got None"),
         ("<opencv_storage><K1>1</K1></opencv_storage>", "K1: expected 9 numbers, got '1'"),
-        ("<opencv_storage>" + "<a>" * 50_000 + "</a>" * 50_000 + "</opencv_storage>", "expected a camera file: ROS "),
+        (
+            "<opencv_storage>" + "<a>" * 50_000 + "</a>" * 50_000 + "</opencv_storage>",
+            "expected XML of a robot, mesh or camera, ",
+        ),
         (
             "%YAML:1.0\n---\nK1: !!opencv-sparse-matrix\n   a: 3\n",
             "expected a camera file (YAML or XML), got no valid ",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.library_errors import one_line
+from dvrk_cmaes.instrument.mesh_claims import check_claims
 from dvrk_cmaes.io.plain_xml import parse_xml
 
 #: Kinds of mesh file that can be read.
@@ -18,7 +19,6 @@ SUFFIXES = (".stl", ".obj", ".dae", ".ply")
 #: Largest believable extent of one mesh, m.
 LARGEST_EXTENT = 5.0
 
-_LFS_POINTER = b"version https://git-lfs"
 _LARGEST_COORDINATE = 1e9
 _WELD = 1e-8  # of the mesh's diagonal
 _FLAT = 1e-7  # height over length below which a triangle counts as a line: float32's resolution
@@ -44,13 +44,7 @@ def read_mesh(path: Path) -> Triangles:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: cannot read a mesh of kind {suffix!r}; expected one of {', '.join(SUFFIXES)}")
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(_LFS_POINTER))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the mesh: {one_line(error)}") from None
-    if head == _LFS_POINTER:
-        raise InputError(f"{path}: a Git LFS pointer, not the mesh itself; fetch it with 'git lfs pull'")
+    check_claims(path)
     try:
         places, corners = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path)
     except InputError:

@@ -22,6 +22,7 @@ from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.robot_xml import read_robot
 from dvrk_cmaes.instrument.tree import below, build_joints
 from dvrk_cmaes.instrument.visuals import link_triangles
+from dvrk_cmaes.io.shown import listed
 
 #: The link whose pose is sought unless another one is named: the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"
@@ -80,7 +81,7 @@ def load_instrument(
     names = [link.name for link in robot.links]
     if root not in names:
         raise InputError(
-            f"{path}: no link {root!r} to take as the root; links present: {', '.join(nearest_first(root, names))}"
+            f"{path}: no link {root!r} to take as the root; links present: {listed(nearest_first(root, names), 12)}"
         )
     tree = below(robot, root, path)
     members = [root, *(joint.child for joint in tree)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -43,8 +44,8 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
     rows: Rows = []
     try:
         header = [name.strip() for name in next(reader, [])]
-        for name in header:
-            if header.count(name) > 1:
+        for name, times in Counter(header).items():
+            if times > 1:
                 raise InputError(f"{path}: header: expected each column once, got {shown(name)} twice")
         for cells in reader:
             if not any(cell.strip() for cell in cells):

@@ -1,4 +1,4 @@
-"""XML from files of others, parsed without document types.
+"""XML from files of others, parsed without document types, up to a sensible size.
 
 No robot, mesh or calibration needs one, and the entities declared in it can expand without end or name other files.
 """
@@ -11,12 +11,35 @@ from typing import NoReturn
 
 from dvrk_cmaes.errors import InputError
 
+_DEEPEST = 100  # elements within each other
+_MOST_ELEMENTS = 50_000
+_LONGEST = 100_000  # characters of an attribute
 
-class _NoDoctype(ElementTree.TreeBuilder):
-    """A tree builder that stops at a document type declaration, before any entity in it is expanded."""
+
+class _PlainTree(ElementTree.TreeBuilder):
+    """A tree builder that stops at a document type, before any entity in it is expanded, and at a tree too large."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = self._elements = 0
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
         raise InputError("a document type (<!DOCTYPE ...>) is refused; expected plain XML without entities")
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
+        self._depth += 1
+        self._elements += 1
+        if self._depth > _DEEPEST or self._elements > _MOST_ELEMENTS:
+            limit = f"{_DEEPEST} levels" if self._depth > _DEEPEST else f"{_MOST_ELEMENTS} elements"
+            raise InputError(f"expected XML of a robot, mesh or camera, got more than {limit}")
+        longest = max(map(len, attrs.values()), default=0)
+        if longest > _LONGEST:
+            raise InputError(f"<{tag[:60]}>: expected a short attribute, got one of {longest} characters")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str, /) -> ElementTree.Element:
+        self._depth -= 1
+        return super().end(tag)
 
 
 def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
@@ -25,9 +48,9 @@ def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
     Raises
     ------
     InputError
-        Naming the file: not well-formed, of an unknown encoding, or with a document type.
+        Naming the file: not well-formed, of an unknown encoding, with a document type, too deep or too large.
     """
-    parser = ElementTree.XMLParser(target=_NoDoctype())
+    parser = ElementTree.XMLParser(target=_PlainTree())
     try:
         parser.feed(data)
         root: ElementTree.Element = parser.close()

@@ -128,7 +128,8 @@ def _damage_refused(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"{path}: expected a ROS recording, got one that cannot be read: {one_line(error)}") from None
+        reason = "it claims more than fits into memory" if isinstance(error, MemoryError) else one_line(error)
+        raise InputError(f"{path}: expected a ROS recording, got one that cannot be read: {reason}") from None
 
 
 def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[int, Any]]:
