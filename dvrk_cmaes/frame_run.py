@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,15 @@ from dvrk_cmaes.io.frame_files import FrameData, FrameFiles
 from dvrk_cmaes.report.files import check_output, write_frame
 from dvrk_cmaes.report.overlay import draw_overlay
 from dvrk_cmaes.result import Result
+from dvrk_cmaes.segment.blame import who_is_to_blame
+from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.with_instrument import drawn
 from dvrk_cmaes.silhouette import Body
 
 
 @dataclass(frozen=True, eq=False)
 class FrameRun:
-    """A frame's result, and the files written: JSON and overlay, if any."""
+    """A frame's result, and the files written: JSON, overlay, and the mask if it was found, if any."""
 
     result: Result
     written: tuple[Path, ...]
@@ -41,12 +44,17 @@ def run_frame(
     result = estimate_frame(files, data, body, arm=arm, config=config)
     if out is None:
         return FrameRun(result, ())
-    return FrameRun(result, write_frame(out, result, draw_frame(result, files, data, body)))
+    overlay = draw_frame(result, files, data, body)
+    return FrameRun(result, write_frame(out, result, overlay, None if data.segmentation is None else data.mask))
 
 
 def estimate_frame(files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, config: EstimateConfig) -> Result:
-    """Estimate the pose in a frame that was read from its files; errors as `estimate`."""
-    return estimate(
+    """Estimate the pose in a frame that was read from its files; errors as `estimate`.
+
+    Where the mask was found in the image, the result says so, is doubtful if the mask is a guess, and if it is
+    doubtful, says whether mask or pose is to blame.
+    """
+    result = estimate(
         data.mask,
         data.camera,
         files.readings,
@@ -58,6 +66,17 @@ def estimate_frame(files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, 
         config=config,
         warnings=data.notes,
     )
+    found = data.segmentation
+    if found is None or data.image is None:
+        return result
+    reasons = result.reasons
+    if found.confidence < GUESS:
+        reasons = (*reasons, f"mask is a guess: confidence {found.confidence:.2f}, expected at least {GUESS}")
+    if reasons:
+        silhouette = drawn(result, data.camera, body)
+        reasons = (*reasons, f"mask or pose: {who_is_to_blame(data.image, found, silhouette, data.ignore)}")
+    status = "doubtful" if reasons else result.status
+    return replace(result, status=status, reasons=reasons, seconds=result.seconds + data.segment_seconds)
 
 
 def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -> NDArray[np.uint8]:

@@ -11,20 +11,20 @@ from typing import Final
 
 from filelock import FileLock, Timeout
 
-from dvrk_cmaes.batch.manifest import MANIFEST
+from dvrk_cmaes.batch.manifest import MANIFEST, read_manifest
 from dvrk_cmaes.batch.worker import FrameOutcome
 from dvrk_cmaes.batch.worklist import shards_folder
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.atomic import not_written, write_bytes
 from dvrk_cmaes.io.result_file import read_result
 from dvrk_cmaes.io.results_folder import SESSION, SUMMARY
-from dvrk_cmaes.report.files import overlay_path, result_path
+from dvrk_cmaes.report.files import mask_path, overlay_path, result_path
 from dvrk_cmaes.result import Status
 
 LOCK: Final = ".lock"
 POSES: Final = "poses.csv"
 PAGE: Final = "report.html"
-_FOLDERS: Final = ("frames", "overlays")
+_FOLDERS: Final = ("frames", "overlays", "masks")
 _LEFTOVER: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")
 
 
@@ -65,6 +65,10 @@ def sweep(out: Path) -> None:
 def clear(out: Path) -> None:
     """Remove all that batches wrote, what they were run with last; InputError where there are other files instead."""
     refuse_strangers(out)
+    with suppress(InputError):  # of a damaged manifest: no mask is known to be ours
+        for frame, parts in (read_manifest(out) or {"frames": {}})["frames"].items():
+            if parts and "mask" not in parts:
+                mask_path(out, frame).unlink(missing_ok=True)
     for name in _FOLDERS:
         for path in (out / name).glob("*") if (out / name).is_dir() else ():
             if path.suffix in (".json", ".jpg"):
@@ -98,6 +102,8 @@ def whole_results(out: Path) -> dict[str, Status]:
 
 def write_outcome(out: Path, outcome: FrameOutcome) -> None:
     """Write a frame's files, the result last: where it is, all is there."""
+    if outcome.mask is not None:
+        write_bytes(mask_path(out, outcome.frame), outcome.mask)
     if outcome.overlay is not None:
         write_bytes(overlay_path(out, outcome.frame), outcome.overlay)
     else:

@@ -1,6 +1,6 @@
 """``run.json``: what a folder's results were made from, so that nothing else is mixed into them.
 
-schema, version, instrument {name, digest}, arm, camera, config, session (its path; not compared),
+schema, version, instrument {name, digest}, arm, camera, config, segment, session (its path; not compared),
 frames {frame: {part: digest}, or null for a frame that another shard does}
 """
 
@@ -39,6 +39,10 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
         "arm": setup.arm,
         "camera": {name: list(value) if isinstance(value, tuple) else value for name, value in camera.items()},
         "config": setup.config.as_dict(),
+        "segment": {
+            "model": setup.segment.model,
+            "weights": None if setup.segment.weights is None else str(setup.segment.weights),
+        },
         "session": str(setup.folder),
         "frames": _sorted(frames),
     }

@@ -22,7 +22,7 @@ from dvrk_cmaes.batch.worklist import shard_of, shards_folder
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import not_written
 from dvrk_cmaes.io.result_file import read_result
-from dvrk_cmaes.report.files import overlay_path, result_path
+from dvrk_cmaes.report.files import mask_path, overlay_path, result_path
 
 
 def merge_shards(out: str | Path) -> dict[str, Any]:
@@ -82,6 +82,7 @@ def _move_results(folder: Path, out: Path) -> None:
         except InputError:  # Damaged: as good as missing.
             continue
         for source, target in (
+            (mask_path(folder, frame), mask_path(out, frame)),
             (overlay_path(folder, frame), overlay_path(out, frame)),
             (path, result_path(out, frame)),
         ):

@@ -46,6 +46,7 @@ from dvrk_cmaes.io.frame_files import FrameFiles
 from dvrk_cmaes.io.results_folder import SUMMARY, read_results
 from dvrk_cmaes.io.session_folder import Session
 from dvrk_cmaes.result import Status
+from dvrk_cmaes.segment.with_instrument import SegmentSettings
 
 TIME_LIMIT = 600.0
 """Seconds after which a frame is given up, in our own processes."""
@@ -83,6 +84,7 @@ def run_batch(
     *,
     config: EstimateConfig | None = None,
     arm: Arm = "classic",
+    segment: SegmentSettings | None = None,
     threads: int = 1,
     pattern: str | None = None,
     shard: Shard | None = None,
@@ -107,6 +109,8 @@ def run_batch(
         Folder of the results.
     config, arm
         As in `estimate`; of the configuration, ``threads`` is replaced by the argument.
+    segment
+        How frames without a mask get one.
     threads
         Of each worker.
     pattern
@@ -142,7 +146,10 @@ def run_batch(
     chosen = chosen_frames([_from_anywhere(files, session.folder) for files in session.frames], pattern)
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
-    setup = BatchSetup(instrument, session.camera, settings, arm, Path(os.path.abspath(session.folder)))
+    home = Path(os.path.abspath(session.folder))
+    if any(files.mask is None for files in frames) and Path(os.path.abspath(out)) == home:
+        raise InputError(f"{out}: expected another folder than the session's, for the masks found in its images")
+    setup = BatchSetup(instrument, session.camera, settings, arm, home, segment or SegmentSettings())
     started = time.monotonic()
     with locked(folder):
         if resume:

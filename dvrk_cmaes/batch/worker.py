@@ -28,8 +28,9 @@ from dvrk_cmaes.frame_run import draw_frame, estimate_frame
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
-from dvrk_cmaes.report.files import overlay_path
+from dvrk_cmaes.report.files import mask_path, overlay_path
 from dvrk_cmaes.result import Result, Status
+from dvrk_cmaes.segment.with_instrument import Segmenter, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
 _unpacking = threading.Lock()
@@ -44,6 +45,7 @@ class BatchSetup:
     config: EstimateConfig
     arm: Arm = "classic"
     folder: Path = Path()
+    segment: SegmentSettings = field(default_factory=SegmentSettings)
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,10 @@ class PackedSetup:
 
 @dataclass(frozen=True)
 class FrameOutcome:
-    """A frame's result as the files that it will be: JSON, and unless it failed, the overlay's JPEG."""
+    """A frame's result as the files that it will be: JSON, and unless it failed, the overlay's JPEG.
+
+    ``mask`` is the PNG of a frame's that had none.
+    """
 
     frame: str
     status: Status
@@ -71,6 +76,7 @@ class FrameOutcome:
     seconds: float
     result: bytes = field(repr=False)
     overlay: bytes | None = field(repr=False)
+    mask: bytes | None = field(default=None, repr=False)
 
 
 def prepare_process(packed: PackedSetup) -> int:
@@ -113,17 +119,18 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
     return _outcome(result, None)
 
 
-def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes]:
-    data = read_frame(files, setup.camera)
+def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None]:
+    data = read_frame(files, setup.camera, Segmenter(body, setup.config, setup.segment))
     data = replace(data, notes=tuple(named_from(setup.folder, note) for note in data.notes))
     result = estimate_frame(files, data, body, arm=setup.arm, config=setup.config)
     drawing = draw_frame(result, files, data, body)
-    return result, encoded_image(overlay_path(Path(), files.name), drawing)
+    mask = None if data.segmentation is None else encoded_image(mask_path(Path(), files.name), data.mask)
+    return result, encoded_image(overlay_path(Path(), files.name), drawing), mask
 
 
-def _outcome(result: Result, overlay: bytes | None) -> FrameOutcome:
+def _outcome(result: Result, overlay: bytes | None, mask: bytes | None = None) -> FrameOutcome:
     document = json_text(result.to_dict()).encode()
-    return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay)
+    return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay, mask)
 
 
 def named_from(folder: Path, text: str) -> str:

@@ -77,15 +77,17 @@ def read_image(path: str | Path, *, halved: bool = False) -> NDArray[np.uint8]:
     return _decode(path, data, "an image", colour | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
-def match_size(camera: Camera, shape: tuple[int, int]) -> tuple[Camera, str | None]:
-    """Fit a camera to the size of a mask.
+def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tuple[Camera, str | None]:
+    """Fit a camera to the size of a mask or an image.
 
     Parameters
     ----------
     camera
         As calibrated.
     shape
-        Height and width of the mask in pixels.
+        Height and width in pixels.
+    what
+        How messages call what has that size.
 
     Returns
     -------
@@ -95,15 +97,15 @@ def match_size(camera: Camera, shape: tuple[int, int]) -> tuple[Camera, str | No
     Raises
     ------
     InputError
-        The aspects differ by more than 0.5 %: the mask is cropped, or another camera's.
+        The aspects differ by more than 0.5 %: it is cropped, or another camera's.
     """
     height, width = shape
     if (width, height) == (camera.width, camera.height):
         return camera, None
     sizes = f"{width} x {height}", f"{camera.width} x {camera.height}"
     if abs(width * camera.height / (height * camera.width) - 1) > 0.005:
-        raise InputError(f"mask: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]}")
-    note = f"the mask is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
+        raise InputError(f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]}")
+    note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
     return camera.scaled(width, height), note
 
 

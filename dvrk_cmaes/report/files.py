@@ -1,4 +1,7 @@
-"""Where the results of a frame go: ``OUT/frames/<frame>.json`` and ``OUT/overlays/<frame>.jpg``."""
+"""Where the results of a frame go: ``OUT/frames/<frame>.json`` and ``OUT/overlays/<frame>.jpg``.
+
+A mask that was found in an image goes to ``OUT/masks/<frame>.png``.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,11 @@ def result_path(out: Path, frame: str) -> Path:
 def overlay_path(out: Path, frame: str) -> Path:
     """Path of a frame's overlay."""
     return out / "overlays" / f"{frame}.jpg"
+
+
+def mask_path(out: Path, frame: str) -> Path:
+    """Path of the mask of a frame that had none, found in its image."""
+    return out / "masks" / f"{frame}.png"
 
 
 def check_frame_name(frame: str) -> None:
@@ -53,12 +61,18 @@ def check_writable(folder: Path, *, named: Path | None = None) -> None:
         raise InputError(f"{name}: expected a folder to write to, but {there} may not be written to")
 
 
-def write_frame(out: Path, result: Result, overlay: NDArray[np.uint8]) -> tuple[Path, Path]:
+def write_frame(
+    out: Path, result: Result, overlay: NDArray[np.uint8], found_mask: NDArray[np.bool_] | None = None
+) -> tuple[Path, ...]:
     """Write a result and its overlay (H, W, 3) BGR, each whole or not at all; the result last, so it says all is there.
 
-    Returns their paths, the result's first. Raises as ``dvrk_cmaes.io.atomic.write_bytes``.
+    ``found_mask`` (H, W) is that of a frame that had none. Returns their paths, the result's first. Raises as
+    ``dvrk_cmaes.io.atomic.write_bytes``.
     """
-    paths = result_path(out, result.frame), overlay_path(out, result.frame)
+    paths = [result_path(out, result.frame), overlay_path(out, result.frame)]
+    if found_mask is not None:
+        paths.append(mask_path(out, result.frame))
+        write_image(paths[2], found_mask)
     write_image(paths[1], overlay)
     write_json(paths[0], result.to_dict())
-    return paths
+    return tuple(paths)
