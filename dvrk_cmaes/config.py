@@ -87,6 +87,42 @@ class TrustConfig:
 
 
 @dataclass(frozen=True)
+class SessionConfig:
+    """How the frames of a session are solved together.
+
+    Standard deviations of a reading from frame to frame, once the session's offset is taken out: ``arm_deg`` of the
+    outer yaw and pitch, ``insertion_mm``, ``roll_deg``, ``wrist_deg``, ``jaw_deg``. They are a start, as strong as
+    ``spread_frames`` frames against what the session shows; the arm's may grow up to ``arm_growth`` times, the
+    cable-driven joints' up to ``cable_growth`` times. A joint that is farther off than ``tail`` times its spread is
+    taken for a slip of that frame. ``slack_mm`` and ``slack_deg`` are the root's own, for what joints do not explain.
+    Offsets are expected within ``insertion_offset_mm``, ``roll_offset_deg``, and those of the instrument's joints
+    within their readings' spread. Frames and session are solved in turn for ``rounds``; in the first, frames may be
+    ``loosened`` times as far off, and turned about the shaft by ``turn_deg`` either way to start with; ``cauchy`` is
+    the outline's robust loss. A frame whose squared misfit per degree of freedom is above ``largest_misfit`` is left
+    out; one that a session's prediction explains as well is not searched anew.
+    """
+
+    arm_deg: float = 0.1
+    insertion_mm: float = 0.4
+    roll_deg: float = 3.0
+    wrist_deg: float = 3.5
+    jaw_deg: float = 5.0
+    spread_frames: float = 1.0
+    arm_growth: float = 5.0
+    cable_growth: float = 1.5
+    tail: float = 2.0
+    slack_mm: float = 0.2
+    slack_deg: float = 0.1
+    insertion_offset_mm: float = 0.5
+    roll_offset_deg: float = 20.0
+    rounds: int = 4
+    loosened: float = 4.0
+    turn_deg: float = 30.0
+    cauchy: float = 0.25
+    largest_misfit: float = 12.0
+
+
+@dataclass(frozen=True)
 class EstimateConfig:
     """Settings of `estimate`; ``field`` is the distance field's method, ``decay`` (px) its length."""
 
@@ -96,6 +132,7 @@ class EstimateConfig:
     readings: ReadingSpread = field(default_factory=ReadingSpread)
     lookat: LookAtRange = field(default_factory=LookAtRange)
     trust: TrustConfig = field(default_factory=TrustConfig)
+    session: SessionConfig = field(default_factory=SessionConfig)
     distance_field: str = "fmm"
     decay_px: float = 30.0
     threads: int = 2

@@ -16,13 +16,12 @@ from dvrk_cmaes.arm import OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.config_check import check_config
-from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.evidence import gather_evidence
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.global_search import find_candidates
 from dvrk_cmaes.instrument import Instrument, load_instrument
+from dvrk_cmaes.joint_readings import reading_distance, split_readings
 from dvrk_cmaes.local_search import LocalSearch, is_twin
-from dvrk_cmaes.objective import Readings
 from dvrk_cmaes.quality import judge, measure_quality
 from dvrk_cmaes.result import Alternative, Result
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -53,47 +52,7 @@ def prepare(instrument: Instrument | str) -> Body:
         return _body(instrument)
 
 
-def _split_readings(
-    instrument: Instrument, joints: Mapping[str, float], config: EstimateConfig
-) -> tuple[Readings, list[str], list[str]]:
-    """Sort readings: those of the joints that are sought, what is unknown, warnings about values outside limits."""
-    known = (*instrument.joint_names, *OUTER_JOINTS)
-    for name, value in joints.items():
-        if name not in known and name not in ("jaw",):
-            raise InputError(
-                f"joints: unknown joint {name!r}; expected one of: {', '.join(nearest_first(name, known))}"
-            )
-        if not np.isfinite(value):
-            raise InputError(f"joints: {name}: expected a finite number, got {value}")
-    values = np.array([joints.get(name, np.nan) for name in instrument.joint_names], dtype=np.float64)
-    spread = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])
-    unused = [f"reading of {n}: not given" for n, v in zip(instrument.joint_names, values, strict=True) if np.isnan(v)]
-    warnings = [
-        _outside(name, value, low, high)
-        for name, value, (low, high) in zip(instrument.joint_names, values, instrument.limits, strict=True)
-        if value < low - 1e-6 or value > high + 1e-6
-    ]
-    turned = joints.get("roll")
-    if turned is not None and instrument.roll_limits is not None:
-        least, most = instrument.roll_limits
-        if not least - 1e-6 <= turned <= most + 1e-6:
-            warnings.append(_outside("roll", turned, least, most))
-    low, high = instrument.limits.T.copy()
-    if "jaw" in instrument.joint_names:
-        # Jaws cannot pass through each other: a reading below zero presses them shut, and they look closed.
-        low[instrument.joint_index("jaw")] = 0.0
-    return Readings(values, spread, low, high), unused, warnings
-
-
-def _outside(name: str, value: float, low: float, high: float) -> str:
-    """Warn of a reading beyond limits, rad."""
-    return (
-        f"reading of {name}: {np.degrees(value):.1f} deg is outside its limits, "
-        f"{np.degrees(low):.1f} to {np.degrees(high):.1f} deg"
-    )
-
-
-def _described(instrument: Instrument, arm: Arm) -> dict[str, Any]:
+def describe_limits(instrument: Instrument, arm: Arm) -> dict[str, Any]:
     """Say which limits and which kinematics of the arm a result is made with: rad, m."""
     return {
         "limits_from": instrument.limits_from,
@@ -101,14 +60,6 @@ def _described(instrument: Instrument, arm: Arm) -> dict[str, Any]:
         "arm": arm,
         "roll_offset": instrument.roll_offset,
     }
-
-
-def _reading_distance(readings: Readings, joints: Float64) -> float | None:
-    """Root mean square distance of joints from those read, degrees."""
-    known = ~np.isnan(readings.values)
-    if not known.any():
-        return None
-    return float(np.degrees(np.sqrt(np.mean((joints - readings.values)[known] ** 2))))
 
 
 def estimate(
@@ -169,7 +120,7 @@ def estimate(
     started = time.perf_counter()
     model = body.instrument
     given = dict(joints or {})
-    readings, unused, outside = _split_readings(model, given, settings)
+    readings, unused, outside = split_readings(model, given, settings)
     outer = [given.get(name) for name in OUTER_JOINTS]
     tips = None if keypoints is None else np.asarray(keypoints, dtype=np.float64)
     mask = np.asarray(mask, dtype=np.bool_)
@@ -204,7 +155,7 @@ def estimate(
             loss=qualities[i].loss,
             iou=qualities[i].iou,
             relation="mirror twin" if model.has_twin and is_twin(model, best, mode) else "other mode",
-            reading_distance_deg=_reading_distance(readings, mode.joints),
+            reading_distance_deg=reading_distance(readings, mode.joints),
         )
 
     base = None
@@ -231,5 +182,5 @@ def estimate(
         rays=search.renderer.rays + local.rays + renderer.rays + confirming,
         seed=settings.seed,
         version=__version__,
-        config={**settings.as_dict(), "instrument": _described(model, arm)},
+        config={**settings.as_dict(), "instrument": describe_limits(model, arm)},
     )

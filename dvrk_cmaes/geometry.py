@@ -53,6 +53,15 @@ def change_between(pose: Float64, other: Float64) -> Float64:
     return np.concatenate([apart[..., :3, 3], turn], axis=-1)
 
 
+def shift_of_change(pose: Float64) -> Float64:
+    """Adjoint (..., 6, 6) of poses ``a_from_b``: a small change [t, r] in b's axes, written in a's."""
+    r, t = pose[..., :3, :3], pose[..., :3, 3]
+    out = np.zeros((*pose.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = r
+    out[..., :3, 3:] = _skew(t) @ r
+    return out
+
+
 def inverse(pose: Float64) -> Float64:
     """Inverse of rigid transforms (..., 4, 4)."""
     r = np.swapaxes(pose[..., :3, :3], -1, -2)

@@ -14,6 +14,7 @@ from dvrk_cmaes.evidence import Evidence, window_around
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.local_search import is_twin
 from dvrk_cmaes.losses import LossWeights, Terms, dist_loss, mse_loss, scale_loss
+from dvrk_cmaes.modes import HasPose
 from dvrk_cmaes.noise import sampled, signed_distance
 from dvrk_cmaes.objective import Readings, pose_terms
 from dvrk_cmaes.refine.outline import OutlineFit
@@ -35,7 +36,7 @@ def measure_quality(
     renderer: Renderer,
     evidence: Evidence,
     readings: Readings,
-    modes: Sequence[OutlineFit],
+    modes: Sequence[HasPose],
     weights: LossWeights,
     *,
     decay: float,
@@ -80,7 +81,7 @@ def measure_quality(
     return found, rays
 
 
-def _tips_out_of_view(best: OutlineFit, instrument: Instrument, evidence: Evidence) -> bool:
+def _tips_out_of_view(best: HasPose, instrument: Instrument, evidence: Evidence) -> bool:
     """Whether a jaw tip is behind the camera or outside the image."""
     pose, camera = best.camera_from_root, evidence.camera
     tips = instrument.tips(best.joints) @ pose[:3, :3].T + pose[:3, 3]
@@ -88,6 +89,23 @@ def _tips_out_of_view(best: OutlineFit, instrument: Instrument, evidence: Eviden
         return True
     pixels = camera.project(tips)
     return bool((pixels < -0.5).any() or (pixels > [camera.width - 0.5, camera.height - 0.5]).any())
+
+
+def doubts_of_fit(
+    best: HasPose, quality: Quality, evidence: Evidence, instrument: Instrument, trust: TrustConfig
+) -> list[str]:
+    """Say in words what is wrong with a pose as an explanation of its mask."""
+    reasons = []
+    if quality.iou < trust.least_iou:
+        reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
+    if quality.contour_px_95 > trust.largest_contour_px:
+        reasons.append(
+            f"outline residual too high: a twentieth of the mask's contour is more than "
+            f"{quality.contour_px_95:.1f} px from the silhouette"
+        )
+    if instrument.jaw_tips and _tips_out_of_view(best, instrument, evidence):
+        reasons.append("tip out of view: a jaw tip lies outside the image")
+    return reasons
 
 
 def judge(
@@ -100,14 +118,7 @@ def judge(
     trust: TrustConfig,
 ) -> list[str]:
     """Reasons to doubt a pose, in words; none where it can be trusted."""
-    reasons = []
-    if quality.iou < trust.least_iou:
-        reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
-    if quality.contour_px_95 > trust.largest_contour_px:
-        reasons.append(
-            f"outline residual too high: a twentieth of the mask's contour is more than "
-            f"{quality.contour_px_95:.1f} px from the silhouette"
-        )
+    reasons = doubts_of_fit(best, quality, evidence, instrument, trust)
     known = ~np.isnan(readings.values)
     better = min(modes, key=lambda mode: mode.outline_score)
     if best.outline_score - better.outline_score > trust.largest_outline_gap:
@@ -134,8 +145,6 @@ def judge(
             reasons.append(
                 f"joint unobservable: {name}'s standard deviation, {np.degrees(deviation):.0f} deg, is {than}"
             )
-    if instrument.jaw_tips and _tips_out_of_view(best, instrument, evidence):
-        reasons.append("tip out of view: a jaw tip lies outside the image")
     together = float(np.nansum(off**2))
     if together > trust.largest_reading_sum and not (off > trust.largest_reading_sigmas).any():
         reasons.append("far from the readings: all joints together are farther off than readings are")

@@ -111,13 +111,14 @@ class OutlineRefiner:
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
         self._shrink = shrink
         self._tolerance = config.tolerance * (1 if shrink == 1 else 4)  # smaller images only tell modes apart
+        self._balance: float | None = None
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
         joints = len(readings.values)
         c = config
         self.steps = np.array(
             [c.translation_step] * 3 + [c.swing_step] * 2 + [c.turn_step] + [c.joint_step] * joints
         ) * np.array([shrink] * 3 + [shrink] * 2 + [min(shrink, 3)] + [min(shrink, 3)] * joints)
-        self._priors = Priors(
+        self.priors = Priors(
             renderer.body.instrument,
             evidence,
             readings,
@@ -149,9 +150,18 @@ class OutlineRefiner:
         r = (image - self._target.ravel()) / np.float32(cauchy)
         return float(cauchy**2 * (self._weight.ravel() * np.log1p(r * r)).sum(dtype=np.float64))
 
+    def balance_at(self, pose: Float64, joints: Float64, *, cauchy: float | None = None) -> None:
+        """Take the outline's error from a pose (4, 4) and joints (J,) for all that follows, instead of from each fit.
+
+        So what an expectation leaves over is not taken for noise.
+        """
+        width = self._config.cauchy if cauchy is None else cauchy
+        self._balance = self._loss(self._images(pose[None], joints[None])[0], width)
+
     def _scale(self, loss: float) -> float:
         """Measurements per unit of loss: turns sums of squares of coverage into those of standard deviations."""
         c = self._config
+        loss = loss if self._balance is None else self._balance
         floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
         return float(self._length / c.correlation * self._shrink / max(loss, floor))
 
@@ -205,7 +215,13 @@ class OutlineRefiner:
         return np.asarray((rate * outline.normals[:, None]).sum(axis=-1).T)
 
     def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
-        """Information (D, D) that outline, readings and given tips hold about the small changes of a fitted pose.
+        """Information (D, D) that outline and priors hold about the small changes of a fitted pose."""
+        information = self.outline_information(fit, noise)
+        self.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+        return np.asarray(information + np.diag([1 / _ANYWHERE**2] * 3 + [1 / _ANY_TURN**2] * (len(self.steps) - 3)))
+
+    def outline_information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
+        """Information (D, D) that the outline alone holds about the small changes of a fitted pose.
 
         Each ``noise.length`` px of outline is one measurement with ``noise.sigma``; what lies more than three of these
         away from the mask's outline, or is ignored, is none.
@@ -217,9 +233,7 @@ class OutlineRefiner:
         counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
         speed = self._speeds(outline, fit.camera_from_root[None], fit.joints[None])
         length = np.linalg.norm(outline.normals, axis=1)
-        information = (speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length)
-        self._priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
-        return np.asarray(information + np.diag([1 / _ANYWHERE**2] * 3 + [1 / _ANY_TURN**2] * (len(self.steps) - 3)))
+        return np.asarray((speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length))
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) as they are."""
@@ -247,8 +261,8 @@ class OutlineRefiner:
             improved = []
             for state, (pose, joint, step), image in zip(active, trials, images, strict=True):
                 loss = self._loss(image, width)
-                cost = state.scale * loss + self._priors.cost(pose, joint)
-                gain = state.scale * state.loss + self._priors.cost(state.pose, state.joints) - cost
+                cost = state.scale * loss + self.priors.cost(pose, joint)
+                gain = state.scale * state.loss + self.priors.cost(state.pose, state.joints) - cost
                 if gain <= 0:
                     state.damping *= 8
                     state.finished = state.damping > 1e4
@@ -263,7 +277,9 @@ class OutlineRefiner:
         for state in states:
             loss = self._loss(state.image, self._config.cauchy)
             alone = self._outline_score(loss)
-            score = alone + 0.5 * self._priors.cost(state.pose, state.joints)
+            if self._balance is not None:
+                alone = 0.5 * self._scale(loss) * loss
+            score = alone + 0.5 * self.priors.cost(state.pose, state.joints)
             fits.append(OutlineFit(state.pose, state.joints, score, alone, loss, state.information))
         return fits
 
@@ -276,7 +292,7 @@ class OutlineRefiner:
         for i, state in enumerate(states):
             state.scale = self._scale(state.loss)
             state.information, state.slope = state.scale * outline[i], state.scale * gradient[i]
-            self._priors.add(state.information, state.slope, state.pose, state.joints)
+            self.priors.add(state.information, state.slope, state.pose, state.joints)
 
     def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
         """Damped Gauss-Newton: the next pose, joints, and the step."""

@@ -1,0 +1,182 @@
+"""What is done with one frame of a session, in whatever process: fit it as the session expects, and report on it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence import Evidence, gather_evidence
+from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.io.frame_files import FrameData
+from dvrk_cmaes.joint_readings import reading_distance, split_readings
+from dvrk_cmaes.modes import HasPose, apart
+from dvrk_cmaes.objective import Readings
+from dvrk_cmaes.quality import doubts_of_fit, measure_quality
+from dvrk_cmaes.refine.priors import PosePrior
+from dvrk_cmaes.result import Alternative, Result
+from dvrk_cmaes.session.frame_fit import FrameView, PoseAndJoints, fit_frame
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionFrame:
+    """A frame of a session: its data or what reads them, its result on its own, and when it was taken, s.
+
+    ``data`` must be able to travel between processes where several are used.
+    """
+
+    name: str
+    data: FrameData | Callable[[], FrameData]
+    result: Result
+    keypoints: Float64 | None = None
+    time: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FitTask:
+    """Fit a frame from several starts as the session expects it; ``own`` is its pose without the session."""
+
+    frame: SessionFrame
+    expected: PosePrior
+    starts: tuple[PoseAndJoints, ...]
+    own: PoseAndJoints | None
+
+
+@dataclass(frozen=True, eq=False)
+class ReportTask:
+    """Report on a frame once the session is solved.
+
+    ``view`` is its solution, of ``covariance``; ``left_out`` the pose and joints that the other frames predict;
+    ``base`` its own camera_from_base, offsets taken out; ``doubts`` what the session has against it. Where it does
+    ``agree``, it gets the solution, else it keeps its own result.
+    """
+
+    frame: SessionFrame
+    view: FrameView
+    covariance: Float64
+    left_out: PoseAndJoints
+    base: Float64
+    doubts: tuple[str, ...]
+    agree: bool
+    config: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameReport:
+    """A frame's result, and how well the other frames predict it: overlap, and median distance of the contours, px."""
+
+    result: Result
+    left_out_iou: float
+    left_out_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    renderer: Renderer
+    evidence: Evidence
+    readings: Readings
+
+
+def _scene(body: Body, config: EstimateConfig, frame: SessionFrame) -> _Scene:
+    data = frame.data if isinstance(frame.data, FrameData) else frame.data()
+    readings, _, _ = split_readings(body.instrument, frame.result.readings, config)
+    evidence = gather_evidence(
+        data.mask, data.camera, body.instrument, ignore=data.ignore, keypoints=frame.keypoints, seed=config.seed
+    )
+    return _Scene(Renderer(body, data.camera, threads=1), evidence, readings)
+
+
+def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameView:
+    """Fit one frame."""
+    scene = _scene(body, config, task.frame)
+    return fit_frame(scene.renderer, scene.evidence, scene.readings, config, task.expected, task.starts, task.own)
+
+
+def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
+    """Report on one frame."""
+    started = time.perf_counter()
+    scene = _scene(body, config, task.frame)
+    seen: list[HasPose] = [_Posed(*task.left_out), task.view]
+    qualities, rays = measure_quality(
+        scene.renderer,
+        scene.evidence,
+        scene.readings,
+        seen,
+        config.weights,
+        decay=config.decay_px,
+        field=config.distance_field,
+    )
+    own = task.frame.result
+    if not task.agree:
+        result = replace(own, status="doubtful", reasons=(*own.reasons, *task.doubts))
+        return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median)
+    doubts = doubts_of_fit(task.view, qualities[1], scene.evidence, body.instrument, config.trust) + list(task.doubts)
+    names = body.instrument.joint_names
+    result = replace(
+        own,
+        status="doubtful" if doubts else "ok",
+        reasons=tuple(doubts),
+        camera_from_root=task.view.camera_from_root,
+        joints=dict(zip(names, task.view.joints.tolist(), strict=True)),
+        camera_from_base=task.base,
+        source="session",
+        change=_change(own, task.view, names),
+        quality=qualities[1],
+        covariance=task.covariance,
+        alternatives=_others(own, task.view, names, scene.readings),
+        evaluations=own.evaluations + scene.renderer.poses,
+        rays=own.rays + rays,
+        seconds=own.seconds + time.perf_counter() - started,
+        config=dict(task.config),
+    )
+    return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median)
+
+
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    camera_from_root: Float64
+    joints: Float64
+    score: float = 0.0
+
+
+def _change(own: Result, view: FrameView, names: tuple[str, ...]) -> dict[str, Any] | None:
+    """Say what the session moved: mm, degrees."""
+    if own.camera_from_root is None:
+        return None
+    moved = change_between(own.camera_from_root, view.camera_from_root)
+    return {
+        "translation_mm": round(1e3 * float(np.linalg.norm(moved[:3])), 6),
+        "rotation_deg": round(float(np.degrees(np.linalg.norm(moved[3:]))), 6),
+        "joints_deg": {
+            name: round(float(np.degrees(value - own.joints[name])), 6)
+            for name, value in zip(names, view.joints, strict=True)
+        },
+    }
+
+
+def _others(own: Result, view: FrameView, names: tuple[str, ...], readings: Readings) -> tuple[Alternative, ...]:
+    """List the frame's own pose and its alternatives, without the mode that the session chose."""
+    modes = list(own.alternatives)
+    if own.camera_from_root is not None and own.quality is not None:
+        joints = np.array([own.joints[name] for name in names])
+        distance = reading_distance(readings, joints)
+        loss, iou = own.quality.loss, own.quality.iou
+        modes.insert(0, Alternative(own.camera_from_root, own.joints, loss, iou, "other mode", distance))
+    return tuple(
+        mode
+        for mode in modes
+        if apart(
+            _Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
+            view,
+            np.deg2rad(15),
+            np.deg2rad(25),
+        )
+    )
