@@ -95,3 +95,6 @@ def test_one_thing_wrong_is_refused_in_one_line_or_does_no_harm(
             assert len(lines[0]) < 1000, (trial, printed.err)
         else:
             assert (code, lines) in ((0, []), (1, [f"dvrk-cmaes: {READ}"])), (trial, printed.err)
+        code = main(["inspect", str(path)])
+        lines = [line for line in capfd.readouterr().err.splitlines() if not line.startswith(REMARKS)]
+        assert (code, len(lines)) in ((0, 0), (2, 1)), (trial, lines)

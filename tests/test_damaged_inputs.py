@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -84,4 +85,26 @@ def test_a_file_that_is_something_else_is_refused(
     [pytest.param(one, share, id=f"{one.name}, {share:.0%} left") for one in INPUTS for share in one.cuts],
 )
 def test_a_file_that_is_cut_off_is_refused(refused: Refused, one: Input, share: float) -> None:
-    refused(one, lambda path, data: (path.write_bytes(data[: int(share * len(data))]), None)[1])
+    refused(one, functools.partial(_cut, share))
+
+
+@pytest.mark.parametrize(
+    "one", [one for one in INPUTS if one.name.split()[0] not in ("ROS", "video")], ids=lambda one: one.name
+)
+def test_inspect_says_in_one_line_what_is_wrong_with_a_file(
+    one: Input, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cuts = {f"{share} left": functools.partial(_cut, share) for share in one.cuts}
+    for number, (kind, damage) in enumerate([*DAMAGES.items(), *cuts.items()]):
+        (tmp_path / str(number)).mkdir()
+        path = one.place(tmp_path / str(number))
+        path.unlink(missing_ok=True)
+        damage(path, one.good())
+        code, out, error = run(["inspect", path], capfd)
+        assert (code, out) == (2, ""), (kind, out)
+        assert error.startswith(f"dvrk-cmaes: {path}"), kind
+        assert error.count("\n") == 1, error
+
+
+def _cut(share: float, path: Path, data: bytes) -> None:
+    path.write_bytes(data[: int(share * len(data))])

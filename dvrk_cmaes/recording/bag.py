@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.library_errors import one_line
 from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.shown import listed
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
 from dvrk_cmaes.recording.reading_table import read_timed_joints
@@ -71,7 +72,7 @@ def _recording(
         notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified to estimate")
     lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
     notes.append(f"camera: {camera or topics.camera}{changes}")
-    without = [name for name in (topics.image, *used) if stamp(_first(reader, name)) == 0]
+    without = [name for name in (topics.image, *used) if stamp(_first(reader, path, name)) == 0]
     if without and not recorded_times:
         notes.append(f"times: those of recording, for headers on {', '.join(without)} have none")
     else:
@@ -81,7 +82,7 @@ def _recording(
     if joints is not None:
         readings += read_timed_joints(joints)
     notes += [f"{' '.join(one.joints)}: {one.source}" for one in readings]
-    unnamed = [name for name in used if not _first(reader, name).name]
+    unnamed = [name for name in used if not _first(reader, path, name).name]
     if unnamed:
         notes.append(f"{', '.join(unnamed)}: joints are not named: taken in the dVRK's order, by their number")
     if topics.joints is not None and topics.jaw is None:
@@ -139,10 +140,10 @@ def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[int, Any]]:
         yield time, reader.deserialize(data, connection.msgtype)
 
 
-def _first(reader: AnyReader, topic: str) -> Any:
+def _first(reader: AnyReader, path: Path, topic: str) -> Any:
     for _, message in _messages(reader, topic):
         return message
-    raise InputError(f"{topic}: expected messages, got none")
+    raise InputError(f"{path}: {listed([topic])}: expected messages, got none, though the recording lists some")
 
 
 def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
