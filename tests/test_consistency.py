@@ -135,6 +135,21 @@ def test_readings_come_from_the_session_that_is_named(true_results: Path, tmp_pa
     assert by_readings.base.largest_deg > 1
 
 
+def test_the_arm_s_kinematics_are_those_that_the_results_state_unless_others_are_given(
+    true_results: Path, tmp_path: Path
+) -> None:
+    for k in range(5):
+        change(true_results, f"000{k}", config={"instrument": {"arm": "si", "roll_offset": 0.467}})
+    found = read_result_set(true_results, truth_as_session(tmp_path))
+    assert (found.arm, found.roll_offset) == ("si", 0.467)
+    same_reach = measure_agreement(found)
+    exact = measure_agreement(found, arm="classic", roll_offset=0.4162)
+    assert exact.rcm is not None
+    assert same_reach.rcm is not None
+    assert exact.rcm.rms < 1e-8
+    assert np.linalg.norm(same_reach.rcm.centre - exact.rcm.centre) < 1e-3
+
+
 def test_frames_without_a_pose_are_left_out_and_named(true_results: Path) -> None:
     change(true_results, "0001", status="failed", camera_from_root=None)
     change(true_results, "0003", status="doubtful")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.arm import base_from_root
+from dvrk_cmaes.arm import Arm, base_from_root
 from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.cli import main
@@ -90,6 +90,18 @@ def test_one_base_carries_all_frames_of_an_arm(made: dict[str, Session]) -> None
         np.testing.assert_allclose(
             truth.camera_from_base @ base_from_root(frame.joints), frame.camera_from_root, atol=1e-7
         )
+
+
+@pytest.mark.parametrize(("arm", "roll_offset"), [("si", 0.4162), ("classic", 0.467)])
+def test_other_arms_and_longer_tools_reach_as_far(bundled_body: Body, arm: Arm, roll_offset: float) -> None:
+    body = replace(bundled_body, instrument=replace(bundled_body.instrument, roll_offset=roll_offset))
+    base, truths = make_truths(plan(body, arm=arm))
+    usual, _ = make_truths(plan(bundled_body))
+    for truth in truths:
+        assert base is not None
+        reached = base_from_root(truth.outer, arm, roll_offset=roll_offset)
+        np.testing.assert_allclose(base @ reached, truth.camera_from_root, atol=1e-9)
+    np.testing.assert_allclose(base, usual, atol=1e-9)
 
 
 def test_markers_and_tips_lie_where_the_truth_puts_them(made: dict[str, Session], bundled_body: Body) -> None:

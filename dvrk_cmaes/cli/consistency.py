@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 def consistency(
     *results: Path,
     session: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = (),
-    arm: Literal["classic", "si"] = "classic",
+    arm: Literal["classic", "si"] | None = None,
+    tool: Path | None = None,
     picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -49,7 +50,9 @@ def consistency(
         Session folder or joints.csv to take readings from, instead of those in the results. May be given once for
         all, or once for each of the results in their order.
     arm
-        The arm's kinematics.
+        The arm's kinematics; as the results state them unless given, else the Classic's.
+    tool
+        The dVRK's description of the tool (JSON): where it lies along the shaft; as the results state it unless given.
     picture
         Draw the axes where they meet: .png, .pdf, .svg or .jpg.
     json
@@ -60,6 +63,7 @@ def consistency(
     from dvrk_cmaes.evaluate.paper import TABLE_ONE
     from dvrk_cmaes.evaluate.result_set import ONE_BY_ONE, read_result_set
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.dvrk_description import read_tool
     from dvrk_cmaes.report.figure import check_figure_path, write_figure
 
     if not results:
@@ -69,8 +73,10 @@ def consistency(
     if picture is not None:
         check_figure_path(picture)
     sources = session * len(results) if len(session) == 1 else session or (None,) * len(results)
+    roll_offset = None if tool is None else read_tool(tool).roll_offset
     found = [
-        measure_agreement(read_result_set(path, source), arm) for path, source in zip(results, sources, strict=True)
+        measure_agreement(read_result_set(path, source), arm=arm, roll_offset=roll_offset)
+        for path, source in zip(results, sources, strict=True)
     ]
     if picture is not None:
         write_figure(picture, draw_axes(found))

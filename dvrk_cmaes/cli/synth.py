@@ -42,6 +42,8 @@ def synth(
     images and readings there are tips (keypoints.csv), painted markers as a detector finds them (markers.csv), the
     truth (golden.json) and all figures (synth.json).
 
+    Unless another is given, the camera has 640 x 480 pixels and a focal length of 1026 px.
+
     A level's figures, the readings' in deg rms over many sessions (the jaw's is 1.5 times the wrist's; yaw and pitch
     0.1 deg, insertion 0.4 mm at all levels):
 
@@ -78,7 +80,7 @@ def synth(
     overwrite
         Replace an older made session.
     camera
-        Which camera; unless given, 640 x 480 with a focal length of 1026 px, and at medium and hard a barrel lens.
+        Which camera.
     instrument
         Which instrument.
     """
@@ -103,6 +105,7 @@ def synth(
         frames=frames,
         seed=seed,
         markers=table if painted else {},
+        arm=instrument.arm,
     )
     write_session(out, plan, images=images, overwrite=overwrite)
     show([Line(f"{frames} frames, level {level}, motion {motion}, seed {seed}; written: {out}")])

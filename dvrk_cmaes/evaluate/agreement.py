@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.arm import OUTER_JOINTS, ROLL_OFFSET, Arm
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.consistency import (
     BaseSpread,
@@ -54,8 +54,25 @@ class Agreement:
         }
 
 
-def measure_agreement(results: ResultSet, arm: Arm = "classic") -> Agreement:
-    """Measure all that a set allows; InputError, naming the set, where its axes cannot be said to meet."""
+def measure_agreement(results: ResultSet, *, arm: Arm | None = None, roll_offset: float | None = None) -> Agreement:
+    """Measure all that a set allows.
+
+    Parameters
+    ----------
+    results
+        At least three frames.
+    arm, roll_offset
+        Kinematics of the outer arm, m; as the results state them unless given, and if they state none, those of the
+        Classic and of a tool 400xxx.
+
+    Raises
+    ------
+    InputError
+        Naming the set, where its axes cannot be said to meet.
+    """
+    arm = arm or results.arm or "classic"
+    if roll_offset is None:
+        roll_offset = ROLL_OFFSET if results.roll_offset is None else results.roll_offset
     poses = results.camera_from_root
     try:
         axes = converge_shafts(poses)
@@ -65,8 +82,8 @@ def measure_agreement(results: ResultSet, arm: Arm = "classic") -> Agreement:
     return Agreement(
         results=results,
         axes=axes,
-        rcm=None if insertion is None else rcm_spread(poses, insertion[:, 0], arm),
-        base=None if outer is None else base_spread(poses, outer, arm),
+        rcm=None if insertion is None else rcm_spread(poses, insertion[:, 0], arm, roll_offset=roll_offset),
+        base=None if outer is None else base_spread(poses, outer, arm, roll_offset=roll_offset),
     )
 
 

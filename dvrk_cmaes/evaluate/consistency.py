@@ -132,15 +132,23 @@ def converge_shafts(camera_from_root: Float64) -> Convergence:
     return converge(camera_from_root[:, :3, 3], camera_from_root[:, :3, 2])
 
 
-def rcm_spread(camera_from_root: Float64, insertion: ArrayLike, arm: Arm = "classic") -> PointSpread:
-    """Find the RCM of each frame, from its pose (N, 4, 4) and the insertion read, (N,) m; frames in the camera."""
-    beyond = np.asarray(insertion, dtype=np.float64) + INSERTION_OFFSET[arm] + ROLL_OFFSET
+def rcm_spread(
+    camera_from_root: Float64, insertion: ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
+) -> PointSpread:
+    """Find the RCM of each frame in the camera, from its pose (N, 4, 4) and the insertion read, (N,) m.
+
+    ``roll_offset`` is the D of the tool's roll joint, m.
+    """
+    beyond = np.asarray(insertion, dtype=np.float64) + INSERTION_OFFSET[arm] + roll_offset
     return PointSpread(camera_from_root[:, :3, 3] - beyond[:, None] * camera_from_root[:, :3, 2])
 
 
-def base_spread(camera_from_root: Float64, outer: ArrayLike, arm: Arm = "classic") -> BaseSpread:
+def base_spread(
+    camera_from_root: Float64, outer: ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
+) -> BaseSpread:
     """Find the arm's base in each frame, from its pose (N, 4, 4) and the outer readings (N, 4), rad and m."""
-    return spread_of_bases(np.asarray(camera_from_root @ inverse(base_from_root(outer, arm))))
+    reached = base_from_root(outer, arm, roll_offset=roll_offset)
+    return spread_of_bases(np.asarray(camera_from_root @ inverse(reached)))
 
 
 def spread_of_bases(camera_from_base: Float64) -> BaseSpread:

@@ -13,6 +13,7 @@ from dvrk_cmaes import __version__
 from dvrk_cmaes.arm import OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import describe_limits
 from dvrk_cmaes.evaluate.pnp import PointPose, Solver, place_markers, solve_points
 from dvrk_cmaes.evaluate.tip_pose import solve_tips
 from dvrk_cmaes.evidence import gather_evidence
@@ -128,5 +129,5 @@ def _result(
         camera_from_base=base,
         seconds=seconds,
         version=__version__,
-        config=dict(config),
+        config={**config, "instrument": describe_limits(instrument, arm)},
     )

@@ -6,18 +6,21 @@ the paper's poses as a table of axis-angle vectors and translations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.arm import INSERTION_OFFSET, Arm
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.joints import read_joint_table
 from dvrk_cmaes.io.published_poses import read_published_poses
 from dvrk_cmaes.io.results_folder import read_results
 from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.result import Result
 
 Float64 = NDArray[np.float64]
 Readings = Mapping[str, Mapping[str, float]]
@@ -34,6 +37,7 @@ class ResultSet:
     solved : ``one by one`` or ``together``, or how many of each.
     readings : by frame and joint, rad and m, as far as known.
     failed : names of the frames without a pose. doubtful : of those with one that is not to be trusted.
+    arm, roll_offset : kinematics of the outer arm that the results state, m; None where they state none.
     """
 
     name: str
@@ -43,6 +47,8 @@ class ResultSet:
     readings: Readings = field(default_factory=dict)
     failed: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    arm: Arm | None = None
+    roll_offset: float | None = None
 
     def outer(self, *joints: str) -> Float64 | None:
         """Give the readings (N, K) of K outer joints, or None unless all of them are known in every frame."""
@@ -92,7 +98,19 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
         readings=given if given is not None else {name: result.readings for name, result in results.items()},
         failed=tuple(name for name in results if name not in posed),
         doubtful=tuple(name for name in posed if results[name].status == "doubtful"),
+        **_stated_kinematics(results[name] for name in posed),
     )
+
+
+def _stated_kinematics(results: Iterable[Result]) -> dict[str, Any]:
+    """Give the arm and the roll's offset that the first result states which states both."""
+    for result in results:
+        stated = result.config.get("instrument")
+        if isinstance(stated, dict) and stated.get("arm") in INSERTION_OFFSET:
+            offset = stated.get("roll_offset")
+            if isinstance(offset, float):
+                return {"arm": stated["arm"], "roll_offset": offset}
+    return {}
 
 
 def read_readings(path: Path) -> Readings:

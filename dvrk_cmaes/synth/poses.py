@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
@@ -24,6 +24,10 @@ from dvrk_cmaes.synth.views import trace_links
 
 Float64 = NDArray[np.float64]
 
+_SWING: Final = 0.25  # rad, of the arm's yaw and pitch to either side
+_ROLL: Final = 2.0  # rad
+_INSERTIONS: Final = (0.10, 0.17)  # m, of the Classic with a tool 400xxx
+_MIDDLE_INSERTION: Final = (0.12, 0.15)  # m, at which the arm reaches the middle of the view
 _LARGEST_BEND: Final = 1.0  # rad, of pitch and of yaw
 _OPENINGS: Final = (0.15, 1.1)  # rad, of the jaws
 
@@ -69,6 +73,7 @@ def arm_session(
     frames: int,
     view: View = DEFAULT_VIEW,
     *,
+    arm: Arm = "classic",
     attempts: int = 20_000,
 ) -> tuple[Float64, list[Truth]]:
     """Place an arm before a camera and move it about its RCM, until there are enough sensible frames.
@@ -85,11 +90,11 @@ def arm_session(
         The attempts are used up.
     """
     while attempts > 0:
-        camera_from_base = _random_base(rng, view)
+        camera_from_base = _random_base(body.instrument, arm, rng, view)
         found: list[Truth] = []
         for _ in range(60 * frames):
             attempts -= 1
-            truth = _arm_truth(body.instrument, camera_from_base, rng)
+            truth = _arm_truth(body.instrument, arm, camera_from_base, rng)
             if is_sensible(body, camera, truth, view):
                 found.append(truth)
             if len(found) == frames:
@@ -125,27 +130,31 @@ def free_poses(
     raise DvrkCmaesError(f"no poses of {body.instrument.name} were found that are sensible pictures")
 
 
-def _random_base(rng: np.random.Generator, view: View) -> Float64:
+def _random_base(instrument: Instrument, arm: Arm, rng: np.random.Generator, view: View) -> Float64:
     """Pose of an arm that reaches the middle of the view from one side."""
     middle = np.array([rng.uniform(-0.006, 0.006), rng.uniform(-0.006, 0.006), rng.uniform(0.10, 0.12)])
     tilt, heading = np.deg2rad(rng.uniform(*view.arm_tilt)), rng.uniform(-np.pi, np.pi)
     direction = np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
-    rcm_to_root = np.linalg.norm(base_from_root([0.0, 0.0, rng.uniform(0.12, 0.15), 0.0])[:3, 3])
+    insertion = rng.uniform(*_MIDDLE_INSERTION) + _shift(instrument, arm)
+    reached = base_from_root([0.0, 0.0, insertion, 0.0], arm, roll_offset=instrument.roll_offset)
+    rcm_to_root = np.linalg.norm(reached[:3, 3])
     # at rest the shaft points against the base's z axis
     rotation = frame_along(-direction) @ rotation_about_z(rng.uniform(-np.pi, np.pi))
     return transform(rotation, middle - rcm_to_root * direction)
 
 
-def _arm_truth(instrument: Instrument, camera_from_base: Float64, rng: np.random.Generator) -> Truth:
-    outer = dict(
-        zip(
-            OUTER_JOINTS,
-            (*rng.uniform(-0.25, 0.25, 2), rng.uniform(0.10, 0.17), rng.uniform(-2.0, 2.0)),
-            strict=True,
-        )
-    )
+def _shift(instrument: Instrument, arm: Arm) -> float:
+    """By how much more an arm and a tool insert to reach as far as the Classic with a tool 400xxx, m."""
+    return (INSERTION_OFFSET["classic"] + ROLL_OFFSET) - (INSERTION_OFFSET[arm] + instrument.roll_offset)
+
+
+def _arm_truth(instrument: Instrument, arm: Arm, camera_from_base: Float64, rng: np.random.Generator) -> Truth:
+    swing = rng.uniform(-_SWING, _SWING, 2)
+    insertion = rng.uniform(*_INSERTIONS) + _shift(instrument, arm)
+    outer = dict(zip(OUTER_JOINTS, (*swing, insertion, rng.uniform(-_ROLL, _ROLL)), strict=True))
     joints = _wrist(instrument, rng)
-    return Truth(instrument, camera_from_base @ base_from_root(outer), joints, outer)
+    reached = base_from_root(outer, arm, roll_offset=instrument.roll_offset)
+    return Truth(instrument, camera_from_base @ reached, joints, outer)
 
 
 def _wrist(instrument: Instrument, rng: np.random.Generator) -> dict[str, float]:

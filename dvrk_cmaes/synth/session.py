@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes import __version__
-from dvrk_cmaes.arm import OUTER_JOINTS
+from dvrk_cmaes.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pnp import place_markers
@@ -78,6 +78,7 @@ class SessionPlan:
     frames: int
     seed: int
     markers: Mapping[str, Marker]
+    arm: Arm = "classic"
 
     def describe(self) -> dict[str, Any]:
         """Plain values that say how to make the session again."""
@@ -87,6 +88,8 @@ class SessionPlan:
             "frames": self.frames,
             "seed": self.seed,
             "instrument": self.body.instrument.name,
+            "arm": self.arm,
+            "roll_offset": self.body.instrument.roll_offset,
             "version": __version__,
         }
 
@@ -118,7 +121,7 @@ def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
     rng = _generator(plan, 0)
     if plan.motion == "free":
         return None, free_poses(plan.body, plan.camera, rng, plan.frames, view)
-    return arm_session(plan.body, plan.camera, rng, plan.frames, view)
+    return arm_session(plan.body, plan.camera, rng, plan.frames, view, arm=plan.arm)
 
 
 def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[MadeFrame]:

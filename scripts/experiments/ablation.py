@@ -169,11 +169,10 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
         right.barh(places, [1 - row["right_mode"] for row in chosen], height=0.34, color=colour)
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.invert_yaxis()
-    left.set_xscale("log")
     left.set_xlabel("error of the tips, median, mm")
     right.set_xlabel("share of frames in a wrong mode")
     right.set_xlim(0, 1)
-    left.legend(fontsize=8)
+    right.legend(*left.get_legend_handles_labels(), fontsize=8, loc="lower right")
     for panel in (left, right):
         panel.grid(axis="x", alpha=0.3)
     return figure
