@@ -9,21 +9,37 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from dvrk_cmaes.camera import Camera
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.estimation import estimate, prepare
+    from dvrk_cmaes.estimation import estimate
     from dvrk_cmaes.instrument import Instrument, load_instrument
+    from dvrk_cmaes.prepared import prepare
     from dvrk_cmaes.result import Result
+    from dvrk_cmaes.session import SessionCalibration, SessionFrame, calibrate_session
 
 _HOMES = {
     "Camera": "camera",
     "EstimateConfig": "config",
     "Instrument": "instrument",
     "Result": "result",
+    "SessionCalibration": "session",
+    "SessionFrame": "session",
+    "calibrate_session": "session",
     "estimate": "estimation",
     "load_instrument": "instrument",
-    "prepare": "estimation",
+    "prepare": "prepared",
 }
 
-__all__ = ["Camera", "EstimateConfig", "Instrument", "Result", "estimate", "load_instrument", "prepare"]
+__all__ = [
+    "Camera",
+    "EstimateConfig",
+    "Instrument",
+    "Result",
+    "SessionCalibration",
+    "SessionFrame",
+    "calibrate_session",
+    "estimate",
+    "load_instrument",
+    "prepare",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,47 +16,17 @@ from dvrk_cmaes.config_check import check_config
 from dvrk_cmaes.evidence import gather_evidence
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.global_search import find_candidates
-from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.joint_readings import reading_distance, split_readings
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joint_readings import describe_limits, reading_distance, split_readings
 from dvrk_cmaes.local_search import LocalSearch, is_twin
+from dvrk_cmaes.prepared import lightened, prepare
 from dvrk_cmaes.quality import judge, measure_quality
 from dvrk_cmaes.result import Alternative, Result
+from dvrk_cmaes.session.document import SessionCalibration
+from dvrk_cmaes.session.prediction import SessionPose, try_session
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
-
-_named: dict[str, Instrument] = {}
-_lock = threading.RLock()
-
-
-@lru_cache(maxsize=8)
-def _body(instrument: Instrument) -> Body:
-    return Body.prepare(instrument)
-
-
-@lru_cache(maxsize=8)
-def _light_body(body: Body, cell: float) -> Body:
-    return body.lightened(cell)
-
-
-def prepare(instrument: Instrument | str) -> Body:
-    """Prepare an instrument, or a bundled one or a URDF by its name, for rendering; done once for each."""
-    with _lock:
-        if isinstance(instrument, str):
-            if instrument not in _named:
-                _named[instrument] = load_instrument(instrument)
-            instrument = _named[instrument]
-        return _body(instrument)
-
-
-def describe_limits(instrument: Instrument, arm: Arm) -> dict[str, Any]:
-    """Say which limits and which kinematics of the arm a result is made with: rad, m."""
-    return {
-        "limits_from": instrument.limits_from,
-        "limits": {name: pair.tolist() for name, pair in zip(instrument.joint_names, instrument.limits, strict=True)},
-        "arm": arm,
-        "roll_offset": instrument.roll_offset,
-    }
 
 
 def estimate(
@@ -71,6 +38,7 @@ def estimate(
     ignore: NDArray[np.bool_] | None = None,
     keypoints: ArrayLike | None = None,
     arm: Arm = "classic",
+    session: SessionCalibration | None = None,
     frame: str = "",
     config: EstimateConfig | None = None,
     warnings: Sequence[str] = (),
@@ -96,6 +64,9 @@ def estimate(
         (2, 2) px, the jaw tips in either order.
     arm
         ``classic`` or ``si``: the kinematics of the outer arm.
+    session
+        The calibration of the session that the frame belongs to: what it expects is tried first, and if that explains
+        the mask, nothing else is. Its arm holds, then, and ``camera_from_base`` has the joints' offsets taken out.
     frame, warnings
         Written into the result.
     config
@@ -115,8 +86,7 @@ def estimate(
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    with _lock:
-        light = _light_body(body, settings.search.detail_m)
+    light = lightened(body, settings.search.detail_m)
     started = time.perf_counter()
     model = body.instrument
     given = dict(joints or {})
@@ -128,6 +98,33 @@ def estimate(
     evidence = gather_evidence(mask, camera, model, ignore=ignored, keypoints=tips, seed=settings.seed)
 
     renderer = Renderer(body, camera, threads=settings.threads)
+    notes: list[str] = []
+    if session is not None:
+        known = try_session(session, renderer, evidence, readings, given, settings)
+        if isinstance(known, SessionPose):
+            return Result(
+                frame=frame,
+                status="doubtful" if known.doubts else "ok",
+                reasons=known.doubts,
+                instrument=model.name,
+                root_link=model.root_link,
+                camera_from_root=known.camera_from_root,
+                joints=dict(zip(model.joint_names, known.joints.tolist(), strict=True)),
+                readings=given,
+                warnings=(*warnings, *outside),
+                unused=(*evidence.unused, *unused),
+                camera_from_base=known.camera_from_base,
+                source="session",
+                quality=known.quality,
+                covariance=known.covariance,
+                seconds=time.perf_counter() - started,
+                evaluations=known.evaluations + renderer.poses,
+                rays=known.rays + renderer.rays,
+                seed=settings.seed,
+                version=__version__,
+                config={**settings.as_dict(), "instrument": describe_limits(model, session.arm)},
+            )
+        notes.append(known)
     coarse = Renderer(light, camera, threads=settings.threads)
     candidates, search = find_candidates(coarse, evidence, readings, settings)
     local = LocalSearch(renderer, coarse, evidence, readings, settings)
@@ -171,7 +168,7 @@ def estimate(
         camera_from_root=best.camera_from_root,
         joints=dict(zip(names, best.joints.tolist(), strict=True)),
         readings=given,
-        warnings=(*warnings, *outside),
+        warnings=(*warnings, *outside, *notes),
         unused=(*evidence.unused, *unused),
         camera_from_base=base,
         quality=qualities[0],

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.arm import OUTER_JOINTS
+from dvrk_cmaes.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument import Instrument
@@ -62,3 +63,13 @@ def reading_distance(readings: Readings, joints: Float64) -> float | None:
     if not known.any():
         return None
     return float(np.degrees(np.sqrt(np.mean((joints - readings.values)[known] ** 2))))
+
+
+def describe_limits(instrument: Instrument, arm: Arm) -> dict[str, Any]:
+    """Say which limits and which kinematics of the arm a result is made with: rad, m."""
+    return {
+        "limits_from": instrument.limits_from,
+        "limits": {name: pair.tolist() for name, pair in zip(instrument.joint_names, instrument.limits, strict=True)},
+        "arm": arm,
+        "roll_offset": instrument.roll_offset,
+    }

@@ -30,7 +30,7 @@ from accuracy_tables import show, write_features
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.config_file import read_config
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import prepare
+from dvrk_cmaes.prepared import prepare
 
 Report = Mapping[str, Sequence[Mapping[str, Any]]]
 

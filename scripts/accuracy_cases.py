@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate, prepare
+from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.frame_files import read_frame
 from dvrk_cmaes.io.golden_file import FrameTruth
 from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.prepared import prepare
 
 Float64 = NDArray[np.float64]
 

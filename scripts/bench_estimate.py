@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.estimation import prepare
 from dvrk_cmaes.frame_run import run_frame
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
 from dvrk_cmaes.io.session_folder import Session, read_session
+from dvrk_cmaes.prepared import prepare
 from dvrk_cmaes.result import Result
 
 _ROUNDS = 2  # frames for nothing, for each process

@@ -11,10 +11,11 @@ from pathlib import Path
 import cv2
 
 from dvrk_cmaes.bundled import bundled_path
-from dvrk_cmaes.estimation import estimate, prepare
+from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.io.frame_files import read_frame
 from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.prepared import prepare
 from dvrk_cmaes.report.overlay import draw_overlay
 
 FRAME = "0001"

@@ -102,9 +102,9 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     from rich.progress import track
 
     from dvrk_cmaes.comparison import compare_poses
-    from dvrk_cmaes.estimation import prepare
     from dvrk_cmaes.frame_run import run_frame
     from dvrk_cmaes.io.frame_files import read_frame
+    from dvrk_cmaes.prepared import prepare
 
     config, body = method.resolve(), prepare("lnd")
     console = Console(stderr=True)

@@ -19,10 +19,11 @@ from dvrk_cmaes.arm import Arm
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.config_check import check_config
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import describe_limits, prepare
 from dvrk_cmaes.geometry import inverse, moved
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joint_readings import describe_limits
 from dvrk_cmaes.parallel import each
+from dvrk_cmaes.prepared import prepare
 from dvrk_cmaes.result import Result
 from dvrk_cmaes.session.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.session.document import SessionCalibration, describe_solution
@@ -102,6 +103,8 @@ def calibrate_session(
     results = {frame.name: frame.result for frame in frames}
     results |= {frame.name: one.result for frame, one in zip(work.frames, reports, strict=True)}
     left_out |= reasons
+    used = [results[frame.name].quality for frame in work.frames if frame.name not in left_out]
+    known = [quality for quality in used if quality is not None]
     described = describe_solution(work.model, work.solution, settings, body.instrument)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
@@ -114,6 +117,8 @@ def calibrate_session(
             for frame, one in zip(work.frames, reports, strict=True)
             if frame.name not in left_out
         },
+        iou=float(np.median([quality.iou for quality in known])) if known else 0.0,
+        contour_px_95=float(np.median([quality.contour_px_95 for quality in known])) if known else 0.0,
         lag=work.lag,
         warnings=tuple(work.warnings),
         seconds=time.perf_counter() - started,

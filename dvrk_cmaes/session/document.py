@@ -37,6 +37,7 @@ class SessionCalibration:
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames, left_out : names of those used; the others with the reason. leave_one_out : by frame, overlap and median
     contour distance, px, of what the other frames predict with the frame's mask.
+    iou, contour_px_95 : medians over the frames used, solved together.
     untold : what the session cannot tell, in words. lag : of the readings, in frames, and where times are known, in
     seconds.
     """
@@ -50,6 +51,8 @@ class SessionCalibration:
     frames: tuple[str, ...] = ()
     left_out: dict[str, str] = field(default_factory=dict)
     leave_one_out: dict[str, tuple[float, float]] = field(default_factory=dict)
+    iou: float = 0.0
+    contour_px_95: float = 0.0
     lag: dict[str, float] | None = None
     untold: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -97,6 +100,7 @@ class SessionCalibration:
             "leave_one_out": {
                 name: {"iou": _number(iou), "contour_px": _number(px)} for name, (iou, px) in self.leave_one_out.items()
             },
+            "quality": {"iou": _number(self.iou), "contour_px_95": _number(self.contour_px_95)},
             "lag": self.lag,
             "arm": self.arm,
             "roll_offset": self.roll_offset,
@@ -125,7 +129,8 @@ class SessionCalibration:
         if matrix is None:
             raise InputError(f"{where}: covariance.matrix: expected {6 + len(offsets)} rows, got none")
         arm = fields.choice("arm", ("classic", "si"), "classic")
-        lone = fields.inner("leave_one_out")
+        lone, quality = fields.inner("leave_one_out"), fields.inner("quality", required=True)
+        assert quality is not None
         return cls(
             instrument=fields.text("instrument"),
             camera_from_base=base,
@@ -136,6 +141,8 @@ class SessionCalibration:
             frames=fields.texts("frames"),
             left_out={one.text("frame"): one.text("reason") for one in fields.inners("left_out")},
             leave_one_out={} if lone is None else _leave_one_out(lone),
+            iou=quality.number("iou"),
+            contour_px_95=quality.number("contour_px_95"),
             lag=fields.numbers("lag") if fields.has("lag") else None,
             untold=fields.texts("untold"),
             warnings=fields.texts("warnings"),

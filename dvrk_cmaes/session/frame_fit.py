@@ -30,7 +30,8 @@ class FrameView:
     """A frame's best pose (4, 4) and joints (J,) with what was expected in mind, and what its outline alone says there.
 
     The outline is worth ``information`` (D, D), D = 6 + J, and pulls with ``slope`` (D,), the gradient of half its sum
-    of squares over the small changes in the root's axes. ``score`` is the fit's negative log-likelihood.
+    of squares over the small changes in the root's axes. ``score`` is the fit's negative log-likelihood, ``evaluations`` the
+    silhouettes that it took.
     """
 
     camera_from_root: Float64
@@ -38,6 +39,7 @@ class FrameView:
     information: Float64
     slope: Float64
     score: float
+    evaluations: int = 0
 
 
 def unread(instrument: Instrument, readings: Readings) -> Readings:
@@ -65,17 +67,19 @@ def fit_frame(
         outline = replace(outline, correlation=noise_of(renderer, evidence, own).length)
     shrinks = (2, 1) if len(starts) > 1 and evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
+    count = 0
     for shrink in shrinks:
         refiner = OutlineRefiner(renderer, evidence, limits, outline, shrink=shrink, expected=expected)
         if own is not None:
             refiner.balance_at(*own)
         fits = sorted(refiner.refine_all(poses, joints), key=lambda fit: fit.score)[:_KEPT]
         poses, joints = np.stack([fit.camera_from_root for fit in fits]), np.stack([fit.joints for fit in fits])
+        count += refiner.silhouettes
     best = fits[0]
     priors, pull = np.zeros_like(best.information), np.zeros(len(best.information))
     refiner.priors.add(priors, pull, best.camera_from_root, best.joints)
     # At the end of a refinement outline and priors pull alike.
-    return FrameView(best.camera_from_root, best.joints, best.information - priors, -pull, best.score)
+    return FrameView(best.camera_from_root, best.joints, best.information - priors, -pull, best.score, count)
 
 
 def noise_of(renderer: Renderer, evidence: Evidence, own: PoseAndJoints) -> OutlineNoise:
