@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.golden import golden
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.inspect import inspect
 from dvrk_cmaes.cli.pnp import pnp
+from dvrk_cmaes.cli.segment import segment
 from dvrk_cmaes.cli.synth import synth
 from dvrk_cmaes.cli.terminal import complain, give_up_stdout, prepare_streams
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -32,6 +33,7 @@ Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input,
     suppress_keyboard_interrupt=False,
 )
 app.command(estimate)
+app.command(segment)
 app.command(demo)
 app.command(batch)
 app.command(export)

@@ -14,12 +14,14 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.io.camera_file import CameraFile
+    from dvrk_cmaes.segment.with_instrument import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
 FRAME = Group.create_ordered("Frame")
 CAMERA = Group.create_ordered("Camera")
 INSTRUMENT = Group.create_ordered("Instrument")
 METHOD = Group.create_ordered("Method")
+SEGMENT = Group.create_ordered("Mask, found in the image")
 OUTPUT = Group.create_ordered("Output")
 
 Flag = Annotated[bool, Parameter(negative=())]
@@ -158,8 +160,73 @@ class MethodOptions:
 
 
 DEFAULT_CAMERA = CameraOptions()
+
+
+@Parameter(name="*", group=SEGMENT)
+@dataclass(frozen=True, kw_only=True)
+class SegmentOptions:
+    """How a mask is found in an image.
+
+    Parameters
+    ----------
+    model
+        classic needs nothing but the image; sam2 is Segment Anything 2 (pip install "dvrk-cmaes[sam2]").
+    weights
+        Folder of the encoder and decoder of an exported checkpoint, for sam2.
+    """
+
+    model: Literal["classic", "sam2"] = "classic"
+    weights: Path | None = None
+
+    def resolve(self) -> SegmentSettings:
+        """Check that model and weights belong together."""
+        from dvrk_cmaes.segment.with_instrument import SegmentSettings
+
+        if self.model == "sam2" and self.weights is None:
+            raise InputError("--weights: --model sam2 needs the folder of an exported checkpoint, got none")
+        if self.model == "classic" and self.weights is not None:
+            raise InputError("--weights: --model classic has none; expected them only with --model sam2")
+        return SegmentSettings(self.model, None if self.weights is None else self.weights.absolute())
+
+
+@Parameter(name="*", group=SEGMENT)
+@dataclass(frozen=True, kw_only=True)
+class PromptOptions:
+    """Where the instrument is in the image; all of it together, or nothing.
+
+    Parameters
+    ----------
+    box
+        A box around the instrument, x0,y0,x1,y1 in pixels.
+    point
+        A pixel u,v on the instrument. May be given several times.
+    not_point
+        A pixel u,v that is not on the instrument. May be given several times.
+    """
+
+    box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
+    not_point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
+
+    def resolve(self) -> Hints:
+        """Parse the numbers."""
+        from dvrk_cmaes.segment.with_instrument import Hints
+
+        box = None
+        if self.box is not None:
+            try:
+                left, top, right, bottom = (float(part) for part in self.box.split(","))
+            except ValueError:
+                raise InputError(f"--box: expected x0,y0,x1,y1 in pixels, got {self.box!r}") from None
+            box = (left, top, right, bottom)
+        points = tuple(parse_pixel("point", text) for text in self.point)
+        return Hints(box, points, tuple(parse_pixel("not-point", text) for text in self.not_point))
+
+
 DEFAULT_INSTRUMENT = InstrumentOptions()
 DEFAULT_METHOD = MethodOptions()
+DEFAULT_SEGMENT = SegmentOptions()
+DEFAULT_PROMPTS = PromptOptions()
 
 
 def _check_name(option: str, name: str, known: Iterable[str]) -> None:

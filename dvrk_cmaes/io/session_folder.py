@@ -155,6 +155,28 @@ def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
     )
 
 
+def find_images(folder: str | Path) -> dict[str, Path]:
+    """Images of a session of either layout, or all pictures of a folder that is none, by frame; sorted.
+
+    Needs no camera, masks or readings.
+
+    Raises
+    ------
+    InputError
+        No such folder, no image in it, or two for one frame.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{folder}: no such folder; expected images, or a session with images")
+    if not _is_own_layout(root) and is_published_layout(root):
+        found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
+    else:
+        found = dict(_pictures(root / "images" if (root / "images").is_dir() else root))
+    if not found:
+        raise InputError(f"{folder}: expected images (PNG or JPEG), got none")
+    return found
+
+
 def _pictures(folder: Path) -> Mapping[str, Path]:
     """PNG and JPEG files of a folder by the frame that they are named after; none where there is no folder."""
     if not folder.is_dir():

@@ -59,6 +59,15 @@ class Canvas:
             for stroke in [part] if dash is None else _dashed(part, self.unit * np.array(dash), self.unit * phase):
                 self._stroke(stroke, colour, width, rim)
 
+    def outline(self, mask: NDArray[np.bool_], colour: Colour) -> None:
+        """Draw the outlines of a mask of the canvas's size, but for where it meets the border."""
+        found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        last = np.array([mask.shape[1] - 1, mask.shape[0] - 1])
+        for chain in found:
+            points = np.concatenate([chain[:, 0, :], chain[:1, 0, :]]).astype(np.float64)
+            points[((points <= 0) | (points >= last)).any(axis=1)] = np.nan
+            self.line(points, colour, width=2.0, rim=False)
+
     def cross(self, at: NDArray[np.float64], colour: Colour, size: float = 7.0) -> None:
         """Draw an x at a point (2,)."""
         reach = size * self.unit * np.array([[-1.0, -1.0], [1.0, 1.0]])

@@ -25,7 +25,6 @@ from dvrk_cmaes.report.canvas import (
     WHITE,
     YELLOW,
     Canvas,
-    Colour,
 )
 from dvrk_cmaes.report.panels import footer, header
 from dvrk_cmaes.report.projection import found_edges, project_visible, projected_edges, skeleton_lines, to_camera
@@ -98,7 +97,7 @@ def draw_overlay(
     if ignore is not None:
         _hatch(canvas, frame.enlarged(ignore))
     if result.camera_from_root is None:
-        _contours(canvas, frame.enlarged(mask), MASK)
+        canvas.outline(frame.enlarged(mask), MASK)
     else:
         _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
     width = canvas.image.shape[1]
@@ -149,8 +148,8 @@ def _draw_pose(
     seen = frame.enlarged(mask)
     canvas.tint(seen & ~silhouette, MASK, 0.5)
     canvas.tint(silhouette & ~seen, SILHOUETTE, 0.5)
-    _contours(canvas, seen, MASK)
-    _contours(canvas, silhouette, SILHOUETTE)
+    canvas.outline(seen, MASK)
+    canvas.outline(silhouette, SILHOUETTE)
 
     for edge in projected_edges(instrument, pose, camera):
         canvas.line(frame.at(edge), PROJECTED, width=2.0, dash=(14, 26), phase=20)
@@ -180,16 +179,6 @@ def _axes(frame: _Frame, pose: Float64) -> None:
         if np.isfinite(length):
             beside = tip + away / max(length, 1e-9) * 12 * frame.canvas.unit
             frame.canvas.text(name, (beside[0] - 5 * frame.canvas.unit, beside[1]), colour, size=0.6, rim=True)
-
-
-def _contours(canvas: Canvas, mask: NDArray[np.bool_], colour: Colour) -> None:
-    """Draw the outlines of a mask of the canvas's size, but for where it meets the border."""
-    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    last = np.array([mask.shape[1] - 1, mask.shape[0] - 1])
-    for chain in found:
-        points = np.concatenate([chain[:, 0, :], chain[:1, 0, :]]).astype(np.float64)
-        points[((points <= 0) | (points >= last)).any(axis=1)] = np.nan
-        canvas.line(points, colour, width=2.0, rim=False)
 
 
 def _hatch(canvas: Canvas, where: NDArray[np.bool_]) -> None:
