@@ -105,6 +105,10 @@ def text(make: Callable[[], str]) -> Callable[[], bytes]:
 
 
 NESTED = 100_000
+CLIMBING = (
+    '<robot name="x"><link name="roll_link"><visual><geometry><mesh filename="package://robots/a/../../../x.stl"/>'
+    "</geometry></visual></link></robot>"
+)
 
 #: By the input that they are given as: name of the file and what is in it.
 BOMBS: dict[str, list[tuple[str, Callable[[], bytes]]]] = {
@@ -144,6 +148,7 @@ BOMBS: dict[str, list[tuple[str, Callable[[], bytes]]]] = {
         ("outside.urdf", text(lambda: outside_xml("robot"))),
         ("deep.urdf", text(lambda: deep_xml("robot"))),
         ("links.urdf", text(many_links)),
+        ("climbs.urdf", text(lambda: CLIMBING)),
         ("words.urdf", text(lambda: f'<robot name="{"x" * 15_000_000}"/>')),
     ],
     "mesh": [

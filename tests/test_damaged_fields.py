@@ -19,7 +19,7 @@ from dvrk_cmaes.io.session_folder import Session
 from dvrk_cmaes.silhouette import Body
 
 READ = "all was read"
-TRIALS = 12
+TRIALS = 6
 """Of each input. Thousands were tried by hand; these keep watch."""
 
 REMARKS = ("dvrk-cmaes: warning: ", "Corrupt JPEG data: ")
