@@ -1,4 +1,4 @@
-"""``dvrk-cmaes estimate``: one mask to one pose."""
+"""``dvrk-cmaes estimate``: one mask, or one image, to one pose."""
 
 from __future__ import annotations
 
@@ -13,12 +13,16 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    DEFAULT_PROMPTS,
+    DEFAULT_SEGMENT,
     FRAME,
     OUTPUT,
     CameraOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
+    PromptOptions,
+    SegmentOptions,
     parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import show, warn
@@ -37,7 +41,7 @@ _Hyphens = Parameter(allow_leading_hyphen=True)
 
 def estimate(
     *,
-    mask: Annotated[Path, Parameter(group=FRAME)],
+    mask: Annotated[Path | None, Parameter(group=FRAME)] = None,
     joints: Annotated[tuple[str, ...], Parameter(group=FRAME, negative=())],
     frame: Annotated[str | None, Parameter(group=FRAME)] = None,
     time: Annotated[str | None, Parameter(group=FRAME)] = None,
@@ -46,13 +50,15 @@ def estimate(
     keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
     label: Annotated[int | None, Parameter(group=FRAME)] = None,
     pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
+    model: SegmentOptions = DEFAULT_SEGMENT,
+    prompts: PromptOptions = DEFAULT_PROMPTS,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate the pose of an instrument in the camera, and its true joint angles, from one mask.
+    """Estimate the pose of an instrument in the camera, and its true joint angles, from one mask or one image.
 
     Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
 
@@ -60,10 +66,14 @@ def estimate(
 
     `dvrk-cmaes estimate --mask masks/0026.png --camera camera.yaml --joints joints.csv --image images/0026.png --out x`
 
+    Without a mask, it is found in the image:
+
+    `dvrk-cmaes estimate --image images/0026.png --camera camera.yaml --joints joints.csv --out x`
+
     Parameters
     ----------
     mask
-        The instrument's mask: 8-bit PNG or JPEG, above 127 is instrument.
+        The instrument's mask: 8-bit PNG or JPEG, above 127 is instrument. Unless given, it is found in the image.
     joints
         Readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or
         wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none. May be given several times.
@@ -72,7 +82,7 @@ def estimate(
     time
         The image's time in seconds, for readings by time: they are interpolated, from at most 0.05 s away.
     image
-        The image, to draw the overlay on.
+        The image, to draw the overlay on, and to find the mask in unless that is given.
     ignore
         Pixels that count neither way (an occluder, another tool): 8-bit, above 127.
     keypoints
@@ -81,6 +91,10 @@ def estimate(
         The mask is one of labels: the instrument is where it has this value.
     pick
         Of several things in the mask, the one at the pixel u,v.
+    model
+        How a mask is found in the image.
+    prompts
+        Where the instrument is in the image, to find its mask.
     camera
         Which camera.
     instrument
@@ -88,7 +102,7 @@ def estimate(
     method
         How to search.
     out
-        Folder to write frames/FRAME.json and overlays/FRAME.jpg to.
+        Folder to write frames/FRAME.json and overlays/FRAME.jpg to, and masks/FRAME.png if it was found.
     json
         Print the result as JSON, and nothing else, on stdout.
     """
@@ -96,20 +110,28 @@ def estimate(
         raise InputError("--label, --pick: expected one of the two, got both")
     if label is not None and not 0 <= label <= 255:
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    named = image if mask is None else mask
+    if named is None:
+        raise InputError("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
+    if mask is None and not (label is None and pick is None):
+        raise InputError("--label, --pick: expected a mask with them (--mask FILE), got none")
+    if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
+        raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.frame_run import run_frame
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.frame_files import FrameFiles, frame_size, read_frame
     from dvrk_cmaes.io.keypoints import parse_keypoints
+    from dvrk_cmaes.segment.with_instrument import Segmenter
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
-    files = FrameFiles(mask.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
+    files = FrameFiles(named.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
     lens = camera.read(lambda: frame_size(files))
-    data = read_frame(files, lens.camera)
     body = instrument.load()
-    found = _readings(joints, frame, mask.stem, time, body.instrument.joint_names)
+    found = _readings(joints, frame, named.stem, time, body.instrument.joint_names)
     files = replace(files, readings=found.readings)
+    data = read_frame(files, lens.camera, Segmenter(body, settings, model.resolve(), prompts.resolve()))
     data = replace(data, notes=(*lens.notes, *found.notes, *data.notes))
     run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out)
     for text in run.result.warnings:
