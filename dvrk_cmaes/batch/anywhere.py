@@ -46,20 +46,22 @@ def through_executor(
     try:
         while True:
             while not stop.is_set() and len(running) < elsewhere.at_once() and (task := next(source, None)) is not None:
-                running[elsewhere.executor.submit(call, task)] = task
+                running[_submitted(elsewhere.executor, call, task)] = task
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 value = _value(future, elsewhere.gives_up)
                 yield running.pop(future), value
-    except (RuntimeError, CancelledError, OSError) as error:  # RuntimeError: shut down, or broken
-        said = str(error) or type(error).__name__
-        raise DvrkCmaesError(
-            f"the workers were lost ({said}): what is done is kept, and the same command goes on from there"
-        ) from error
     finally:
         for future in running:
             future.cancel()
+
+
+def _submitted(executor: Executor, call: Callable[[T], R], task: T) -> Future[R]:
+    try:
+        return executor.submit(call, task)
+    except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
+        raise _lost(error) from error
 
 
 def _value(future: Future[R], gives_up: tuple[type[BaseException], ...]) -> R | Died:
@@ -67,3 +69,12 @@ def _value(future: Future[R], gives_up: tuple[type[BaseException], ...]) -> R | 
         return future.result()
     except gives_up as error:
         return Died(f"its worker died, more than once: out of memory, or a crash in a native library ({error})")
+    except (Exception, CancelledError) as error:  # ``call`` does not raise: it is the way there or back.
+        raise _lost(error) from error
+
+
+def _lost(error: BaseException) -> DvrkCmaesError:
+    said = " ".join(str(error).split()) or type(error).__name__
+    return DvrkCmaesError(
+        f"the workers were lost ({said}): what is done is kept, and the same command goes on from there"
+    )

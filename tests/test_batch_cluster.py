@@ -1,0 +1,166 @@
+"""A Dask cluster does the frames: a real scheduler with two worker processes, one of which is killed half way."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from batch_sessions import QUICK, QUICK_CONFIG, comparable, make_session
+
+from dvrk_cmaes.batch.anywhere import Elsewhere, through_executor
+from dvrk_cmaes.batch.cluster import dask_executor
+from dvrk_cmaes.batch.pool import Died
+from dvrk_cmaes.batch.run import Watcher, run_batch
+from dvrk_cmaes.batch.worker import FrameOutcome
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.silhouette import Body
+
+NAMES = [f"{k:04d}" for k in range(8)]
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+"""Where workers find the functions of this file."""
+
+
+class Cluster:
+    """A scheduler and its workers, each a process."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._file = folder / "scheduler.json"
+        self._processes = [self._start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self._file)]
+        limit = time.monotonic() + 60
+        while not self._file.exists() or not self._file.read_text():
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+        self.address: str = json.loads(self._file.read_text())["address"]
+        self.workers = [self.add_worker() for _ in range(2)]
+
+    def add_worker(self) -> subprocess.Popen[bytes]:
+        place = ("--scheduler-file", self._file, "--local-directory", self._folder)
+        return self._start("worker", *place, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+
+    def _start(self, role: str, *options: object) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "dask", role, *map(str, options)]
+        with (self._folder / "cluster.log").open("ab") as log:
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=self._folder, env=ENVIRONMENT)
+        if role == "worker":
+            self._processes.append(process)
+        return process
+
+    def end(self) -> None:
+        for process in self._processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    started = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield started
+    started.end()
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_session(tmp_path_factory.mktemp("session") / "eight", NAMES)
+
+
+class KillHalfWay(Watcher):
+    """Kills a process when half of the frames are done."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+        self._done = 0
+
+    def done(self, outcome: FrameOutcome) -> None:
+        self._done += 1
+        if self._done == len(NAMES) // 2:
+            self._process.send_signal(signal.SIGKILL)
+
+
+def test_a_worker_that_is_killed_half_way_costs_no_frame_and_the_results_are_the_same(
+    cluster: Cluster, session: Path, bundled_body: Body, tmp_path: Path
+) -> None:
+    read, instrument = read_session(session), bundled_body.instrument
+    with dask_executor(cluster.address, session) as elsewhere:
+        done = run_batch(
+            read,
+            tmp_path / "cluster",
+            instrument,
+            config=QUICK_CONFIG,
+            executor=elsewhere,
+            watcher=KillHalfWay(cluster.workers[1]),
+        )
+    assert cluster.workers[1].wait() == -signal.SIGKILL
+    assert cluster.workers[0].poll() is None
+    failed = [frame["reasons"] for frame in done.document["frames"].values() if frame["status"] == "failed"]
+    assert (done.ran, done.counts["missing"], failed) == (len(NAMES), 0, [])
+    with ThreadPoolExecutor(1) as here:
+        run_batch(read, tmp_path / "here", instrument, config=QUICK_CONFIG, executor=here)
+    assert comparable(tmp_path / "cluster") == comparable(tmp_path / "here")
+
+
+def test_the_command_hands_frames_to_a_scheduler(
+    cluster: Cluster, session: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "quick.toml").write_text(QUICK)
+    options = [
+        "--config",
+        str(tmp_path / "quick.toml"),
+        "--frames",
+        "000[01]",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
+    assert main(["batch", str(session), *options, "--scheduler", cluster.address]) in (0, 3)
+    assert json.loads(capfd.readouterr().out)["counts"]["frames"] == 2
+
+
+def test_a_frame_that_every_worker_dies_on_is_given_up_and_the_others_go_on(cluster: Cluster, session: Path) -> None:
+    for _ in range(4):
+        cluster.add_worker()
+    with dask_executor(cluster.address, session) as elsewhere:
+        found = dict(through_executor(range(6), die_on_three, elsewhere=elsewhere, stop=threading.Event()))
+    lost = found.pop(3)
+    assert isinstance(lost, Died)
+    assert lost.reason.startswith("its worker died, more than once: out of memory, or a crash in a native library (")
+    assert found == {0: 0, 1: 1, 2: 4, 4: 16, 5: 25}
+
+
+def die_on_three(task: int) -> int:
+    if task == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task * task
+
+
+def test_workers_that_do_not_see_the_session_are_refused(cluster: Cluster, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught, dask_executor(cluster.address, tmp_path / "nowhere"):
+        pass
+    assert str(caught.value).startswith("--scheduler: worker tcp://")
+    assert str(caught.value).endswith(f" does not see {tmp_path / 'nowhere'}: expected it under the same path")
+
+
+def test_an_executor_that_is_shut_down_ends_the_work_with_a_reason() -> None:
+    executor = ThreadPoolExecutor(1)
+    elsewhere = Elsewhere(executor, lambda: 2)
+    found = through_executor(iter(range(10)), abs, elsewhere=elsewhere, stop=threading.Event())
+    next(found)
+    executor.shutdown()
+    with pytest.raises(DvrkCmaesError) as caught:
+        list(found)
+    assert str(caught.value) == (
+        "the workers were lost (cannot schedule new futures after shutdown): "
+        "what is done is kept, and the same command goes on from there"
+    )

@@ -1,0 +1,109 @@
+"""A batch that is killed, interrupted or robbed of a worker: nothing is lost, nothing half written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from batch_sessions import QUICK, comparable, make_session
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+COMMAND = [sys.executable, "-m", "dvrk_cmaes", "batch"]
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str]:
+    session = make_session(tmp_path / "session", [f"{k:02d}" for k in range(16)])
+    (tmp_path / "quick.toml").write_text(QUICK)
+    options = ["--config", tmp_path / "quick.toml", "--out", tmp_path / "out", "--workers", "2"]
+    return [*COMMAND, str(session), *map(str, options)]
+
+
+def results(tmp_path: Path) -> list[Path]:
+    return list((tmp_path / "out" / "frames").glob("*.json"))
+
+
+def wait_for_results(batch: subprocess.Popen[str], count: int, tmp_path: Path) -> None:
+    """Wait until a batch that is running has written so many."""
+    limit = time.monotonic() + 100
+    while len(results(tmp_path)) < count:
+        if batch.poll() is not None or time.monotonic() > limit:
+            batch.kill()
+            pytest.fail(f"{len(results(tmp_path))} results only; exit code {batch.wait()}: {batch.communicate()}")
+        time.sleep(0.02)
+
+
+def test_ctrl_c_finishes_what_is_running_and_says_how_to_go_on(command: list[str], tmp_path: Path) -> None:
+    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    wait_for_results(batch, 2, tmp_path)
+    os.killpg(batch.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    out, said = batch.communicate(timeout=60)
+    there = len(results(tmp_path))
+    assert batch.returncode == 130
+    assert 2 <= there < 16
+    assert said.splitlines() == [
+        "dvrk-cmaes: warning: stopping: the frames that are running are finished and written first "
+        "(Ctrl-C again: at once)",
+        f"dvrk-cmaes: interrupted: {16 - there} of 16 frames are left; the same command goes on from here",
+    ]
+    assert f"16 frames: {there} ok, {16 - there} missing" in out.splitlines() or "doubtful" in out
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["missing"] == 16 - there
+    again = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    assert again.returncode in (0, 3)
+    assert json.loads(again.stdout)["timing"]["run"]["frames"] == 16 - there
+    assert again.stderr.splitlines()[0] == (
+        f"dvrk-cmaes: {there} frames have a result already, {16 - there} are to be done"
+    )
+
+
+def test_a_second_ctrl_c_ends_it_at_once(command: list[str], tmp_path: Path) -> None:
+    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    wait_for_results(batch, 1, tmp_path)
+    batch.send_signal(signal.SIGINT)
+    time.sleep(0.02)
+    batch.send_signal(signal.SIGINT)
+    _, said = batch.communicate(timeout=60)
+    assert batch.returncode == 130
+    assert said.splitlines()[-1].startswith("dvrk-cmaes: interrupted")
+    assert "Traceback" not in said
+
+
+def test_killed_again_and_again_it_ends_with_the_files_of_an_undisturbed_batch(
+    command: list[str], tmp_path: Path
+) -> None:
+    kills = []
+    for least in (0, 2, 5, 9):
+        batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        wait_for_results(batch, least, tmp_path)
+        batch.kill()
+        batch.communicate()
+        kills.append(batch.returncode)
+        for path in results(tmp_path):
+            assert json.loads(path.read_text())["frame"] == path.stem
+            assert (tmp_path / "out" / "overlays" / f"{path.stem}.jpg").read_bytes()[-2:] == b"\xff\xd9"
+    assert kills == [-signal.SIGKILL] * 4
+    assert subprocess.run(command, capture_output=True, check=False).returncode in (0, 3)
+    calm = [*command, "--out", str(tmp_path / "calm")]
+    assert subprocess.run(calm, capture_output=True, check=False).returncode in (0, 3)
+    assert comparable(tmp_path / "out") == comparable(tmp_path / "calm")
+
+
+def test_the_script_that_kills_finds_no_difference(tmp_path: Path) -> None:
+    (tmp_path / "quick.toml").write_text(QUICK)
+    session = make_session(tmp_path / "session", ["a", "b", "c"])
+    options = ["--session", session, "--frames", "6", "--kills", "2", "--longest", "3", "--", "--config"]
+    done = subprocess.run(
+        [sys.executable, SCRIPTS / "kill_batch.py", *options, tmp_path / "quick.toml"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["kills"], report["files that differ"]) == (2, [])
