@@ -231,7 +231,7 @@ def test_wrong_input_is_one_line_and_nothing_is_written(
         ),
         (f"{HEADER}\n", "expected a row for each frame, got a header only"),
         (f"{HEADER}\na,0,0,0,0,0,x,0,0,0,0\n", "line 2: tz: expected a finite number, got 'x'"),
-        (f"{HEADER}\na,0,0,0,0,0,0\n", "line 2: wrist_pitch: expected a finite number, got nothing"),
+        (f"{HEADER}\na,0,0,0,0,0,0\n", "line 2: expected 11 cells as in the header, got 7"),
         (f"{HEADER}\n" + "a,0,0,0,0,0,1,0,0,0,0\n" * 2, "line 3: frame: expected a name, each once, got 'a'"),
     ],
 )

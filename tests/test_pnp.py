@@ -176,8 +176,8 @@ def test_frames_without_tips_all_fail(tmp_path: Path, capsys: pytest.CaptureFixt
     ("name", "text", "expected"),
     [
         ("markers.csv", "frame,u,v\n", "header: expected frame,marker,u,v, got frame, u, v"),
-        ("markers.csv", "frame,marker,u,v\n0,a,1\n", "line 2: expected a frame, a marker, u and v, got 0, a, 1"),
-        ("markers.csv", "frame,marker,u,v\n0,a,1,x\n", "line 2: v: expected a finite number of pixels, got 'x'"),
+        ("markers.csv", "frame,marker,u,v\n0,a,1\n", "line 2: expected 4 cells as in the header, got 3"),
+        ("markers.csv", "frame,marker,u,v\n0,a,1,x\n", "line 2: v: expected a finite number in pixels, got 'x'"),
         (
             "markers.csv",
             "frame,marker,u,v\n" + "0,a,1,2\n" * 2,
@@ -185,11 +185,15 @@ def test_frames_without_tips_all_fail(tmp_path: Path, capsys: pytest.CaptureFixt
         ),
         ("table.json", "{}", "markers: expected an object of link and position_m by name, got {}"),
         ("table.json", '{"a": {"position_m": [0, 0, 0]}}', "'a': link: expected the name of a link, got nothing"),
-        ("table.json", '{"a": {"link": "x", "position_m": [0, 1]}}', "'a': position_m: expected three finite numbers"),
+        (
+            "table.json",
+            '{"a": {"link": "x", "position_m": [0, 1]}}',
+            "'a': position_m: expected 3 finite numbers, got [0, 1]",
+        ),
         (
             "table.json",
             '{"a": {"link": "x", "position_m": [0, 0, 4]}}',
-            "'a': position_m: expected metres, got [0, 0, 4]",
+            "'a': position_m: expected metres; this looks like millimetres, got [0, 0, 4]",
         ),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections import Counter
 from pathlib import Path
 
@@ -57,3 +58,15 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: expected {expected}, got no valid CSV ({error})") from None
     return header, rows
+
+
+def number_in(where: str, column: str, cells: dict[str, str], unit: str = "") -> float:
+    """Take a finite number from a row's column; ``unit`` is for the message. InputError beginning with ``where``."""
+    try:
+        value = float(cells[column])
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        what = f"a finite number in {unit}" if unit else "a finite number"
+        raise InputError(f"{where}: {column}: expected {what}, got {shown(cells[column])}")
+    return value

@@ -7,9 +7,6 @@ half their difference belongs to the wrist's yaw.
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,11 +16,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
-from dvrk_cmaes.io.files import read_text
+from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
 from dvrk_cmaes.io.shown import listed, shown
 
 _EXPECTED: Final = "published poses (published.csv)"
-_LARGEST: Final = 100_000_000  # bytes
 _ROTATION: Final = ("rx", "ry", "rz")
 _TRANSLATION: Final = ("tx", "ty", "tz")
 _JOINTS: Final = ("wrist_pitch", "wrist_yaw", "jaw_2", "jaw_1")
@@ -46,23 +42,16 @@ def read_published_poses(path: str | Path) -> dict[str, PublishedPose]:
     InputError
         Naming the file, the line and the column, and what was expected.
     """
-    text = read_text(path, expected=_EXPECTED, largest=_LARGEST)
-    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    header, rows = read_csv_rows(path, expected=_EXPECTED)
+    missing = [name for name in _COLUMNS if name not in header]
+    if missing:
+        raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got no {listed(missing)}")
     found: dict[str, PublishedPose] = {}
-    try:
-        header = [name.strip() for name in reader.fieldnames or ()]
-        missing = [name for name in _COLUMNS if name not in header]
-        if missing:
-            raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got no {listed(missing)}")
-        reader.fieldnames = header
-        for row in reader:
-            where = f"{path}: line {reader.line_num}"
-            frame = (row["frame"] or "").strip()
-            if not frame or frame in found:
-                raise InputError(f"{where}: frame: expected a name, each once, got {shown(frame)}")
-            found[frame] = _pose({name: _number(where, name, row[name]) for name in _COLUMNS[1:]})
-    except csv.Error as error:
-        raise InputError(f"{path}: line {reader.line_num}: expected valid CSV, got {error}") from None
+    for where, cells in rows:
+        frame = cells["frame"]
+        if not frame or frame in found:
+            raise InputError(f"{where}: frame: expected a name, each once, got {shown(frame)}")
+        found[frame] = _pose({name: number_in(where, name, cells) for name in _COLUMNS[1:]})
     if not found:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
     return found
@@ -77,13 +66,3 @@ def _pose(row: dict[str, float]) -> PublishedPose:
         "jaw": first + second,
     }
     return PublishedPose(transform(rotation, [row[name] for name in _TRANSLATION]), joints)
-
-
-def _number(where: str, name: str, cell: str | None) -> float:
-    try:
-        value = float(cell or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {name}: expected a finite number, got {shown(cell)}")
-    return value
