@@ -9,6 +9,7 @@ from cyclopts import App, CycloptsError
 
 from dvrk_cmaes import __version__
 from dvrk_cmaes.cli.batch import batch
+from dvrk_cmaes.cli.calibrate import calibrate
 from dvrk_cmaes.cli.consistency import consistency
 from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
@@ -36,6 +37,7 @@ app.command(estimate)
 app.command(segment)
 app.command(demo)
 app.command(batch)
+app.command(calibrate)
 app.command(export)
 app.command(golden)
 app.command(consistency)

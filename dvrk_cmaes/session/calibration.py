@@ -51,10 +51,14 @@ Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
 
 @dataclass(frozen=True, eq=False)
 class SolvedSession:
-    """A session's calibration, and all its frames' results by name: solved again, or as they were."""
+    """A session's calibration, and all its frames' results by name: solved again, or as they were.
+
+    ``overlays`` by name, (H, W, 3) BGR, where they were asked for.
+    """
 
     calibration: SessionCalibration
     results: dict[str, Result]
+    overlays: dict[str, NDArray[np.uint8]]
 
 
 def calibrate_session(
@@ -64,6 +68,7 @@ def calibrate_session(
     arm: Arm = "classic",
     config: EstimateConfig | None = None,
     run: Run[Any, Any] | None = None,
+    draw: bool = False,
     progress: Callable[[str, int], None] = lambda stage, count: None,
 ) -> SolvedSession:
     """Calibrate a session: camera_from_base, and the offsets of its joint readings.
@@ -81,6 +86,8 @@ def calibrate_session(
         All settings; ``config.session`` says how frames hang together.
     run
         How to apply a function to many tasks; two threads unless given.
+    draw
+        Draw an overlay of each frame, too.
     progress
         Told the stage and the number of frames that it is about to solve.
 
@@ -99,7 +106,7 @@ def calibrate_session(
     work = _Session(usable, body.instrument, arm, settings, run, progress)
     work.choose()
     work.settle()
-    reports, reasons = work.report()
+    reports, reasons = work.report(draw)
     results = {frame.name: frame.result for frame in frames}
     results |= {frame.name: one.result for frame, one in zip(work.frames, reports, strict=True)}
     left_out |= reasons
@@ -125,7 +132,8 @@ def calibrate_session(
         config={**settings.as_dict(), "instrument": describe_limits(body.instrument, arm)},
         **described,
     )
-    return SolvedSession(calibration, results)
+    overlays = {one.result.frame: one.overlay for one in reports if one.overlay is not None}
+    return SolvedSession(calibration, results, overlays)
 
 
 def _in_threads(
@@ -277,7 +285,7 @@ class _Session:
                 self.model = learn_spreads(self.model, stacked, calibration, self.solution.weights, session)
         self.solution = solve(self.model, stacked, calibration, self._prior)
 
-    def report(self) -> tuple[list[FrameReport], dict[str, str]]:
+    def report(self, draw: bool) -> tuple[list[FrameReport], dict[str, str]]:
         """Report on each frame, and say which were left out and why."""
         self._progress("leaving one out", len(self.frames))
         solution, session = self.solution, self._config.session
@@ -304,7 +312,8 @@ class _Session:
                     np.asarray(view.camera_from_root @ inverse(reached[i])),
                     tuple(doubts),
                     bool(agree[i]),
-                    {**self._config.as_dict(), "instrument": describe_limits(self._instrument, self._arm)},
+                    draw=draw,
+                    config={**self._config.as_dict(), "instrument": describe_limits(self._instrument, self._arm)},
                 )
             )
         return self._run(report_task, tasks), reasons

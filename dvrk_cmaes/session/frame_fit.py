@@ -30,8 +30,8 @@ class FrameView:
     """A frame's best pose (4, 4) and joints (J,) with what was expected in mind, and what its outline alone says there.
 
     The outline is worth ``information`` (D, D), D = 6 + J, and pulls with ``slope`` (D,), the gradient of half its sum
-    of squares over the small changes in the root's axes. ``score`` is the fit's negative log-likelihood, ``evaluations`` the
-    silhouettes that it took.
+    of squares over the small changes in the root's axes. ``score`` is the fit's negative log-likelihood,
+    ``evaluations`` the silhouettes that it took.
     """
 
     camera_from_root: Float64

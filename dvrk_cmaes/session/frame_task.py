@@ -19,7 +19,8 @@ from dvrk_cmaes.modes import HasPose, apart
 from dvrk_cmaes.objective import Readings
 from dvrk_cmaes.quality import doubts_of_fit, measure_quality
 from dvrk_cmaes.refine.priors import PosePrior
-from dvrk_cmaes.result import Alternative, Result
+from dvrk_cmaes.report.overlay import draw_overlay
+from dvrk_cmaes.result import Alternative, Quality, Result
 from dvrk_cmaes.session.frame_fit import FrameView, PoseAndJoints, fit_frame
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -56,7 +57,7 @@ class ReportTask:
 
     ``view`` is its solution, of ``covariance``; ``left_out`` the pose and joints that the other frames predict;
     ``base`` its own camera_from_base, offsets taken out; ``doubts`` what the session has against it. Where it does
-    ``agree``, it gets the solution, else it keeps its own result.
+    ``agree``, it gets the solution, else it keeps its own result. ``draw`` asks for an overlay.
     """
 
     frame: SessionFrame
@@ -67,19 +68,25 @@ class ReportTask:
     doubts: tuple[str, ...]
     agree: bool
     config: Mapping[str, Any]
+    draw: bool
 
 
 @dataclass(frozen=True, eq=False)
 class FrameReport:
-    """A frame's result, and how well the other frames predict it: overlap, and median distance of the contours, px."""
+    """A frame's result, and how well the other frames predict it: overlap, and median distance of the contours, px.
+
+    ``overlay`` (H, W, 3) BGR where it was asked for.
+    """
 
     result: Result
     left_out_iou: float
     left_out_px: float
+    overlay: NDArray[np.uint8] | None
 
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
+    data: FrameData
     renderer: Renderer
     evidence: Evidence
     readings: Readings
@@ -91,7 +98,7 @@ def _scene(body: Body, config: EstimateConfig, frame: SessionFrame) -> _Scene:
     evidence = gather_evidence(
         data.mask, data.camera, body.instrument, ignore=data.ignore, keypoints=frame.keypoints, seed=config.seed
     )
-    return _Scene(Renderer(body, data.camera, threads=1), evidence, readings)
+    return _Scene(data, Renderer(body, data.camera, threads=1), evidence, readings)
 
 
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameView:
@@ -115,12 +122,31 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         field=config.distance_field,
     )
     own = task.frame.result
-    if not task.agree:
+    if task.agree:
+        result = _solved(body, config, task, scene, qualities[1])
+        result = replace(
+            result,
+            evaluations=own.evaluations + scene.renderer.poses,
+            rays=own.rays + rays,
+            seconds=own.seconds + time.perf_counter() - started,
+        )
+    else:
         result = replace(own, status="doubtful", reasons=(*own.reasons, *task.doubts))
-        return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median)
-    doubts = doubts_of_fit(task.view, qualities[1], scene.evidence, body.instrument, config.trust) + list(task.doubts)
+    overlay = None
+    if task.draw:
+        data, tips = scene.data, task.frame.keypoints
+        overlay = draw_overlay(
+            result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=tips
+        )
+    return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median, overlay)
+
+
+def _solved(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
+    """Give the result of a frame that agrees with its session."""
+    own = task.frame.result
+    doubts = doubts_of_fit(task.view, quality, scene.evidence, body.instrument, config.trust) + list(task.doubts)
     names = body.instrument.joint_names
-    result = replace(
+    return replace(
         own,
         status="doubtful" if doubts else "ok",
         reasons=tuple(doubts),
@@ -129,15 +155,11 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         camera_from_base=task.base,
         source="session",
         change=_change(own, task.view, names),
-        quality=qualities[1],
+        quality=quality,
         covariance=task.covariance,
         alternatives=_others(own, task.view, names, scene.readings),
-        evaluations=own.evaluations + scene.renderer.poses,
-        rays=own.rays + rays,
-        seconds=own.seconds + time.perf_counter() - started,
         config=dict(task.config),
     )
-    return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,183 @@
+"""``dvrk-cmaes calibrate``: a session's frames solved together, for one camera_from_base and the joints' offsets."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_INSTRUMENT,
+    DEFAULT_METHOD,
+    OUTPUT,
+    CameraOptions,
+    Flag,
+    InstrumentOptions,
+    MethodOptions,
+)
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.session import SolvedSession
+
+FOLDER = Group.create_ordered("Folder")
+WORKERS = Group.create_ordered("Workers")
+
+_DOUBTFUL, _INTERRUPTED = 3, 130
+_MOST_LISTED = 10
+
+
+def calibrate(
+    session: Annotated[Path, Parameter(group=FOLDER)],
+    /,
+    *,
+    results: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
+    workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Calibrate a session: where the arm's base is in the camera, and how far each joint's readings are off.
+
+    All frames are solved together: the base does not move, the outer joints' readings are good, and the errors of the
+    cable-driven ones are mostly one offset a session. Each frame is then solved again with that in mind.
+
+    Exit codes: 0 ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or left
+    out, or something is wrong with the session as a whole, 130 interrupted.
+
+    Example:
+
+    `dvrk-cmaes calibrate session --results session/results --out calibrated`
+
+    Then `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from it.
+
+    Parameters
+    ----------
+    session
+        The session folder, as for `batch`; its readings must have the outer joints yaw, pitch, insertion and roll.
+    results
+        What `batch` made of it; it is run first, into OUT/alone, unless given.
+    out
+        Folder for session.json, and the frames' results and the page; SESSION/calibration unless given.
+    joints
+        A file of readings, where it is not the session's own. May be given several times.
+    workers
+        Processes; as many as there are cores, unless given.
+    camera
+        The camera, where it is not the session's own.
+    instrument
+        Which instrument, and the arm that carries it.
+    method
+        How to search, for frames that are still to be estimated; the settings file's [session] is this command's own.
+    json
+        Print session.json, and nothing else, on stdout.
+    """
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers: expected a whole number of at least 1, got {workers}")
+    from dvrk_cmaes.batch.run import run_batch, usable_cores
+    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.results_folder import read_results
+    from dvrk_cmaes.io.session_folder import read_session
+    from dvrk_cmaes.session.folder import calibrate_folder, image_times
+
+    target = session / "calibration" if out is None else out
+    if results is not None and results.resolve() == target.resolve():
+        raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
+    settings = method.resolve()
+    model = instrument.load().instrument
+    found = read_session(
+        session,
+        camera=camera.camera,
+        rectified=camera.rectified,
+        side=camera.side,
+        known=model.joint_names,
+        joints=joints,
+    )
+    if results is None:
+        results = target / "alone"
+        with stopping_on_interrupt() as stop, progress() as watcher:
+            done = run_batch(
+                found,
+                results,
+                model,
+                config=settings,
+                arm=instrument.arm,
+                workers=workers,
+                stop=stop,
+                watcher=watcher,
+            )
+        if done.interrupted:
+            return _INTERRUPTED
+    solved = calibrate_folder(
+        found,
+        read_results(results).frames,
+        model,
+        target,
+        found_masks=results,
+        arm=instrument.arm,
+        config=settings,
+        workers=workers or usable_cores(),
+        times=image_times(session),
+        progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
+    )
+    calibration = solved.calibration
+    for text in calibration.warnings:
+        warn(text)
+    if json:
+        print(json_text(calibration.to_dict()), end="")
+    else:
+        show(_lines(solved, target))
+    doubtful = any(result.status != "ok" for result in solved.results.values())
+    return _DOUBTFUL if doubtful or calibration.left_out or calibration.warnings else 0
+
+
+def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
+    """Say what was found, how sure it is, and where it lies."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    calibration = solved.calibration
+    std = np.sqrt(np.diag(calibration.covariance))
+    base = calibration.camera_from_base
+    where, turn = base[:3, 3] * 1e3, np.degrees(Rotation.from_matrix(base[:3, :3]).as_rotvec())
+    moved, turned = std[:3] * 1e3, np.degrees(std[3:6])
+    yield Line(
+        "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
+    )
+    yield Line(f"  position, mm    {_three(where)}   std {_three(moved, 2)} along its own axes")
+    yield Line(f"  axis-angle, deg {_three(turn)}   std {_three(turned, 2)} about its own axes")
+    yield Line("offsets: true = reading + offset", "bold")
+    for (name, offset), deviation in zip(calibration.offsets.items(), std[6:], strict=True):
+        if name == "insertion":
+            yield Line(f"  {name:<12s} {offset * 1e3:>+8.2f} mm    std {deviation * 1e3:.2f}")
+        else:
+            yield Line(f"  {name:<12s} {np.degrees(offset):>+8.2f} deg   std {np.degrees(deviation):.2f}")
+    for text in calibration.untold:
+        yield Line(f"  not told by this session: {text}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+    for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:
+        yield Line(f"left out: {name}: {reason}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+    if len(calibration.left_out) > _MOST_LISTED:
+        yield Line(f"... and {len(calibration.left_out) - _MOST_LISTED} more")
+    alone = list(calibration.leave_one_out.values())
+    if alone:
+        iou, off = np.mean([one[0] for one in alone]), np.median([one[1] for one in alone])
+        yield Line(
+            f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
+            f"mean IoU {iou:.3f}, contour {off:.1f} px median"
+        )
+    yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")
+
+
+def _three(values: object, digits: int = 2) -> str:
+    import numpy as np
+
+    return " ".join(f"{value:>9.{digits}f}" if digits == 2 else f"{value:.{digits}f}" for value in np.asarray(values))
