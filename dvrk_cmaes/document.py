@@ -78,7 +78,7 @@ class Fields:
         value = self.values.get(name)
         if value is None and default is not None:
             return default
-        if not is_number(value):
+        if value is None or not is_number(value):
             raise self.refuse(name, "a finite number")
         return float(value)
 

@@ -18,6 +18,7 @@ from dvrk_cmaes.result import Result
 from dvrk_cmaes.segment.blame import who_is_to_blame
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.with_instrument import drawn
+from dvrk_cmaes.session.document import SessionCalibration
 from dvrk_cmaes.silhouette import Body
 
 
@@ -30,7 +31,14 @@ class FrameRun:
 
 
 def run_frame(
-    files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, config: EstimateConfig, out: Path | None
+    files: FrameFiles,
+    data: FrameData,
+    body: Body,
+    *,
+    arm: Arm,
+    config: EstimateConfig,
+    out: Path | None,
+    session: SessionCalibration | None = None,
 ) -> FrameRun:
     """Estimate the pose in a frame that was read from its files; with ``out``, write its result and overlay there.
 
@@ -41,14 +49,22 @@ def run_frame(
     """
     if out is not None:
         check_output(out, files.name)
-    result = estimate_frame(files, data, body, arm=arm, config=config)
+    result = estimate_frame(files, data, body, arm=arm, config=config, session=session)
     if out is None:
         return FrameRun(result, ())
     overlay = draw_frame(result, files, data, body)
     return FrameRun(result, write_frame(out, result, overlay, None if data.segmentation is None else data.mask))
 
 
-def estimate_frame(files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, config: EstimateConfig) -> Result:
+def estimate_frame(
+    files: FrameFiles,
+    data: FrameData,
+    body: Body,
+    *,
+    arm: Arm,
+    config: EstimateConfig,
+    session: SessionCalibration | None = None,
+) -> Result:
     """Estimate the pose in a frame that was read from its files; errors as `estimate`.
 
     Where the mask was found in the image, the result says so, is doubtful if the mask is a guess, and if it is
@@ -62,6 +78,7 @@ def estimate_frame(files: FrameFiles, data: FrameData, body: Body, *, arm: Arm, 
         ignore=data.ignore,
         keypoints=files.keypoints,
         arm=arm,
+        session=session,
         frame=files.name,
         config=config,
         warnings=data.notes,

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.frame_files import FrameFiles
+from dvrk_cmaes.session.document import SessionCalibration
 
 _LENGTH = 16
 """Hexadecimal digits: among a million frames two are alike by chance once in thirty million sessions."""
@@ -22,6 +24,11 @@ UNREADABLE = "unreadable"
 def instrument_digest(instrument: Instrument) -> str:
     """Digest of all that an instrument is, wherever its files lie."""
     return _digest(instrument)
+
+
+def calibration_digest(calibration: SessionCalibration) -> str:
+    """Digest of a session's calibration."""
+    return _digest(json_text(calibration.to_dict()))
 
 
 def frame_digests(files: FrameFiles) -> dict[str, str]:

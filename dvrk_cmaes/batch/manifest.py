@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes import __version__
-from dvrk_cmaes.batch.digests import instrument_digest
+from dvrk_cmaes.batch.digests import calibration_digest, instrument_digest
 from dvrk_cmaes.batch.worker import BatchSetup
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
@@ -43,6 +43,7 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
             "model": setup.segment.model,
             "weights": None if setup.segment.weights is None else str(setup.segment.weights),
         },
+        "calibration": None if setup.calibration is None else calibration_digest(setup.calibration),
         "session": str(setup.folder),
         "frames": _sorted(frames),
     }

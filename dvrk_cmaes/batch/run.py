@@ -47,6 +47,7 @@ from dvrk_cmaes.io.results_folder import SUMMARY, read_results
 from dvrk_cmaes.io.session_folder import Session
 from dvrk_cmaes.result import Status
 from dvrk_cmaes.segment.with_instrument import SegmentSettings
+from dvrk_cmaes.session.document import SessionCalibration
 
 TIME_LIMIT = 600.0
 """Seconds after which a frame is given up, in our own processes."""
@@ -85,6 +86,7 @@ def run_batch(
     config: EstimateConfig | None = None,
     arm: Arm = "classic",
     segment: SegmentSettings | None = None,
+    calibration: SessionCalibration | None = None,
     threads: int = 1,
     pattern: str | None = None,
     shard: Shard | None = None,
@@ -111,6 +113,8 @@ def run_batch(
         As in `estimate`; of the configuration, ``threads`` is replaced by the argument.
     segment
         How frames without a mask get one.
+    calibration
+        Start frames from what their session says.
     threads
         Of each worker.
     pattern
@@ -149,7 +153,7 @@ def run_batch(
     home = Path(os.path.abspath(session.folder))
     if any(files.mask is None for files in frames) and Path(os.path.abspath(out)) == home:
         raise InputError(f"{out}: expected another folder than the session's, for the masks found in its images")
-    setup = BatchSetup(instrument, session.camera, settings, arm, home, segment or SegmentSettings())
+    setup = BatchSetup(instrument, session.camera, settings, arm, home, segment or SegmentSettings(), calibration)
     started = time.monotonic()
     with locked(folder):
         if resume:

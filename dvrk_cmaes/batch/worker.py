@@ -31,6 +31,7 @@ from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
 from dvrk_cmaes.report.files import mask_path, overlay_path
 from dvrk_cmaes.result import Result, Status
 from dvrk_cmaes.segment.with_instrument import Segmenter, SegmentSettings
+from dvrk_cmaes.session.document import SessionCalibration
 from dvrk_cmaes.silhouette import Body
 
 _unpacking = threading.Lock()
@@ -38,7 +39,10 @@ _unpacking = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class BatchSetup:
-    """What the frames of a batch have in common. ``folder`` is the session's: messages name files from there."""
+    """What the frames of a batch have in common.
+
+    ``folder`` is the session's: messages name files from there. With a ``calibration`` frames start from what it says.
+    """
 
     instrument: Instrument
     camera: Camera
@@ -46,6 +50,7 @@ class BatchSetup:
     arm: Arm = "classic"
     folder: Path = Path()
     segment: SegmentSettings = field(default_factory=SegmentSettings)
+    calibration: SessionCalibration | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
 def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None]:
     data = read_frame(files, setup.camera, Segmenter(body, setup.config, setup.segment))
     data = replace(data, notes=tuple(named_from(setup.folder, note) for note in data.notes))
-    result = estimate_frame(files, data, body, arm=setup.arm, config=setup.config)
+    result = estimate_frame(files, data, body, arm=setup.arm, config=setup.config, session=setup.calibration)
     drawing = draw_frame(result, files, data, body)
     mask = None if data.segmentation is None else encoded_image(mask_path(Path(), files.name), data.mask)
     return result, encoded_image(overlay_path(Path(), files.name), drawing), mask

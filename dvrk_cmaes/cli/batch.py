@@ -19,6 +19,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     InstrumentOptions,
     MethodOptions,
+    SessionOption,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, show
 from dvrk_cmaes.errors import InputError
@@ -49,6 +50,7 @@ def batch(
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     scheduler: Annotated[str | None, Parameter(group=WORKERS)] = None,
     time_limit: Annotated[float, Parameter(group=WORKERS)] = 600.0,
+    calibration: SessionOption = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -97,6 +99,9 @@ def batch(
         Address of a Dask scheduler, whose workers do the frames instead of processes here.
     time_limit
         Seconds after which a frame is given up, with processes here.
+    calibration
+        A session.json that `calibrate` made: start frames from what it expects, and search only where that does not
+        explain the mask.
     camera
         The camera, where it is not the session's own.
     instrument
@@ -121,6 +126,8 @@ def batch(
         raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
     if label is not None and not 0 <= label <= 255:
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    from dvrk_cmaes.session.calibration_file import read_calibration
+
     part = None if shard is None else Shard.parse(shard)
     done = _run(
         session,
@@ -137,6 +144,7 @@ def batch(
         retry_failed=retry_failed,
         workers=workers,
         time_limit=time_limit,
+        calibration=None if calibration is None else read_calibration(calibration),
     )
     _report(done.document, done.folder, json, shard=part)
     if done.interrupted:

@@ -23,6 +23,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     PromptOptions,
     SegmentOptions,
+    SessionOption,
     parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import show, warn
@@ -52,6 +53,7 @@ def estimate(
     pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
+    calibration: SessionOption = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -95,6 +97,9 @@ def estimate(
         How a mask is found in the image.
     prompts
         Where the instrument is in the image, to find its mask.
+    calibration
+        A session.json that `calibrate` made: start from what it expects, and search only if that does not explain the
+        mask.
     camera
         Which camera.
     instrument
@@ -122,6 +127,7 @@ def estimate(
     from dvrk_cmaes.io.frame_files import FrameFiles, frame_size, read_frame
     from dvrk_cmaes.io.keypoints import parse_keypoints
     from dvrk_cmaes.segment.with_instrument import Segmenter
+    from dvrk_cmaes.session.calibration_file import read_calibration
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
@@ -133,7 +139,8 @@ def estimate(
     files = replace(files, readings=found.readings)
     data = read_frame(files, lens.camera, Segmenter(body, settings, model.resolve(), prompts.resolve()))
     data = replace(data, notes=(*lens.notes, *found.notes, *data.notes))
-    run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out)
+    known = None if calibration is None else read_calibration(calibration)
+    run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out, session=known)
     for text in run.result.warnings:
         warn(text)
     if json:

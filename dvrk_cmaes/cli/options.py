@@ -25,6 +25,7 @@ SEGMENT = Group.create_ordered("Mask, found in the image")
 OUTPUT = Group.create_ordered("Output")
 
 Flag = Annotated[bool, Parameter(negative=())]
+SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
 
 
 @Parameter(name="*", group=CAMERA)

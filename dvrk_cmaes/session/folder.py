@@ -27,26 +27,17 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
-from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.results_folder import SESSION
 from dvrk_cmaes.io.session_folder import Session
 from dvrk_cmaes.io.times import parse_time
 from dvrk_cmaes.report.files import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.result import Result
 from dvrk_cmaes.session.calibration import SolvedSession, calibrate_session
-from dvrk_cmaes.session.document import SessionCalibration
 from dvrk_cmaes.session.frame_task import SessionFrame
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.timed_readings import NANOSECONDS
 
-_EXPECTED = "a session calibration (session.json)"
-
 _of_this_process: dict[str, Any] = {}
-
-
-def read_calibration(path: str | Path) -> SessionCalibration:
-    """Read a session.json; InputError names the file and the field."""
-    return SessionCalibration.from_dict(read_json_object(Path(path), expected=_EXPECTED), where=str(path))
 
 
 def image_times(folder: Path) -> dict[str, float]:
