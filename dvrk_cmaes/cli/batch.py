@@ -21,7 +21,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     SessionOption,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, counted, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -234,12 +234,12 @@ def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Itera
     words = [
         f"{counts[name]} {name}" for name in ("ok", "doubtful", "failed", "missing") if counts[name] or name == "ok"
     ]
-    yield Line(f"{counts['frames']} frames: {', '.join(words)}", "bold")
+    yield Line(f"{counted(counts['frames'])}: {', '.join(words)}", "bold")
     if medians["iou"] is not None:
         yield Line(f"medians: IoU {medians['iou']:.3f}, contour {medians['contour_px_median']:.1f} px")
     if timing["run"] is not None:
         run = timing["run"]
-        yield Line(f"{run['frames']} frames in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
+        yield Line(f"{counted(run['frames'])} in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
     where = f"results: {folder / 'frames'}   overlays: {folder / 'overlays'}"
     if shard is not None:
         yield Line(f"{where}   then, with all shards: dvrk-cmaes batch --merge {folder.parents[1]}")

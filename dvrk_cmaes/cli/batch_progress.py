@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from dvrk_cmaes.batch.run import Watcher
 from dvrk_cmaes.batch.worker import FrameOutcome
-from dvrk_cmaes.cli.terminal import warn
+from dvrk_cmaes.cli.terminal import counted, warn
 from dvrk_cmaes.result import Status
 
 _EVERY: Final = 30.0  # seconds between lines where there is no terminal
@@ -37,7 +37,7 @@ class _Lines(Watcher):
         self._told = self._began
         self._counts.update(kept)
         if kept:
-            print(f"dvrk-cmaes: {len(kept)} frames have a result already, {todo} are to be done", file=sys.stderr)
+            print(f"dvrk-cmaes: results are there of {counted(len(kept))}, {todo} are to be done", file=sys.stderr)
 
     def done(self, outcome: FrameOutcome) -> None:
         self._done += 1
@@ -49,8 +49,8 @@ class _Lines(Watcher):
     def said(self) -> str:
         """Rate, remaining time and counts."""
         rate = self.rate
-        left = "" if not rate else f", {timedelta(seconds=round((self._todo - self._done) / rate))} left"
-        return f"{rate:.2f} a second{left}, {self._counts['doubtful']} doubtful, {self._counts['failed']} failed"
+        left = timedelta(seconds=round((self._todo - self._done) / rate))
+        return f"{rate:.2f} a second, {left} left, {self._counts['doubtful']} doubtful, {self._counts['failed']} failed"
 
     @property
     def rate(self) -> float:

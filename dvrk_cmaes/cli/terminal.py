@@ -63,3 +63,8 @@ def show(lines: Iterable[Line]) -> None:
     console = Console()
     for line in lines:
         console.print(Text(line.text, style=line.style), soft_wrap=True)
+
+
+def counted(frames: int) -> str:
+    """Say how many frames."""
+    return f"{frames} frame{'' if frames == 1 else 's'}"
