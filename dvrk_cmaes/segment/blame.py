@@ -21,6 +21,7 @@ Bool = NDArray[np.bool_]
 _TOLERANCE = 2.5  # px by which outlines may differ
 _AROUND = 40.0  # px about both, where colours are compared
 _LEAST_SHARE = 0.01  # of the instrument's area, on which the two must differ for it to matter
+_SURE = 0.9  # confidence at which a mask that nothing speaks against is right
 _CLEARLY = 0.65  # share of the differing pixels that takes one side
 
 
@@ -45,13 +46,15 @@ def who_is_to_blame(image: NDArray[np.uint8], found: Segmentation, silhouette: B
     if ignore is not None:
         differ &= ~ignore
     if differ.sum() < _LEAST_SHARE * mask.sum():
+        if found.confidence < _SURE:
+            return f"whether mask or pose is to blame cannot be told: they agree, confidence {found.confidence:.2f}"
         return "the mask is probably not to blame: the silhouette fits it, and the image bears it out"
     both, neither = mask & silhouette, ~(mask | silhouette) & (distance_to(mask | silhouette) < _AROUND)
     left, top, width, height = window_around(mask | silhouette, round(_AROUND))
     window = np.s_[top : top + height, left : left + width]
     odds = ColourTable(look(np.ascontiguousarray(image[window]))).log_odds(both[window], neither[window])
     sides_with_mask = float(((odds > 0) == mask[window])[differ[window]].mean())
-    if sides_with_mask > _CLEARLY:
+    if sides_with_mask > _CLEARLY and found.confidence >= _SURE:
         return (
             "the mask is probably not to blame: where the silhouette differs from it, the image's colours side with "
             "the mask; instrument, camera or readings may be wrong"
@@ -61,4 +64,4 @@ def who_is_to_blame(image: NDArray[np.uint8], found: Segmentation, silhouette: B
             "the mask is probably to blame: where it differs from the silhouette, the image's colours side with the "
             "silhouette"
         )
-    return "whether mask or pose is to blame cannot be told: the image's colours side with neither"
+    return "whether mask or pose is to blame cannot be told: the image's colours side with neither clearly"

@@ -88,8 +88,10 @@ def refine_outline(
     window = np.s_[top : top + height, left : left + width]
     colours, mask = look(np.ascontiguousarray(image[window])), rough[window]
     table, asked = ColourTable(colours), prompts.within(window)
-    known = shaft_odds(rough) if odds is None else odds
+    found = rough.copy()
     for _ in range(_FINE_ROUNDS):
+        found[window] = mask
+        known = shaft_odds(found) if odds is None else odds
         by_colour = beside_odds(table, mask)
         total = _COLOURS_WEIGHT * by_colour + halfway_odds(image[window], mask)
         if known is not None:
@@ -97,7 +99,7 @@ def refine_outline(
         mask = _cut(total, colours, asked, distance_to(mask) > _BAND)
         if not mask.any() or mask.all():
             break
-    found, score = np.zeros_like(rough), np.zeros(rough.shape, np.float32)
+    score = np.zeros(rough.shape, np.float32)
     found[window] = mask
     found = without_holes(instrument_region(found, _FINE_GAP * longer, prompts.points))
     score[window] = 1 / (1 + np.exp(-total))

@@ -1,0 +1,182 @@
+"""Measure how good masks found in images are, on session folders that have both images and masks. Run by hand.
+
+    python scripts/segmentation.py masks SESSION...    overlap with the given masks, by prompt; CPU seconds an image
+    python scripts/segmentation.py poses SESSION...    poses from image alone against those from the given masks
+
+``poses`` wants the session's camera and readings, and its --instrument.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from accuracy_tables import show
+from numpy.typing import NDArray
+
+from dvrk_cmaes.comparison import compare_poses
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence import window_around
+from dvrk_cmaes.frame_run import estimate_frame
+from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
+from dvrk_cmaes.io.session_folder import Session, read_session
+from dvrk_cmaes.prepared import prepare
+from dvrk_cmaes.result import Result
+from dvrk_cmaes.segment import segment
+from dvrk_cmaes.segment.with_instrument import Segmenter
+from dvrk_cmaes.silhouette import Body
+
+Bool = NDArray[np.bool_]
+Rows = list[dict[str, Any]]
+
+NEAR_MM: Final = 5.0
+NEAR_DEG: Final = 10.0
+
+
+def main() -> int:
+    arguments = _parser().parse_args()
+    try:
+        sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in arguments.sessions}
+        report = {"masks": masks_report, "poses": poses_report}[arguments.command](sessions, arguments.instrument)
+    except InputError as error:
+        print(f"segmentation.py: {error}", file=sys.stderr)
+        return 2
+    if arguments.json:
+        print(json.dumps(report, indent=1))
+    else:
+        for title, rows in report.items():
+            show(title, rows)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("masks", "poses"))
+    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION")
+    parser.add_argument("--instrument", default="lnd", help="for poses: a bundled instrument or a URDF")
+    parser.add_argument("--json", action="store_true", help="figures as JSON")
+    return parser
+
+
+def _box(mask: Bool) -> dict[str, Any]:
+    left, top, width, height = window_around(mask, 0)
+    return {"box": (left, top, left + width - 1, top + height - 1)}
+
+
+def _point(mask: Bool) -> dict[str, Any]:
+    """Point where somebody would click: in the middle of where the mask is widest."""
+    inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    v, u = np.unravel_index(int(inside.argmax()), inside.shape)
+    return {"points": [(float(u), float(v))]}
+
+
+PROMPTS: Final[Mapping[str, Callable[[Bool], dict[str, Any]]]] = {"box": _box, "point": _point, "none": lambda _: {}}
+
+
+def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
+    """Overlap with the given masks and CPU seconds, of each session and image, by prompt."""
+    rows: Rows = []
+    frames: Rows = []
+    for name, session in sessions.items():
+        for prompt, made in PROMPTS.items():
+            found = [_mask_row(session, files, prompt, made) for files in session.frames]
+            frames += [{"session": name, **row} for row in found]
+            overlaps, seconds = ([row[key] for row in found] for key in ("iou", "cpu_seconds"))
+            rows.append(
+                {
+                    "session": name,
+                    "prompt": prompt,
+                    "images": len(found),
+                    "iou, mean": float(np.mean(overlaps)),
+                    "iou, least": float(np.min(overlaps)),
+                    "confidence, least": float(np.min([row["confidence"] for row in found])),
+                    "cpu s, mean": float(np.mean(seconds)),
+                    "cpu s, most": float(np.max(seconds)),
+                }
+            )
+    return {"masks": rows, "images": frames}
+
+
+def _mask_row(
+    session: Session, files: FrameFiles, prompt: str, made: Callable[[Bool], dict[str, Any]]
+) -> dict[str, Any]:
+    data = read_frame(files, session.camera)
+    if data.image is None:
+        raise InputError(f"frame {files.name}: expected an image beside the mask, got none")
+    hints = made(data.mask)
+    started = time.process_time()
+    found = segment(data.image, **hints)
+    return {
+        "frame": files.name,
+        "prompt": prompt,
+        "iou": float((found.mask & data.mask).sum() / max((found.mask | data.mask).sum(), 1)),
+        "confidence": found.confidence,
+        "cpu_seconds": time.process_time() - started,
+    }
+
+
+def poses_report(sessions: Mapping[str, Session], instrument: str) -> dict[str, Rows]:
+    """Poses from image alone against those from the given masks: root, axis, and whether far ones are doubted."""
+    body = prepare(instrument)
+    rows: Rows = []
+    frames: Rows = []
+    for name, session in sessions.items():
+        found = [_pose_row(session, files, body) for files in session.frames]
+        frames += [{"session": name, **row} for row in found]
+        near = [row["root_mm"] <= NEAR_MM and row["axis_deg"] <= NEAR_DEG for row in found]
+        rows.append(
+            {
+                "session": name,
+                "images": len(found),
+                f"within {NEAR_MM:g} mm, {NEAR_DEG:g} deg": sum(near),
+                "farther, not doubted": sum(
+                    row["status"] == "ok" and not n for row, n in zip(found, near, strict=True)
+                ),
+                "root mm, median": float(np.median([row["root_mm"] for row in found])),
+                "axis deg, median": float(np.median([row["axis_deg"] for row in found])),
+                "iou, mean": float(np.mean([row["iou"] for row in found])),
+                "cpu s, mean": float(np.mean([row["cpu_seconds"] for row in found])),
+            }
+        )
+    return {"poses": rows, "images": frames}
+
+
+def _pose_row(session: Session, files: FrameFiles, body: Body) -> dict[str, Any]:
+    given = read_frame(files, session.camera)
+    reference = _estimated(session, files, body, None)[0]
+    started = time.process_time()
+    result, mask = _estimated(session, files, body, Segmenter(body, EstimateConfig()))
+    seconds = time.process_time() - started
+    assert result.camera_from_root is not None
+    assert reference.camera_from_root is not None
+    error = compare_poses(
+        body.instrument, (result.camera_from_root, result.joints), (reference.camera_from_root, reference.joints)
+    )
+    return {
+        "frame": files.name,
+        "root_mm": error.root_mm,
+        "axis_deg": error.shaft_deg,
+        "iou": float((mask & given.mask).sum() / max((mask | given.mask).sum(), 1)),
+        "status": result.status,
+        "reasons": "; ".join(result.reasons),
+        "cpu_seconds": seconds,
+    }
+
+
+def _estimated(session: Session, files: FrameFiles, body: Body, segmenter: Segmenter | None) -> tuple[Result, Bool]:
+    files = files if segmenter is None else replace(files, mask=None)
+    data = read_frame(files, session.camera, segmenter)
+    return estimate_frame(files, data, body, arm="classic", config=EstimateConfig()), data.mask
+
+
+if __name__ == "__main__":
+    sys.exit(main())
