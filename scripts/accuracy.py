@@ -4,6 +4,7 @@
     python scripts/accuracy.py calibration SESSION...  do the 90 % intervals hold the truth
     python scripts/accuracy.py lies SESSION...         are falsified frames doubted
     python scripts/accuracy.py bound SESSION...        errors against the smallest possible (Cramer-Rao)
+    python scripts/accuracy.py sessions SESSION...     each solved together: errors of its base, its 95 % intervals
 
 A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; `dvrk-cmaes synth`
 makes more. A session's name without its digits is its level (clean, easy, ...). Calibration wants at least 200 frames.
@@ -25,6 +26,7 @@ from accuracy_calibration import calibration_report
 from accuracy_cases import Case, Run, read_cases, run_cases
 from accuracy_errors import error_report, frame_errors, frame_rows
 from accuracy_lies import lie_report, load_others, make_lies
+from accuracy_session import honest_trials, read_bases, run_trials, session_report
 from accuracy_tables import show, write_features
 
 from dvrk_cmaes.config import EstimateConfig
@@ -133,11 +135,19 @@ def bound(arguments: argparse.Namespace) -> Report:
     return bound_report(prepare(arguments.instrument), runs, _config(arguments))
 
 
+def sessions(arguments: argparse.Namespace) -> Report:
+    bases = read_bases(arguments.sessions)
+    trials = honest_trials(_run(arguments, _honest(arguments)), bases)
+    outcomes = run_trials(trials, instrument=arguments.instrument, config=_config(arguments), workers=arguments.workers)
+    return session_report(prepare(arguments.instrument).instrument, outcomes)
+
+
 COMMANDS: Final = {
     "errors": errors,
     "calibration": calibration,
     "lies": lies,
     "bound": bound,
+    "sessions": sessions,
 }
 
 
