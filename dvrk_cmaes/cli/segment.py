@@ -102,11 +102,14 @@ def segment(
     """
     if threads < 1:
         raise InputError(f"--threads: expected a whole number of at least 1, got {threads}")
+    import cv2
+
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.session_folder import find_images
     from dvrk_cmaes.report.files import check_output, mask_path
 
     settings, hints = model.resolve(), prompts.resolve()
+    cv2.setNumThreads(threads)
     single = not source.is_dir()
     images = {source.stem: source} if single else find_images(source)
     for frame in images:

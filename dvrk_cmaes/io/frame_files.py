@@ -21,6 +21,7 @@ from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.io.images import match_size, read_ignore, read_image, read_mask
 from dvrk_cmaes.segment import Segmentation
+from dvrk_cmaes.segment.view import outside_view
 
 _LARGEST = 400_000_000  # bytes
 
@@ -108,6 +109,10 @@ def read_frame(files: FrameFiles, camera: Camera, segmenter: FindsMask | None = 
     image = read_image(files.image)
     fitted, notes = _fit(camera, image.shape, files.image, "image")
     ignore = _ignored(files, image.shape, "image")
+    outside = outside_view(image)
+    if outside.any():
+        ignore = outside if ignore is None else ignore | outside
+        notes = (*notes, "the image is a round picture in black: what is outside of it is ignored")
     started = perf_counter()
     try:
         found = segmenter(image, fitted, files.readings, ignore)

@@ -47,7 +47,7 @@ def segment(
     weights
         Folder of a checkpoint's exported files, for ``sam2``.
     threads
-        How many threads to use.
+        How many threads ``sam2`` uses; ``classic`` uses OpenCV's.
 
     Raises
     ------

@@ -9,6 +9,7 @@ box or points, where given, take the place of guesses.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, instrument_region, without_holes
 from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
 from dvrk_cmaes.segment.shaft_sides import shaft_odds
+from dvrk_cmaes.segment.view import outside_view
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -39,6 +41,7 @@ _LARGEST_ODDS = 4.0  # by counted colours
 _BIASES = (1.0, 2.0, 3.0)  # log-odds added at first, for a mask that does not fill its box
 _FILLED = 0.9  # overlap of a box with the one around the mask that will do
 
+_FINEST = 1000  # px, the longer side of the largest image that is looked at
 _FINE_ROUNDS = 3
 _COLOURS_WEIGHT = 0.4  # of counted colours beside the halfway place
 _BAND = 10.0  # px of the full image either side of an outline, within which it may move
@@ -59,9 +62,9 @@ def segment_classic(
     scale = min(_REDUCED / max(height, width), 1.0)
     size = max(round(width * scale), 1), max(round(height * scale), 1)
     small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    rough = _rough(look(small), draw_prompts(small.shape, scale, box, points, not_points))
+    rough = _rough(look(small), draw_prompts(small.shape, scale, box, points, not_points).seen(outside_view(small)))
     enlarged = cv2.resize(rough.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    prompts = draw_prompts(image.shape, 1.0, box, points, not_points)
+    prompts = draw_prompts(image.shape, 1.0, box, points, not_points).seen(outside_view(image))
     return refine_outline(image, np.asarray(enlarged), prompts)
 
 
@@ -84,7 +87,9 @@ def refine_outline(
     if not rough.any() or rough.all():
         return Segmentation(np.zeros_like(rough), None, 0.0, ("no instrument found",))
     longer = max(rough.shape)
-    left, top, width, height = window_around(rough, round(_MARGIN * longer))
+    if longer > _FINEST:
+        return _refined_smaller(image, rough, prompts, odds, _FINEST / longer)
+    left, top, width, height = window_around(rough, max(round(_MARGIN * longer), 2))
     window = np.s_[top : top + height, left : left + width]
     colours, mask = look(np.ascontiguousarray(image[window])), rough[window]
     table, asked = ColourTable(colours), prompts.within(window)
@@ -101,13 +106,30 @@ def refine_outline(
             break
     score = np.zeros(rough.shape, np.float32)
     found[window] = mask
-    found = without_holes(instrument_region(found, _FINE_GAP * longer, prompts.points))
+    found = without_holes(instrument_region(found, _FINE_GAP * longer, prompts))
     score[window] = 1 / (1 + np.exp(-total))
-    verdict = trust(found[window], by_colour, colours, prompted=prompts.given)
+    verdict = trust(found, window, by_colour, colours, prompts=prompts)
     notes = verdict.notes
     if verdict.confidence < GUESS:
         notes = ("a guess", *notes)
     return Segmentation(found, score, verdict.confidence, notes)
+
+
+def _refined_smaller(
+    image: NDArray[np.uint8], rough: Bool, prompts: Prompts, odds: Float32 | None, scale: float
+) -> Segmentation:
+    """Refine an outline in a smaller image, and enlarge what comes of it."""
+    height, width = rough.shape
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    found = refine_outline(
+        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8),
+        np.asarray(cv2.resize(rough.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5),
+        prompts.resized(*size, scale),
+        None if odds is None else np.asarray(cv2.resize(odds, size, interpolation=cv2.INTER_AREA), np.float32),
+    )
+    mask = cv2.resize(found.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+    score = None if found.score is None else np.asarray(cv2.resize(found.score, (width, height)), np.float32)
+    return replace(found, mask=np.asarray(mask), score=score)
 
 
 def beside_odds(table: ColourTable, mask: Bool) -> Float32:
@@ -136,7 +158,7 @@ def _rough(colours: Colours, prompts: Prompts) -> Bool:
 def _rounds(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
     """Cut by a prior, and then again and again by the colours that were found, (H, W)."""
     longer = max(colours.shape)
-    mask = instrument_region(_cut(prior, colours, prompts), _GAP * longer, prompts.points)
+    mask = instrument_region(_cut(prior, colours, prompts), _GAP * longer, prompts)
     for unseen, rounds in _UNSEEN:
         for _ in range(rounds):
             if not mask.any():
@@ -146,7 +168,7 @@ def _rounds(colours: Colours, table: ColourTable, prior: Float32, prompts: Promp
             odds = np.clip(odds, -_LARGEST_ODDS, _LARGEST_ODDS)
             odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
             before, mask = mask, _cut(odds, colours, prompts, away > _REACH * longer)
-            mask = instrument_region(mask, _GAP * longer, prompts.points)
+            mask = instrument_region(mask, _GAP * longer, prompts)
             if (before & mask).sum() > _SETTLED * (before | mask).sum():
                 break
     return without_holes(mask)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.noise import sampled, signed_distance
 from dvrk_cmaes.segment.colours import Colours
-from dvrk_cmaes.segment.regions import border_of
+from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.regions import border_of, meets_border
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -50,26 +51,28 @@ class Trust:
         return float(np.clip(self.separation * np.sqrt(self.edges) * self.plausibility, 0, 1))
 
 
-def trust(mask: Bool, odds: Float32, colours: Colours, *, prompted: bool) -> Trust:
+def trust(mask: Bool, window: tuple[slice, slice], odds: Float32, colours: Colours, *, prompts: Prompts) -> Trust:
     """Judge a mask.
 
     Parameters
     ----------
     mask
         (H, W).
+    window
+        Of the image, (h, w), that holds the mask and what is around it.
     odds
-        (H, W), log-odds by the colours alone.
+        (h, w), log-odds by the colours alone.
     colours
-        The image.
-    prompted
-        Whether somebody said where the instrument is: it need not come in from the border then.
+        The window's.
+    prompts
+        If somebody said where the instrument is, it need not come in from the border.
     """
-    if not mask.any() or mask.all():
+    if not mask.any() or mask.all() or mask[window].all():
         return Trust(0.0, 0.0, 0.0, ("no instrument found",))
-    away = signed_distance(mask)
+    away = signed_distance(mask[window])
     separation = _separation(odds, away)
     edges = _edges(away, colours)
-    plausibility, notes = _plausibility(mask, prompted)
+    plausibility, notes = _plausibility(mask, prompts)
     if separation < 0.6:
         notes.append("colours inside and outside the mask hardly differ")
     if edges < 0.6:
@@ -118,17 +121,17 @@ def _changes(away: Float32, colours: Colours, level: float) -> NDArray[np.float6
     return np.asarray(np.linalg.norm(changes, axis=0))
 
 
-def _plausibility(mask: Bool, prompted: bool) -> tuple[float, list[str]]:
+def _plausibility(mask: Bool, prompts: Prompts) -> tuple[float, list[str]]:
     """Whether a mask is shaped like an instrument in view, and in words where not."""
     likely, notes = 1.0, []
     border, share = border_of(mask), float(mask.mean())
-    if not prompted and border.sides == 0:
+    if not prompts.given and not meets_border(mask, prompts.outside):
         likely *= 0.5
         notes.append("the mask does not come in from the image's border, as instruments do")
     if border.sides > _MOST_SIDES:
         likely *= 0.5
         notes.append(f"the mask meets {border.sides} sides of the image")
-    if not prompted and share < _LEAST_AREA:
+    if not prompts.given and share < _LEAST_AREA:
         likely *= 0.5
         notes.append(f"the mask is small: {100 * share:.2g} % of the image")
     if share > _LARGEST_AREA:

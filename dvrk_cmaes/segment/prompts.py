@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,22 +22,48 @@ class Prompts:
 
     background, tool : (H, W) bool, where there surely is none, or is; None where nothing was said.
     points : on the instrument. box : around it.
+    outside : (H, W) bool, where the camera sees nothing, None if it sees everywhere; part of the background.
     """
 
     background: Bool | None = None
     tool: Bool | None = None
     points: tuple[Pixel, ...] = ()
     box: Box | None = None
+    outside: Bool | None = None
 
     @property
     def given(self) -> bool:
         """Whether anything was said of where the instrument is."""
         return self.box is not None or bool(self.points)
 
+    def seen(self, outside: Bool) -> Prompts:
+        """Add what the camera does not see, (H, W)."""
+        if not outside.any():
+            return self
+        background = outside if self.background is None else self.background | outside
+        return replace(self, background=background, outside=outside)
+
+    def resized(self, width: int, height: int, scale: float) -> Prompts:
+        """Return the same for an image that is ``scale`` times as large."""
+
+        def small(region: Bool | None) -> Bool | None:
+            if region is None:
+                return None
+            size = (width, height)
+            return np.asarray(cv2.resize(region.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
+
+        points = tuple(((u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5) for u, v in self.points)
+        limit = np.array([width - 1, height - 1])
+        clipped = tuple((float(u), float(v)) for u, v in (np.clip(point, 0, limit) for point in points))
+        return replace(
+            self, background=small(self.background), tool=small(self.tool), outside=small(self.outside), points=clipped
+        )
+
     def within(self, window: tuple[slice, slice]) -> Prompts:
         """Return the regions within a window of the image, without points and box."""
-        background = None if self.background is None else self.background[window]
-        return Prompts(background, None if self.tool is None else self.tool[window])
+        regions = (self.background, self.tool, self.outside)
+        background, tool, outside = (None if region is None else region[window] for region in regions)
+        return Prompts(background, tool, outside=outside)
 
 
 def draw_prompts(

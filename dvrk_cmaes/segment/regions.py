@@ -6,14 +6,13 @@ its wrist from its shaft.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.segment.segmentation import Pixel
+from dvrk_cmaes.segment.prompts import Prompts
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -44,13 +43,21 @@ class Border:
         return sum(count >= _LEAST_BORDER for count in (self.left, self.top, self.right, self.bottom))
 
 
+def meets_border(mask: Bool, outside: Bool | None = None) -> bool:
+    """Whether a mask (H, W) comes in from the image's border, or from ``outside`` (H, W) what the camera sees."""
+    pixels = border_of(mask).pixels
+    if outside is not None:
+        pixels += int((cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & mask).sum())
+    return pixels >= _LEAST_BORDER
+
+
 def border_of(mask: Bool) -> Border:
     """Measure where a mask (H, W) meets the image's border."""
     sides = mask[:, 0], mask[0], mask[:, -1], mask[-1]
     return Border(*(int(side.sum()) for side in sides))
 
 
-def instrument_region(mask: Bool, gap: float, points: Sequence[Pixel] = ()) -> Bool:
+def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
     """Keep the region that is most likely the instrument, and its pieces.
 
     Parameters
@@ -59,8 +66,8 @@ def instrument_region(mask: Bool, gap: float, points: Sequence[Pixel] = ()) -> B
         (H, W).
     gap
         How far a piece may be from the rest, px.
-    points
-        Pixels on the instrument: only regions with one of them can be it, where there are such regions.
+    prompts
+        Only regions with one of its points can be the instrument, where there are such regions.
 
     Returns
     -------
@@ -70,10 +77,10 @@ def instrument_region(mask: Bool, gap: float, points: Sequence[Pixel] = ()) -> B
     count, labels, measures = _regions(mask, connectivity=8)
     if count < 2:
         return np.zeros_like(mask)
-    marked = {int(labels[round(v), round(u)]) for u, v in points} - {0}
+    marked = {int(labels[round(v), round(u)]) for u, v in prompts.points} - {0}
     areas = measures[:, cv2.CC_STAT_AREA].astype(np.float64)
     areas[0] = 0
-    chosen = marked or {max(range(1, count), key=lambda i: areas[i] * _likely(labels == i))}
+    chosen = marked or {max(range(1, count), key=lambda i: areas[i] * _likely(labels == i, prompts))}
     least = _LEAST_SHARE * max(areas[i] for i in chosen)
     pieces = [i for i in range(1, count) if i not in chosen and areas[i] >= least]
     while pieces:
@@ -109,9 +116,9 @@ def _regions(mask: Bool, connectivity: int) -> tuple[int, NDArray[np.int32], NDA
     return count, np.asarray(labels, np.int32), np.asarray(measures, np.int32)
 
 
-def _likely(region: Bool) -> float:
+def _likely(region: Bool, prompts: Prompts) -> float:
     """Weigh a region's area by whether it comes in from the border."""
-    return 1.0 if border_of(region).pixels >= _LEAST_BORDER else _INSIDE_SHARE
+    return 1.0 if meets_border(region, prompts.outside) else _INSIDE_SHARE
 
 
 def _window(measures: NDArray[np.int32]) -> tuple[slice, slice]:

@@ -42,7 +42,7 @@ def shaft_odds(mask: Bool) -> Float32 | None:
     along = _inward(lines)
     stretch = found[0].ends @ along
     ends = stretch.min(axis=1), stretch.max(axis=1)
-    if _comes_from_start(found[0].ends[:, :, :], along, (height, width)):
+    if _comes_from_start(found[0].ends, along, (height, width)):
         on_shaft = along[0] * u + along[1] * v < min(ends[1])
     else:
         on_shaft = along[0] * u + along[1] * v > max(ends[0])

@@ -23,6 +23,7 @@ from dvrk_cmaes.result import Result
 from dvrk_cmaes.segment import Box, Model, Pixel, Segmentation, segment
 from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.prompts import draw_prompts
+from dvrk_cmaes.segment.view import outside_view
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = NDArray[np.bool_]
@@ -132,6 +133,7 @@ def segment_with_instrument(
         raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")
     if settings.model == "classic":
         prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
+        prompts = prompts.seen(outside_view(image))
         for _ in range(_ROUNDS):
             pose = estimate(found.mask, camera, joints, body, ignore=ignore, config=config)
             silhouette = drawn(pose, camera, body)
