@@ -10,7 +10,6 @@ blur = 1.0
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -39,6 +38,8 @@ def read_config(path: str | Path, default: T) -> T:
     text = read_text(path, expected="settings (TOML)", largest=_LARGEST)
     if any(part.count(".") > _MOST_DOTS for part in re.split(r"[=\n]", text)):
         raise InputError(f"{path}: expected settings (TOML), got a key of more than {_MOST_DOTS} parts")
+    import tomllib
+
     try:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also a whole number that Python will not read

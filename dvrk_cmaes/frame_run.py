@@ -15,9 +15,6 @@ from dvrk_cmaes.io.frame_files import FrameData, FrameFiles
 from dvrk_cmaes.report.files import check_output, write_frame
 from dvrk_cmaes.report.overlay import draw_overlay
 from dvrk_cmaes.result import Result
-from dvrk_cmaes.segment.blame import who_is_to_blame
-from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.with_instrument import drawn
 from dvrk_cmaes.session.document import SessionCalibration
 from dvrk_cmaes.silhouette import Body
 
@@ -86,6 +83,10 @@ def estimate_frame(
     found = data.segmentation
     if found is None or data.image is None:
         return result
+    from dvrk_cmaes.segment.blame import who_is_to_blame
+    from dvrk_cmaes.segment.confidence import GUESS
+    from dvrk_cmaes.segment.with_instrument import drawn
+
     reasons = result.reasons
     if found.confidence < GUESS:
         reasons = (*reasons, f"mask is a guess: confidence {found.confidence:.2f}, expected at least {GUESS}")

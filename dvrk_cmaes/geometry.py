@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 Float64 = NDArray[np.float64]
 
@@ -31,6 +30,32 @@ def exp_rotation(rotvec: ArrayLike) -> Float64:
     return np.asarray(np.eye(3) + a * k + b * (k @ k))
 
 
+def log_rotation(rotation: ArrayLike) -> Float64:
+    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); of at most half a turn."""
+    r = np.asarray(rotation, dtype=np.float64)
+    # Half the quaternion's terms squared; the largest of them divides, so that nothing small is divided by.
+    x, y, z = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    a, b, c = r[..., 2, 1], r[..., 0, 2], r[..., 1, 0]
+    d, e, f = r[..., 1, 2], r[..., 2, 0], r[..., 0, 1]
+    rows = np.stack(
+        [
+            np.stack([1 + x + y + z, a - d, b - e, c - f], axis=-1),
+            np.stack([a - d, 1 + x - y - z, f + c, b + e], axis=-1),
+            np.stack([b - e, f + c, 1 - x + y - z, d + a], axis=-1),
+            np.stack([c - f, b + e, d + a, 1 - x - y + z], axis=-1),
+        ],
+        axis=-2,
+    )
+    largest = np.argmax(np.stack([x + y + z, x, y, z], axis=-1), axis=-1)
+    q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, q[..., :1])
+    scale = np.where(sine < 1e-9, 2.0, angle / np.maximum(sine, 1e-300))
+    return np.asarray(scale * q[..., 1:])
+
+
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
     """(..., 4, 4) from rotations (..., 3, 3) and translations (..., 3), m."""
     r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
@@ -49,8 +74,7 @@ def moved(pose: Float64, change: ArrayLike) -> Float64:
 def change_between(pose: Float64, other: Float64) -> Float64:
     """Small changes (..., 6) = [tx ty tz rx ry rz] that lead from one pose to another: ``moved(pose, change)``."""
     apart = inverse(pose) @ other
-    turn = Rotation.from_matrix(apart[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*apart.shape[:-2], 3)
-    return np.concatenate([apart[..., :3, 3], turn], axis=-1)
+    return np.concatenate([apart[..., :3, 3], log_rotation(apart[..., :3, :3])], axis=-1)
 
 
 def shift_of_change(pose: Float64) -> Float64:

@@ -1,17 +1,21 @@
-"""Seconds, silhouettes and rays a frame; frames a second against the number of processes."""
+"""Seconds by stage, silhouettes and rays a frame; frames a second against the number of processes."""
 
 from __future__ import annotations
 
+import functools
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
+from dvrk_cmaes import estimation
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frame_run import run_frame
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
@@ -20,6 +24,36 @@ from dvrk_cmaes.prepared import prepare
 from dvrk_cmaes.result import Result
 
 _ROUNDS = 2  # frames for nothing, for each process
+
+
+_STAGES = {
+    "evidence": (estimation, "gather_evidence"),
+    "search": (estimation, "find_candidates"),
+    "refinement": (estimation.LocalSearch, "refine"),
+    "quality": (estimation, "measure_quality"),
+}
+"""Where `estimate` spends its time: each stage's home and name."""
+
+
+@contextmanager
+def _stopwatches() -> Iterator[dict[str, list[float]]]:
+    """Note the seconds of each call of each stage."""
+    seconds: dict[str, list[float]] = {stage: [] for stage in _STAGES}
+
+    def timed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def measured(*given: Any, **named: Any) -> Any:
+            begun = time.perf_counter()
+            value = function(*given, **named)
+            seconds[stage].append(time.perf_counter() - begun)
+            return value
+
+        return measured
+
+    with ExitStack() as stack:
+        for stage, (home, name) in _STAGES.items():
+            stack.enter_context(mock.patch.object(home, name, timed(stage, getattr(home, name))))
+        yield seconds
 
 
 def _estimated(session: Session, files: FrameFiles, instrument: str, config: EstimateConfig) -> Result:
@@ -37,23 +71,28 @@ def estimate_report(instrument: str, sessions: Sequence[Path], *, frames: int | 
     config = EstimateConfig()
     rows: list[dict[str, Any]] = []
     everything: list[Result] = []
+    stages: dict[str, list[float]] = {stage: [] for stage in _STAGES}
     for folder in sessions:
         session = read_session(folder, known=names)
         if not everything:
             _one_by_one(session, instrument, config, 1)  # what is made at its first use
-        results = _one_by_one(session, instrument, config, frames)
+        with _stopwatches() as watches:
+            results = _one_by_one(session, instrument, config, frames)
         everything += results
-        rows.append(_summary("/".join(folder.parts[-2:]), results))
-    return {"estimate, a frame": [*rows, _summary("all", everything)]}
+        for stage, seconds in watches.items():
+            stages[stage] += seconds
+        rows.append(_summary("/".join(folder.parts[-2:]), results, watches))
+    return {"estimate, a frame": [*rows, _summary("all", everything, stages)]}
 
 
-def _summary(name: str, results: Sequence[Result]) -> dict[str, Any]:
+def _summary(name: str, results: Sequence[Result], stages: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     seconds = [result.seconds for result in results]
     return {
         "session": name,
         "frames": len(results),
         "seconds, median": float(np.median(seconds)),
         "seconds, most": float(np.max(seconds)),
+        **{f"{stage}, seconds": float(np.median(times)) for stage, times in stages.items()},
         "silhouettes": float(np.median([result.evaluations for result in results])),
         "rays": float(np.median([result.rays for result in results])),
     }

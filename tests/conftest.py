@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,14 @@ from dvrk_cmaes.silhouette import Body
 
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _kept_instruments(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep measured instruments for these tests alone, not among the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DVRK_CMAES_CACHE", str(tmp_path_factory.mktemp("kept")))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,15 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.geometry import (
+    change_between,
     exp_rotation,
     frame_along,
     inverse,
+    log_rotation,
     moved,
     rotation_about_z,
     rotation_angle,
+    shift_of_change,
     transform,
 )
 
@@ -114,3 +117,32 @@ def test_batches_give_what_each_one_gives() -> None:
         rotation_angle(batch, batch[0, 0]), [[rotation_angle(b, batch[0, 0]) for b in row] for row in batch], atol=1e-12
     )
     assert inverse(np.empty((0, 4, 4))).shape == (0, 4, 4)
+
+
+@given(arrays(np.float64, 3, elements=st.floats(-1.8, 1.8)))
+def test_the_logarithm_undoes_the_exponential(rotvec: np.ndarray) -> None:
+    assert np.linalg.norm(rotvec) < np.pi
+    np.testing.assert_allclose(log_rotation(exp_rotation(rotvec)), rotvec, atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3), np.full((1, 3), 1 / np.sqrt(3))]))
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1.0, np.pi - 1e-9])
+def test_the_logarithm_is_scipy_s_near_no_turn_and_half_a_turn(axis: np.ndarray, angle: float) -> None:
+    rotation = Rotation.from_rotvec(angle * axis).as_matrix()
+    np.testing.assert_allclose(log_rotation(rotation), angle * axis, atol=1e-7)
+
+
+def test_a_change_between_poses_leads_from_one_to_the_other() -> None:
+    rng = np.random.default_rng(0)
+    first = transform(exp_rotation(rng.normal(size=(20, 3))), rng.normal(size=(20, 3)))
+    change = rng.uniform(-1, 1, size=(20, 6))
+    np.testing.assert_allclose(change_between(first, moved(first, change)), change, atol=1e-9)
+
+
+def test_a_shift_of_change_writes_a_change_in_the_other_frame_s_axes() -> None:
+    rng = np.random.default_rng(1)
+    a_from_b = transform(exp_rotation(rng.normal(size=3)), rng.normal(size=3))
+    change = 1e-5 * rng.normal(size=6)
+    small = transform(exp_rotation(change[3:]), change[:3])
+    carried = a_from_b @ small @ inverse(a_from_b)
+    np.testing.assert_allclose(change_between(np.eye(4), carried), shift_of_change(a_from_b) @ change, atol=1e-9)

@@ -99,6 +99,7 @@ class InstrumentOptions:
             package_paths=split_packages(self.package_path),
             root_link=self.root_link,
             shaft_radius=self.shaft_radius,
+            keep_measured=True,
         )
         return Body.prepare(loaded if tool is None else with_tool(loaded, tool))
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument import measure
+from dvrk_cmaes.instrument.kept import keep, kept_file, read_kept
 from dvrk_cmaes.instrument.kinematics import Chain
 from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.robot_xml import read_robot
@@ -53,6 +54,7 @@ def load_instrument(
     root_link: str | None = None,
     shaft_radius: float | None = None,
     shaft_axis: tuple[ArrayLike, ArrayLike] | None = None,
+    keep_measured: bool = False,
 ) -> Instrument:
     """Load a bundled instrument or one described by a URDF.
 
@@ -69,6 +71,8 @@ def load_instrument(
         In metres, instead of the one measured on the mesh.
     shaft_axis
         Point (3,) in metres and direction (3,), distal, in the root link's frame, instead of the measured axis.
+    keep_measured
+        Keep what was read and measured on disk, and take it from there the next time (see `kept`).
 
     Raises
     ------
@@ -76,6 +80,12 @@ def load_instrument(
         In one line, what is wrong with which file and field.
     """
     path = _urdf_path(source)
+    axis = _checked_axis(shaft_axis)
+    packages = sorted((name, str(folder)) for name, folder in package_paths.items())
+    told = None if axis is None else [part.tolist() for part in axis]
+    place = kept_file(path.absolute(), packages, root_link, shaft_radius, told) if keep_measured else None
+    if place is not None and (known := read_kept(place)) is not None:
+        return known
     robot = read_robot(path)
     root = root_link if root_link is not None else DEFAULT_ROOT
     names = [link.name for link in robot.links]
@@ -87,8 +97,8 @@ def load_instrument(
     members = [root, *(joint.child for joint in tree)]
     cache: dict[Path, Any] = {}
     visuals = {link.name: link.visuals for link in robot.links}
-    packages = {name: Path(folder) for name, folder in package_paths.items()}
-    triangles = {name: link_triangles(visuals[name], name, path, packages, cache) for name in members}
+    folders = {name: Path(folder) for name, folder in package_paths.items()}
+    triangles = {name: link_triangles(visuals[name], name, path, folders, cache) for name in members}
     solid = {name: found for name, found in triangles.items() if found is not None}
     if not solid:
         raise InputError(f"{path}: no visual geometry on link {root!r} or below it; expected at least one mesh")
@@ -97,7 +107,7 @@ def load_instrument(
     chain = Chain(joints)
     joint_above = {root: -1, **{joint.child: index for index, joint in enumerate(joints)}}
     links = tuple(Link(name, *solid[name]) for name in members if name in solid)
-    return measure.measured(
+    instrument = measure.measured(
         Instrument(
             name=str(robot.name),
             root_link=root,
@@ -110,8 +120,11 @@ def load_instrument(
             link_joints=tuple(joint_above[link.name] for link in links),
         ),
         radius=shaft_radius,
-        axis=_checked_axis(shaft_axis),
+        axis=axis,
     )
+    if place is not None:
+        keep(place, instrument, (path, *cache))
+    return instrument
 
 
 def _checked_axis(

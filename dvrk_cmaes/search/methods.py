@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +52,29 @@ def minimise(method: str, loss: Loss, dimension: int, evaluations: int, seed: in
     raise InputError(f"search: expected one of {', '.join(nearest_first(method, METHODS))}, got {method!r}")
 
 
-def _cmaes(loss: Loss, dimension: int, evaluations: int, seed: int) -> Found:
+@functools.cache
+def _cma_class() -> Any:
+    """Class CMA of the package cmaes.
+
+    Taken from its own module: the package's first lines import all its variants, and with them half a second of
+    SciPy's statistics.
+    """
+    package = importlib.util.find_spec("cmaes")
+    places = [] if package is None else [Path(place) / "_cma.py" for place in package.submodule_search_locations or ()]
+    for place in places:
+        spec = importlib.util.spec_from_file_location("dvrk_cmaes.search._cma", place)
+        if place.is_file() and spec is not None and spec.loader is not None:
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+            return module.CMA
     from cmaes import CMA
 
+    return CMA
+
+
+def _cmaes(loss: Loss, dimension: int, evaluations: int, seed: int) -> Found:
     bounds = np.tile([-BOX, BOX], (dimension, 1)).astype(np.float64)
-    optimiser = CMA(
+    optimiser = _cma_class()(
         mean=np.zeros(dimension), sigma=0.6, bounds=bounds, seed=seed, population_size=POPULATION, n_max_resampling=10
     )
     start = np.zeros((1, dimension))
