@@ -101,7 +101,7 @@ def test_a_frame_that_cannot_be_done_fails_with_its_reason_and_the_others_go_on(
         "large ignore": "ignore/large ignore.png: expected the mask's size 160 x 120, got 320 x 240 (width x height)",
         "torn": "masks/torn.png: expected a mask (PNG or JPEG), got one that is cut off or damaged",
         "unmasked": "images/unmasked.png: no instrument found in the image; a mask, a box or a point on the instrument "
-            "would help",
+        "would help",
     }
     failed = results["torn"]
     assert (failed.camera_from_root, failed.instrument, set(failed.readings)) == (

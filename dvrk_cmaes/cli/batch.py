@@ -14,11 +14,13 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    DEFAULT_SEGMENT,
     OUTPUT,
     CameraOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
+    SegmentOptions,
     SessionOption,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, counted, show
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.batch.run import BatchSummary
     from dvrk_cmaes.batch.worklist import Shard
 
-FOLDER = Group.create_ordered("Folder")
-WORKERS = Group.create_ordered("Workers")
+FOLDER = Group("Folder", sort_key=0)  # before those that commands share
+WORKERS = Group("Workers", sort_key=0)
 
 _MOST_LISTED = 10
 _INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
@@ -54,6 +56,7 @@ def batch(
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
+    segment: SegmentOptions = DEFAULT_SEGMENT,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate all frames of a session folder: a result and an overlay each, tables, and a page to judge them by.
@@ -108,6 +111,8 @@ def batch(
         Which instrument.
     method
         How to search. Each worker uses one thread, unless --threads says otherwise.
+    segment
+        How masks are found in the images of frames that have none.
     json
         Print summary.json, and nothing else, on stdout.
     """
@@ -138,6 +143,7 @@ def batch(
         joints=joints,
         label=label,
         scheduler=scheduler,
+        segment=segment.resolve(),
         pattern=frames,
         shard=part,
         resume=resume,
