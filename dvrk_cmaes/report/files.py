@@ -1,18 +1,20 @@
 """Where the results of a frame go: ``OUT/frames/<frame>.json`` and ``OUT/overlays/<frame>.jpg``.
 
-A mask that was found in an image goes to ``OUT/masks/<frame>.png``.
+A mask that was found in an image goes to ``OUT/masks/<frame>.png``; what the other frames of a calibrated session
+predict for a frame, to ``OUT/overlays_left_out/<frame>.jpg``.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.atomic import write_bytes, write_image, write_json
 from dvrk_cmaes.io.shown import shown
 from dvrk_cmaes.result import Result
 
@@ -27,9 +29,30 @@ def overlay_path(out: Path, frame: str) -> Path:
     return out / "overlays" / f"{frame}.jpg"
 
 
+def left_out_path(out: Path, frame: str) -> Path:
+    """Path of the picture of what a session's other frames predict for a frame."""
+    return out / "overlays_left_out" / f"{frame}.jpg"
+
+
 def mask_path(out: Path, frame: str) -> Path:
     """Path of the mask of a frame that had none, found in its image."""
     return out / "masks" / f"{frame}.png"
+
+
+@dataclass(frozen=True)
+class FramePictures:
+    """Pictures of a session's frame, each the bytes of a JPEG: a thousand frames have room in memory.
+
+    ``overlay`` is that of the frame's result; ``left_out`` shows what the other frames predict.
+    """
+
+    overlay: bytes
+    left_out: bytes
+
+    def write(self, out: Path, frame: str) -> None:
+        """Write both, as ``dvrk_cmaes.io.atomic.write_bytes``."""
+        write_bytes(overlay_path(out, frame), self.overlay)
+        write_bytes(left_out_path(out, frame), self.left_out)
 
 
 def check_frame_name(frame: str) -> None:

@@ -24,6 +24,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joint_readings import describe_limits
 from dvrk_cmaes.parallel import each
 from dvrk_cmaes.prepared import prepare
+from dvrk_cmaes.report.files import FramePictures
 from dvrk_cmaes.result import Result
 from dvrk_cmaes.session.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.session.document import SessionCalibration, describe_solution
@@ -53,12 +54,12 @@ Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
 class SolvedSession:
     """A session's calibration, and all its frames' results by name: solved again, or as they were.
 
-    ``overlays`` by name, (H, W, 3) BGR, where they were asked for.
+    ``pictures`` by name, where they were asked for.
     """
 
     calibration: SessionCalibration
     results: dict[str, Result]
-    overlays: dict[str, NDArray[np.uint8]]
+    pictures: dict[str, FramePictures]
 
 
 def calibrate_session(
@@ -87,7 +88,7 @@ def calibrate_session(
     run
         How to apply a function to many tasks; two threads unless given.
     draw
-        Draw an overlay of each frame, too.
+        Draw each frame, too: its result, and what the other frames predict.
     progress
         Told the stage and the number of frames that it is about to solve.
 
@@ -132,8 +133,8 @@ def calibrate_session(
         config={**settings.as_dict(), "instrument": describe_limits(body.instrument, arm)},
         **described,
     )
-    overlays = {one.result.frame: one.overlay for one in reports if one.overlay is not None}
-    return SolvedSession(calibration, results, overlays)
+    pictures = {one.result.frame: one.pictures for one in reports if one.pictures is not None}
+    return SolvedSession(calibration, results, pictures)
 
 
 def _in_threads(

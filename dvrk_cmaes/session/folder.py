@@ -1,6 +1,7 @@
 """A session folder and its frames' own results, solved together by several processes, and written.
 
-OUT/session.json, OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/poses.csv, OUT/summary.json, OUT/report.html
+OUT/session.json, OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv,
+OUT/summary.json, OUT/report.html
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from dvrk_cmaes.batch.worker import BatchSetup
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
 from dvrk_cmaes.io.results_folder import SESSION
 from dvrk_cmaes.io.session_folder import Session
 from dvrk_cmaes.io.times import parse_time
-from dvrk_cmaes.report.files import check_output, mask_path, overlay_path, result_path
+from dvrk_cmaes.report.files import check_output, left_out_path, mask_path, result_path
 from dvrk_cmaes.result import Result
 from dvrk_cmaes.session.calibration import SolvedSession, calibrate_session
 from dvrk_cmaes.session.frame_task import SessionFrame
@@ -130,8 +131,9 @@ def _write(
     """Write results, overlays, tables and page; the calibration is there when its frames are."""
     (out / SESSION).unlink(missing_ok=True)
     for name, result in solved.results.items():
-        if name in solved.overlays:
-            write_image(overlay_path(out, name), solved.overlays[name])
+        left_out_path(out, name).unlink(missing_ok=True)
+        if name in solved.pictures:
+            solved.pictures[name].write(out, name)
         write_json(result_path(out, name), result.to_dict())
     write_json(out / SESSION, solved.calibration.to_dict())
     setup = BatchSetup(instrument, session.camera, config, arm, session.folder)

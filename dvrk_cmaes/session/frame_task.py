@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence import Evidence, gather_evidence
 from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.io.frame_files import FrameData
 from dvrk_cmaes.joint_readings import reading_distance, split_readings
 from dvrk_cmaes.modes import HasPose, apart
 from dvrk_cmaes.objective import Readings
 from dvrk_cmaes.quality import doubts_of_fit, measure_quality
 from dvrk_cmaes.refine.priors import PosePrior
+from dvrk_cmaes.report.files import FramePictures
+from dvrk_cmaes.report.left_out_overlay import draw_left_out
 from dvrk_cmaes.report.overlay import draw_overlay
 from dvrk_cmaes.result import Alternative, Quality, Result
 from dvrk_cmaes.session.frame_fit import FrameView, PoseAndJoints, fit_frame
@@ -57,7 +60,7 @@ class ReportTask:
 
     ``view`` is its solution, of ``covariance``; ``left_out`` the pose and joints that the other frames predict;
     ``base`` its own camera_from_base, offsets taken out; ``doubts`` what the session has against it. Where it does
-    ``agree``, it gets the solution, else it keeps its own result. ``draw`` asks for an overlay.
+    ``agree``, it gets the solution, else it keeps its own result. ``draw`` asks for pictures.
     """
 
     frame: SessionFrame
@@ -75,13 +78,13 @@ class ReportTask:
 class FrameReport:
     """A frame's result, and how well the other frames predict it: overlap, and median distance of the contours, px.
 
-    ``overlay`` (H, W, 3) BGR where it was asked for.
+    ``pictures`` where they were asked for.
     """
 
     result: Result
     left_out_iou: float
     left_out_px: float
-    overlay: NDArray[np.uint8] | None
+    pictures: FramePictures | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +135,17 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         )
     else:
         result = replace(own, status="doubtful", reasons=(*own.reasons, *task.doubts))
-    overlay = None
-    if task.draw:
-        data, tips = scene.data, task.frame.keypoints
-        overlay = draw_overlay(
-            result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=tips
-        )
-    return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median, overlay)
+    pictures = _pictures(body, task, scene, result, qualities[0]) if task.draw else None
+    return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median, pictures)
+
+
+def _pictures(body: Body, task: ReportTask, scene: _Scene, result: Result, left_out: Quality) -> FramePictures:
+    data, tips = scene.data, task.frame.keypoints
+    overlay = draw_overlay(result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=tips)
+    pose, joints = task.left_out
+    predicted = scene.renderer.masks(pose[None], joints[None])[0]
+    second = draw_left_out(data.mask, predicted, left_out.iou, left_out.contour_px_median, image=data.image)
+    return FramePictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second))
 
 
 def _solved(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
