@@ -15,7 +15,7 @@ from unittest import mock
 
 import numpy as np
 
-from dvrk_cmaes import estimation
+from dvrk_cmaes import estimation, local_search
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frame_run import run_frame
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
@@ -29,7 +29,7 @@ _ROUNDS = 2  # frames for nothing, for each process
 _STAGES = {
     "evidence": (estimation, "gather_evidence"),
     "search": (estimation, "find_candidates"),
-    "refinement": (estimation.LocalSearch, "refine"),
+    "refinement": (local_search.LocalSearch, "refine"),
     "quality": (estimation, "measure_quality"),
 }
 """Where `estimate` spends its time: each stage's home and name."""

@@ -124,7 +124,7 @@ def estimate(
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.frame_run import run_frame
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.frame_files import FindsMask, FrameFiles, frame_size, read_frame
+    from dvrk_cmaes.io.frame_files import FrameFiles, frame_size, read_frame
     from dvrk_cmaes.io.keypoints import parse_keypoints
     from dvrk_cmaes.session.calibration_file import read_calibration
 
@@ -133,15 +133,14 @@ def estimate(
     picked = None if pick is None else parse_pixel("pick", pick)
     files = FrameFiles(named.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
     lens = camera.read(lambda: frame_size(files))
+    data = None if mask is None else read_frame(files, lens.camera)
     body = instrument.load()
     found = _readings(joints, frame, named.stem, time, body.instrument.joint_names)
     files = replace(files, readings=found.readings)
-    segmenter: FindsMask | None = None
-    if mask is None:
+    if data is None:
         from dvrk_cmaes.segment.with_instrument import Segmenter
 
-        segmenter = Segmenter(body, settings, model.resolve(), prompts.resolve())
-    data = read_frame(files, lens.camera, segmenter)
+        data = read_frame(files, lens.camera, Segmenter(body, settings, model.resolve(), prompts.resolve()))
     data = replace(data, notes=(*lens.notes, *found.notes, *data.notes))
     known = None if calibration is None else read_calibration(calibration)
     run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out, session=known)
