@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import quote
@@ -19,7 +19,18 @@ import jinja2
 from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.io.results_folder import ResultsFolder, read_results, result_paths
 from dvrk_cmaes.report.files import overlay_path
-from dvrk_cmaes.report.page_frames import NOTHING, STATUSES, FrameView, anchor, doubt, fixed, frame_view, signed
+from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
+from dvrk_cmaes.report.page_frames import (
+    NOTHING,
+    STATUSES,
+    FrameView,
+    LeftOut,
+    anchor,
+    doubt,
+    fixed,
+    frame_view,
+    signed,
+)
 from dvrk_cmaes.report.page_plots import joint_plot, mark_path, rcm_plot, short
 from dvrk_cmaes.report.page_session import (
     Run,
@@ -40,7 +51,8 @@ _THREADS = 2
 def write_page(out: Path) -> Path:
     """Make OUT/report.html of the results in OUT, and return its path.
 
-    Reads ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and ``summary.json`` and ``session.json`` where they are there.
+    Reads ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and where they are there ``summary.json``, ``session.json`` and
+    ``overlays_left_out/*.jpg``.
 
     Raises
     ------
@@ -58,7 +70,9 @@ def render_page(folder: ResultsFolder) -> str:
     results = list(folder.frames.values())
     run = Run.of(folder.summary)
     base = SessionBase.of(results)
-    views = _views(folder, results, base)
+    calibration = calibration_of(folder)
+    left_out = {} if calibration is None else left_out_views(folder, calibration, _documents(folder))
+    views = _views(folder, results, base, left_out)
     script, style = _text("page.js"), _text("page.css")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -87,15 +101,25 @@ def render_page(folder: ResultsFolder) -> str:
         rcm_plot=None if base is None else rcm_plot(results, base),
         base=base,
         frames=views,
+        calibration=None if calibration is None else calibration_view(folder, calibration, left_out),
         origins=origins(results),
         nothing=NOTHING,
     )
 
 
-def _views(folder: ResultsFolder, results: Sequence[Result], base: SessionBase | None) -> list[FrameView]:
+def _documents(folder: ResultsFolder) -> dict[str, str]:
+    """Give the results' files by the frames' names.
+
+    A name is from inside a result; it says where files are only if it is that of a file.
+    """
+    return {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
+
+
+def _views(
+    folder: ResultsFolder, results: Sequence[Result], base: SessionBase | None, left_out: Mapping[str, LeftOut]
+) -> list[FrameView]:
     """All frames, the most doubtful first."""
-    # A name is from inside a result; it says where files are only if it is that of a file.
-    documents = {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
+    documents = _documents(folder)
     overlays = [overlay_path(folder.folder, name) if name in documents else None for name in folder.frames]
     with ThreadPoolExecutor(_THREADS) as pool:
         thumbnails = list(pool.map(thumbnail, overlays, results))
@@ -108,6 +132,7 @@ def _views(folder: ResultsFolder, results: Sequence[Result], base: SessionBase |
             document=_address(documents[name]) if name in documents else None,
             overlay=None if small is None or overlay is None else _address(f"overlays/{overlay.name}"),
             from_median=away.get(name),
+            left_out=left_out.get(name),
         )
         for place, (name, result, overlay, small) in enumerate(
             zip(folder.frames, results, overlays, thumbnails, strict=True)

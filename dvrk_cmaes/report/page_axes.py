@@ -56,6 +56,11 @@ def value_axis(
     return Axis(label, low, high, start, end, ticks)
 
 
+def centred_axis(label: str, centre: float, reach: float, start: float, end: float) -> Axis:
+    """Axis of a reach to both sides of a centre, which need not be round numbers."""
+    return value_axis(label, centre - reach, centre + reach, start=start, end=end, most=6, to_ticks=False)
+
+
 def name_axis(label: str, names: tuple[str, ...], *, start: float, end: float, most: int = 10) -> Axis:
     """Axis of things in a row, at 0, 1, ...; evenly chosen ones are labelled by their names, cut where too long."""
     longest = round((end - start) / most / 7)

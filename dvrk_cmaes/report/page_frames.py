@@ -36,6 +36,19 @@ class Row:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """What the other frames of a session say of a frame: overlap of what they predict, and its outline's distance, px.
+
+    picture : address of its picture, None where there is none. reason : why the frame was left out, if it was.
+    """
+
+    iou: float | None
+    contour_px: float | None
+    picture: str | None
+    reason: str
+
+
+@dataclass(frozen=True)
 class FrameView:
     """A frame as the template shows it.
 
@@ -55,6 +68,7 @@ class FrameView:
     fit: tuple[tuple[str, str], ...]
     alternatives: tuple[Row, ...]
     change: str
+    left_out: LeftOut | None
 
 
 def doubt(result: Result) -> tuple[int, int, float, float]:
@@ -77,6 +91,7 @@ def frame_view(
     document: str | None,
     overlay: str | None,
     from_median: Float64 | None,
+    left_out: LeftOut | None = None,
 ) -> FrameView:
     """Put a result in words.
 
@@ -90,6 +105,8 @@ def frame_view(
         Its picture, and the addresses of its files.
     from_median
         (3,) m in the camera: from the median of the RCMs of all frames to this frame's, where it has one.
+    left_out
+        What the session's other frames say of it, where it was calibrated.
     """
     return FrameView(
         result=result,
@@ -98,12 +115,13 @@ def frame_view(
         thumbnail=thumbnail,
         overlay=overlay,
         document=document,
-        keys=_keys(result, from_median),
+        keys=_keys(result, from_median, left_out),
         pose=tuple(_pose(result, from_median)),
         joints=tuple(_joints(result)),
         fit=tuple(_fit(result)),
         alternatives=tuple(row for other in result.alternatives for row in _alternative(result, other)),
         change=_in_words(result.change),
+        left_out=left_out,
     )
 
 
@@ -121,7 +139,7 @@ def signed(value: float | None, digits: int) -> str:
     return text if text == NOTHING or text.startswith("-") or not text.strip("0.") else f"+{text}"
 
 
-def _keys(result: Result, from_median: Float64 | None) -> dict[str, float]:
+def _keys(result: Result, from_median: Float64 | None, left_out: LeftOut | None) -> dict[str, float]:
     """Numbers that frames can be sorted by; a name is left out where its number is not known."""
     keys = {"seconds": result.seconds}
     if result.quality is not None:
@@ -131,6 +149,8 @@ def _keys(result: Result, from_median: Float64 | None) -> dict[str, float]:
         keys["correction"] = math.degrees(max(off))
     if from_median is not None:
         keys["rcm"] = 1e3 * float(np.linalg.norm(from_median))
+    if left_out is not None and left_out.iou is not None:
+        keys["predicted"] = left_out.iou
     return {name: round(value, 4) for name, value in keys.items() if math.isfinite(value)}
 
 
@@ -145,7 +165,7 @@ def _pose(result: Result, from_median: Float64 | None) -> Iterable[Row]:
         yield Row(f"{result.root_link}: position, mm", _cells(1e3 * pose[:3, 3], 2))
         if result.std_translation_mm is not None:
             yield Row("standard deviation along its own axes, mm", _cells(result.std_translation_mm, 2), minor=True)
-        yield Row(f"{result.root_link}: axis-angle, deg", _cells(_axis_angle(pose), 2))
+        yield Row(f"{result.root_link}: axis-angle, deg", _cells(axis_angle(pose), 2))
         if result.std_rotation_deg is not None:
             yield Row("standard deviation about its own axes, deg", _cells(result.std_rotation_deg, 2), minor=True)
     if result.camera_from_base is not None:
@@ -153,10 +173,11 @@ def _pose(result: Result, from_median: Float64 | None) -> Iterable[Row]:
         if from_median is not None:
             away = tuple(signed(float(value), 2) for value in 1e3 * from_median)
             yield Row("from the median of all frames, mm", away, minor=True)
-        yield Row("arm's base: axis-angle, deg", _cells(_axis_angle(result.camera_from_base), 2))
+        yield Row("arm's base: axis-angle, deg", _cells(axis_angle(result.camera_from_base), 2))
 
 
-def _axis_angle(pose: Float64) -> Float64:
+def axis_angle(pose: Float64) -> Float64:
+    """Rotation of a pose (4, 4) as axis times angle, (3,) deg."""
     return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True), dtype=np.float64)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.report.page_axes import Axis, name_axis, value_axis
+from dvrk_cmaes.report.page_axes import Axis, centred_axis, name_axis, value_axis
 from dvrk_cmaes.report.page_session import SessionBase, correction
 from dvrk_cmaes.result import Result
 
@@ -141,7 +141,7 @@ def joint_plot(results: Sequence[Result]) -> Plot | None:
         ]
         series.append(Series(joint, SHAPES[k % len(SHAPES)], tuple(marks), tuple(spans)))
     panel = Panel(width, 330, across, up, tuple(series), zero=up.at(0.0))
-    return Plot("joints", _mark_size(len(results)), (panel,), wide)
+    return Plot("joints", mark_size(len(results)), (panel,), wide)
 
 
 def rcm_plot(results: Sequence[Result], base: SessionBase) -> Plot:
@@ -157,8 +157,8 @@ def rcm_plot(results: Sequence[Result], base: SessionBase) -> Plot:
     panels = []
     outside = np.zeros(len(points), dtype=bool)
     for column, label in ((0, "x, mm (to the right)"), (2, "z, mm (away from the camera)")):
-        across = _about(label, centre[column], reach, 64, 64 + _SIDE)
-        up = _about("y, mm (downwards)", centre[1], reach, 14, 14 + _SIDE)  # y runs down, as in the image
+        across = centred_axis(label, centre[column], reach, 64, 64 + _SIDE)
+        up = centred_axis("y, mm (downwards)", centre[1], reach, 14, 14 + _SIDE)  # y runs down, as in the image
         marks = []
         for k, (name, point) in enumerate(zip(base.frames, points, strict=True)):
             x, y = float(point[column]), float(point[1])
@@ -168,21 +168,17 @@ def rcm_plot(results: Sequence[Result], base: SessionBase) -> Plot:
             marks.append(Mark(places[name], across.clamped(x), up.clamped(y), sure, beyond))
         middle = across.at(float(centre[column])), up.at(float(centre[1])), across.at(ring) - across.at(0.0)
         panels.append(
-            Panel(_SIDE + 76, _SIDE + 64, across, up, (Series("RCM", SHAPES[0], tuple(marks)),), centre=middle)
+            Panel(_SIDE + 84, _SIDE + 64, across, up, (Series("RCM", SHAPES[0], tuple(marks)),), centre=middle)
         )
     far = sorted(((float(distances[k]), base.frames[k]) for k in np.flatnonzero(outside)), reverse=True)
     return Plot(
         "rcm",
-        _mark_size(len(points)),
+        mark_size(len(points)),
         tuple(panels),
         beyond=tuple(f"{name} ({distance:.0f} mm away)" for distance, name in far),
     )
 
 
-def _about(label: str, centre: float, reach: float, start: float, end: float) -> Axis:
-    return value_axis(label, centre - reach, centre + reach, start=start, end=end, most=6, to_ticks=False)
-
-
-def _mark_size(frames: int) -> float:
+def mark_size(frames: int) -> float:
     """Radius of marks: smaller where there are many."""
     return 4.5 if frames <= 100 else 3.0

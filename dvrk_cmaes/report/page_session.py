@@ -140,18 +140,19 @@ def session_figures(results: Sequence[Result], base: SessionBase | None, run: Ru
 def _agreement(results: Sequence[Result], base: SessionBase | None) -> Iterator[Figure]:
     """How nearly the frames agree about where the arm stands, with at least three of them."""
     poses = [result.camera_from_root for result in results if result.camera_from_root is not None]
+    kind = "; solved together: no check" if any(result.source == "session" for result in results) else ""
     if base is not None and len(base.frames) >= FEWEST:
         points = PointSpread(base.points)
         yield Figure(
             "RCM, spread (rms)",
             f"{1e3 * points.rms:.1f} mm",
-            f"half of {len(base.frames)} frames within {1e3 * np.median(base.distances):.1f} mm of the median",
+            f"half of {len(base.frames)} frames within {1e3 * np.median(base.distances):.1f} mm of the median{kind}",
         )
         turned = spread_of_bases(base.camera_from_base)
         yield Figure(
             "Arm's base, rotation",
             f"{turned.median_deg:.1f}°",
-            f"median from the most central frame, at most {turned.largest_deg:.1f}°",
+            f"median from the most central frame, at most {turned.largest_deg:.1f}°{kind}",
         )
     if len(poses) >= FEWEST:
         try:
@@ -161,7 +162,7 @@ def _agreement(results: Sequence[Result], base: SessionBase | None) -> Iterator[
         yield Figure(
             "Shaft axes meet, rms",
             f"{1e3 * meeting.rms:.2f} mm",
-            f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm",
+            f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm{kind}",
         )
 
 

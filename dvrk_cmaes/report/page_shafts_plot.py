@@ -1,0 +1,175 @@
+"""Drawing of the shafts' axes of a session's frames where they meet: at the remote centre of motion (RCM).
+
+As in page_plots.py, what is computed here are places in a drawing; the template makes SVGs of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.report.page_axes import Axis, centred_axis
+from dvrk_cmaes.session import SessionCalibration
+
+Float64 = NDArray[np.float64]
+
+_SIDE = 274.0  # of the square panels of the axes, as of the RCM's
+_BEYOND = 0.15  # of its length that an axis is drawn beyond the RCM
+_FAR = 6.0  # times the median distance of the axes: what is farther off does not widen the plot
+_LEAST_REACH = 1.0  # mm
+_ARROW = 0.2  # of the plot's reach: the base's axes
+_SHORTEST, _NAME_BESIDE = 8.0, 8.0  # of an axis that is drawn at all, and of its name from its end
+_MANY = 60  # frames, whose axes are drawn fainter
+
+VIEWS = (("x, mm (to the right)", 0), ("z, mm (away from the camera)", 2))
+"""What runs to the right in the two views of the camera's frame; y runs down in both."""
+
+
+@dataclass(frozen=True)
+class ShaftLine:
+    """A frame's shaft: its place in the order of names, where it begins and ends, and whether it was used."""
+
+    place: int
+    start: tuple[float, float]
+    end: tuple[float, float]
+    used: bool
+
+
+@dataclass(frozen=True)
+class ShaftsView:
+    """One view of the axes: ``ellipse`` is one standard deviation of the RCM, its half axes and turn (deg).
+
+    camera : where it is, None where that is outside. base : name of each of the base's axes, where it ends, and where
+    to write the name; without those that point along the view.
+    """
+
+    width: float
+    height: float
+    across: Axis
+    up: Axis
+    lines: tuple[ShaftLine, ...]
+    rcm: tuple[float, float]
+    ellipse: tuple[float, float, float]
+    camera: tuple[float, float] | None = None
+    base: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...] = ()
+
+
+@dataclass(frozen=True)
+class ShaftsPlot:
+    """Two views of the whole arm, and two of what is about the RCM."""
+
+    far: tuple[ShaftsView, ...]
+    near: tuple[ShaftsView, ...]
+    many: bool
+
+
+def shafts_plot(
+    calibration: SessionCalibration, poses: Mapping[int, Float64], used: frozenset[int]
+) -> ShaftsPlot | None:
+    """Plot the shafts' axes of frames, from the poses (4, 4) of their roots by place; None where none was used."""
+    if not used & poses.keys():
+        return None
+    rcm = 1e3 * calibration.rcm
+    origins = {place: 1e3 * pose[:3, 3] for place, pose in poses.items()}
+    directions = {place: pose[:3, 2] for place, pose in poses.items()}
+    length = {place: float(np.linalg.norm(origin - rcm)) for place, origin in origins.items()}
+    ends = {
+        place: (origins[place] - (1 + _BEYOND) * length[place] * directions[place], origins[place]) for place in poses
+    }
+    ours = np.stack([point for place in sorted(used & poses.keys()) for point in ends[place]])
+    everything = np.concatenate([ours, [np.zeros(3)], [rcm]])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    base = calibration.camera_from_base[:3, :3]
+    across_base = base @ calibration.covariance[:3, :3] @ base.T * 1e6  # of the RCM, mm^2, along the camera's axes
+    away = np.array([_distance(rcm, origins[place], directions[place]) for place in sorted(used & poses.keys())])
+    near = away[away <= max(_FAR * float(np.median(away)), _LEAST_REACH)]
+    reach = max(_LEAST_REACH, 1.4 * float(near.max()), 3 * float(np.sqrt(np.linalg.eigvalsh(across_base)[-1])))
+
+    def views(centre: Float64, reach: float, *, whole: bool) -> tuple[ShaftsView, ...]:
+        return tuple(
+            _view(label, column, centre, reach, ends, used, rcm, across_base, base if whole else None)
+            for label, column in VIEWS
+        )
+
+    return ShaftsPlot(
+        far=views((low + high) / 2, 0.6 * float((high - low).max()), whole=True),
+        near=views(rcm, reach, whole=False),
+        many=len(poses) > _MANY,
+    )
+
+
+def _distance(point: Float64, origin: Float64, direction: Float64) -> float:
+    """Distance of a point from an axis."""
+    return float(np.linalg.norm(np.cross(point - origin, direction)))
+
+
+def _view(
+    label: str,
+    column: int,
+    centre: Float64,
+    reach: float,
+    ends: Mapping[int, tuple[Float64, Float64]],
+    used: frozenset[int],
+    rcm: Float64,
+    covariance: Float64,
+    base: Float64 | None,
+) -> ShaftsView:
+    across = centred_axis(label, float(centre[column]), reach, 64, 64 + _SIDE)
+    up = centred_axis("y, mm (downwards)", float(centre[1]), reach, 14, 14 + _SIDE)  # y runs down, as in the image
+
+    def at(point: Float64) -> tuple[float, float]:
+        return across.at(float(point[column])), up.at(float(point[1]))
+
+    lines = []
+    for place, (start, end) in ends.items():
+        inside = _clipped(np.array(at(start)), np.array(at(end)), (across.start, up.start), (across.end, up.end))
+        if inside is not None:
+            lines.append(ShaftLine(place, *inside, used=place in used))
+    scale = _SIDE / (across.high - across.low)
+    values, vectors = np.linalg.eigh(covariance[np.ix_((column, 1), (column, 1))])
+    half = scale * np.sqrt(np.maximum(values, 0))
+    turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    seen = base is not None and across.holds(0.0) and up.holds(0.0)
+    arrows = []
+    for name, axis in zip("xyz", () if base is None else base.T, strict=False):
+        away = scale * _ARROW * reach * axis[[column, 1]]
+        drawn = float(np.linalg.norm(away))
+        if drawn > _SHORTEST:
+            end = np.array(at(rcm)) + away
+            arrows.append((name, _pair(end), _pair(end + away / drawn * _NAME_BESIDE)))
+    return ShaftsView(
+        width=_SIDE + 84,
+        height=_SIDE + 64,
+        across=across,
+        up=up,
+        lines=tuple(sorted(lines, key=lambda line: (line.used, line.place))),
+        rcm=at(rcm),
+        ellipse=(float(half[1]), float(half[0]), turn),
+        camera=at(np.zeros(3)) if seen else None,
+        base=tuple(arrows),
+    )
+
+
+def _clipped(
+    start: Float64, end: Float64, low: Sequence[float], high: Sequence[float]
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return the part of a line that lies in a rectangle, None where none does."""
+    along = end - start
+    first, last = 0.0, 1.0
+    for k in range(2):
+        if abs(along[k]) < 1e-9:
+            if not low[k] <= start[k] <= high[k]:
+                return None
+            continue
+        enters, leaves = sorted(((low[k] - start[k]) / along[k], (high[k] - start[k]) / along[k]))
+        first, last = max(first, float(enters)), min(last, float(leaves))
+    if first >= last:
+        return None
+    return _pair(start + first * along), _pair(start + last * along)
+
+
+def _pair(point: Float64) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
