@@ -186,7 +186,24 @@ def test_frames_solved_together_are_called_so_and_warned_of(
     code, out, err = run(capsys, true_results)
     assert code == 0
     assert "2 of 5 together" in out
-    assert err.startswith(f"dvrk-cmaes: warning: {true_results}: solved 2 of 5 together: such frames agree by constr")
+    text = (
+        f"dvrk-cmaes: warning: {true_results}: solved 2 of 5 together: such frames agree by construction, which says "
+    )
+    assert err == f"{text}nothing about accuracy; no comparison with the paper's\n"
+
+
+def test_of_frames_solved_together_it_says_where_they_are_one_by_one(
+    true_results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(true_results / "frames", true_results / "alone" / "frames")
+    change(true_results, "0000", source="session")
+    code, out, err = run(capsys, true_results, true_results / "alone", "--json")
+    together, alone = json.loads(out)["sets"]
+    assert code == 0
+    assert (together["agree_by_construction"], together["alone"]) == (True, str(true_results / "alone"))
+    assert (alone["agree_by_construction"], alone["solved"], alone["alone"]) == (False, "one by one", None)
+    assert err.endswith(f"; one by one: {true_results / 'alone'}\n")
+    assert err.count("\n") == 1
 
 
 def test_json_is_all_that_stdout_gets_and_the_picture_is_written(

@@ -85,7 +85,7 @@ def calibrate(
     from dvrk_cmaes.batch.run import run_batch, usable_cores
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.results_folder import read_results
+    from dvrk_cmaes.io.results_folder import ALONE, read_results
     from dvrk_cmaes.io.session_folder import read_session
     from dvrk_cmaes.session.folder import calibrate_folder, image_times
 
@@ -103,7 +103,7 @@ def calibrate(
         joints=joints,
     )
     if results is None:
-        results = target / "alone"
+        results = target / ALONE
         with stopping_on_interrupt() as stop, progress() as watcher:
             done = run_batch(
                 found,
@@ -122,7 +122,7 @@ def calibrate(
         read_results(results).frames,
         model,
         target,
-        found_masks=results,
+        alone=results,
         arm=instrument.arm,
         config=settings,
         workers=workers or usable_cores(),

@@ -35,6 +35,8 @@ class Agreement:
         return {
             "results": results.name,
             "solved": results.solved,
+            "agree_by_construction": results.by_construction,
+            "alone": results.alone,
             "frames": list(results.frames),
             "failed": list(results.failed),
             "doubtful": list(results.doubtful),

@@ -18,7 +18,7 @@ from dvrk_cmaes.arm import INSERTION_OFFSET, Arm
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.joints import read_joint_table
 from dvrk_cmaes.io.published_poses import read_published_poses
-from dvrk_cmaes.io.results_folder import read_results
+from dvrk_cmaes.io.results_folder import ALONE, read_results
 from dvrk_cmaes.io.session_folder import read_session
 from dvrk_cmaes.result import Result
 
@@ -38,6 +38,7 @@ class ResultSet:
     readings : by frame and joint, rad and m, as far as known.
     failed : names of the frames without a pose. doubtful : of those with one that is not to be trusted.
     arm, roll_offset : kinematics of the outer arm that the results state, m; None where they state none.
+    alone : where the same frames solved one by one are, if they were solved together and that is known.
     """
 
     name: str
@@ -49,6 +50,12 @@ class ResultSet:
     doubtful: tuple[str, ...] = ()
     arm: Arm | None = None
     roll_offset: float | None = None
+    alone: str | None = None
+
+    @property
+    def by_construction(self) -> bool:
+        """Whether frames were solved together, so that their agreement says nothing about their accuracy."""
+        return self.solved != ONE_BY_ONE
 
     def outer(self, *joints: str) -> Float64 | None:
         """Give the readings (N, K) of K outer joints, or None unless all of them are known in every frame."""
@@ -98,6 +105,7 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
         readings=given if given is not None else {name: result.readings for name, result in results.items()},
         failed=tuple(name for name in results if name not in posed),
         doubtful=tuple(name for name in posed if results[name].status == "doubtful"),
+        alone=str(path / ALONE) if together and (path / ALONE / "frames").is_dir() else None,
         **_stated_kinematics(results[name] for name in posed),
     )
 

@@ -15,6 +15,9 @@ from dvrk_cmaes.result import Result
 
 SUMMARY = "summary.json"
 SESSION = "session.json"
+ALONE = "alone"
+"""Folder in that of a calibrated session: the same frames, each solved by itself."""
+
 _NO_RESULTS = (SUMMARY, SESSION, "golden.json")
 
 

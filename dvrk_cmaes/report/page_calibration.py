@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.io.results_folder import SESSION, ResultsFolder
+from dvrk_cmaes.io.results_folder import ALONE, SESSION, ResultsFolder
 from dvrk_cmaes.report.files import left_out_path
 from dvrk_cmaes.report.page_frames import LeftOut, Row, axis_angle, fixed, signed
 from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, amounts, offset_panels
@@ -114,7 +114,7 @@ def calibration_view(
         pictures=tuple([one for one in predictions if one.picture][:MOST_PICTURES]),
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
         lag=_lag(calibration),
-        alone="alone/report.html" if (folder.folder / "alone" / "report.html").is_file() else None,
+        alone=f"{ALONE}/report.html" if (folder.folder / ALONE / "report.html").is_file() else None,
     )
 
 

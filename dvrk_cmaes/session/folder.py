@@ -26,12 +26,12 @@ from dvrk_cmaes.batch.worker import BatchSetup
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.atomic import write_bytes, write_json
 from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
 from dvrk_cmaes.io.results_folder import SESSION
 from dvrk_cmaes.io.session_folder import Session
 from dvrk_cmaes.io.times import parse_time
-from dvrk_cmaes.report.files import check_output, left_out_path, mask_path, result_path
+from dvrk_cmaes.report.files import check_output, left_out_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.result import Result
 from dvrk_cmaes.session.calibration import SolvedSession, calibrate_session
 from dvrk_cmaes.session.frame_task import SessionFrame
@@ -60,7 +60,7 @@ def calibrate_folder(
     instrument: Instrument,
     out: Path,
     *,
-    found_masks: Path | None = None,
+    alone: Path | None = None,
     arm: Arm = "classic",
     config: EstimateConfig,
     workers: int,
@@ -69,7 +69,8 @@ def calibrate_folder(
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
-    ``found_masks`` is the results folder of frames whose masks were found in their images; ``times`` are frames', s.
+    ``alone`` is the folder of those results, with masks that were found in images and overlays of frames that are left
+    out; ``times`` are frames', s.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def calibrate_folder(
             raise InputError(
                 f"frame {files.name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
-        reader = functools.partial(read_frame, _with_mask(files, found_masks), session.camera)
+        reader = functools.partial(read_frame, _with_mask(files, alone), session.camera)
         at = None if times is None else times.get(files.name)
         frames.append(SessionFrame(files.name, reader, result, files.keypoints, at))
     context = multiprocessing.get_context("spawn")
@@ -103,14 +104,14 @@ def calibrate_folder(
             )
         except BrokenExecutor:
             raise DvrkCmaesError("a process died, perhaps for want of memory: try fewer --workers") from None
-    _write(solved, session, instrument, out, arm, config)
+    _write(solved, session, instrument, out, arm, config, alone)
     return solved
 
 
-def _with_mask(files: FrameFiles, found_masks: Path | None) -> FrameFiles:
-    if files.mask is not None or found_masks is None:
+def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
+    if files.mask is not None or alone is None:
         return files
-    mask = mask_path(found_masks, files.name)
+    mask = mask_path(alone, files.name)
     return replace(files, mask=mask if mask.exists() else None)
 
 
@@ -126,14 +127,23 @@ def _call(function: Callable[[Body, EstimateConfig, Any], Any], task: Any) -> An
 
 
 def _write(
-    solved: SolvedSession, session: Session, instrument: Instrument, out: Path, arm: Arm, config: EstimateConfig
+    solved: SolvedSession,
+    session: Session,
+    instrument: Instrument,
+    out: Path,
+    arm: Arm,
+    config: EstimateConfig,
+    alone: Path | None,
 ) -> None:
     """Write results, overlays, tables and page; the calibration is there when its frames are."""
     (out / SESSION).unlink(missing_ok=True)
     for name, result in solved.results.items():
-        left_out_path(out, name).unlink(missing_ok=True)
         if name in solved.pictures:
             solved.pictures[name].write(out, name)
+        else:
+            left_out_path(out, name).unlink(missing_ok=True)
+            if alone is not None and overlay_path(alone, name).is_file():
+                write_bytes(overlay_path(out, name), overlay_path(alone, name).read_bytes())
         write_json(result_path(out, name), result.to_dict())
     write_json(out / SESSION, solved.calibration.to_dict())
     setup = BatchSetup(instrument, session.camera, config, arm, session.folder)
