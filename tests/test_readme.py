@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import textwrap
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from dvrk_cmaes.cli import main
+from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.config_check import check_config
 from dvrk_cmaes.config_file import updated
@@ -19,7 +21,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_every_link_to_a_file_leads_to_one() -> None:
-    links = [link for link in re.findall(r"\]\(([^)]+)\)", README) if "://" not in link]
+    links = [link for link in re.findall(r"\]\(([^)#][^)]*)\)", README) if "://" not in link]
     assert "data/docs/overlay.jpg" in links
     assert all((ROOT / link).is_file() for link in links)
 
@@ -54,3 +56,14 @@ def test_its_example_runs_and_prints_the_lines_it_shows(
         return [" ".join(line) for line in lines if line[0] != "written:"]
 
     assert words(capsys.readouterr().out) == words(shown)
+
+
+def test_its_example_of_a_test_is_one_that_runs() -> None:
+    example = (ROOT / "tests" / "test_golden_example.py").read_text().split('"""\n\n', 1)[1]
+    assert textwrap.indent(example, "    ").rstrip() in README
+
+
+def test_every_command_that_it_shows_is_there() -> None:
+    shown = set(re.findall(r"^    (?:\$ )?dvrk-cmaes (\w+)", README, flags=re.MULTILINE))
+    assert {"estimate", "batch", "calibrate", "segment", "export", "golden", "consistency", "import"} <= shown
+    assert shown <= set(app)
