@@ -30,6 +30,7 @@ Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
 # lengths without a unit are shares of the image's longer side
+_SMALLEST = 8  # px, the shorter side of an image in which there is anything to find
 _REDUCED = 320  # px, the longer side at the reduced size
 _UNSEEN = ((0.5, 8), (0.1, 2), (0.02, 2))  # of the instrument, in at most so many rounds: the wrist is found last
 _SETTLED = 0.97  # overlap of a mask with the last round's at which more rounds change nothing
@@ -59,6 +60,8 @@ def segment_classic(
 ) -> Segmentation:
     """Find the instrument in an image (H, W, 3) uint8 BGR, with prompts as in `dvrk_cmaes.segment.segment`."""
     height, width = image.shape[:2]
+    if min(height, width) < _SMALLEST:
+        return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
     scale = min(_REDUCED / max(height, width), 1.0)
     size = max(round(width * scale), 1), max(round(height * scale), 1)
     small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -140,7 +143,8 @@ def beside_odds(table: ColourTable, mask: Bool) -> Float32:
 
 def _rough(colours: Colours, prompts: Prompts) -> Bool:
     """Find the instrument at a reduced size, (H, W): with a box, with the bias that makes it fill the box best."""
-    prior, table = greyness(colours, prompts.background, prompts.tool), ColourTable(colours)
+    prior = greyness(colours, prompts.background, prompts.tool, any_colour=prompts.box is not None)
+    table = ColourTable(colours)
     mask = _rounds(colours, table, prior, prompts)
     if prompts.box is None:
         return mask

@@ -22,6 +22,7 @@ _GREY = np.ones(3, np.float32) / np.sqrt(np.float32(3))
 _RAYS = 3  # of the background
 _SPREAD = {"background": 0.06, "tool": 0.12}  # about a ray, of the brightness; steel mirrors what is around it
 _FARTHEST = 4.5  # log-odds that being unlike the background may count for
+_COLOURFUL = 2.0  # log-odds that being colourful may count against, where the instrument may have any colour
 _BINS = np.array([24, 24, 20])
 _NEAR_ZERO = 1e-5
 
@@ -67,7 +68,9 @@ def look(image: NDArray[np.uint8]) -> Colours:
     return Colours(smooth, noise, features, brightness, saturation)
 
 
-def greyness(colours: Colours, background: Bool | None = None, tool: Bool | None = None) -> Float32:
+def greyness(
+    colours: Colours, background: Bool | None = None, tool: Bool | None = None, *, any_colour: bool = False
+) -> Float32:
     """Log-odds of instrument against background, (H, W), by what a pixel's colour is a brighter or darker shade of.
 
     Parameters
@@ -79,6 +82,8 @@ def greyness(colours: Colours, background: Bool | None = None, tool: Bool | None
         pixels (Otsu's threshold on the saturation).
     tool
         (H, W), where there surely is; its colours count as the instrument's beside grey.
+    any_colour
+        Whether what is unlike the background is more likely instrument, though it is colourful itself.
     """
     lit = colours.brightness > 6 * colours.noise
     if background is None:
@@ -90,6 +95,8 @@ def greyness(colours: Colours, background: Bool | None = None, tool: Bool | None
     rays = [_GREY] if tool is None else [_GREY, *_rays(colours.smooth[tool], 1)]
     from_background = _off_rays(colours, _rays(colours.smooth[background], _RAYS), _SPREAD["background"])
     from_tool = _off_rays(colours, rays, _SPREAD["tool"])
+    if any_colour:
+        from_tool = np.minimum(from_tool, _COLOURFUL)
     return np.asarray(np.minimum(from_background, _FARTHEST) - from_tool, np.float32)
 
 

@@ -6,6 +6,7 @@ the image change across the outline, more than it does beside it? Is the mask sh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -24,10 +25,12 @@ GUESS = 0.5  # below, a mask is called a guess
 
 _BAND = (2.0, 12.0)  # px from the outline, where colours are compared
 _ACROSS = 4.0  # px from the outline, where the image is compared with itself
+_FARTHER, _SHARP = 12.0, 0.5  # px, and the share of the change over that reach which an edge has over the shorter one
 _BESIDE = 16.0  # px beside the outline, where the background is compared with itself
 _CLEAR = 2.0  # times the background's own change, for an edge to be one
 _LEAST_AREA, _LARGEST_AREA = 0.004, 0.6  # of the image
 _MOST_SIDES = 2  # of the image, that an instrument comes in over
+_FROM_NOWHERE = 0.45  # plausibility of what does not come in from the border: a guess
 _ONE_PIECE = 0.8  # of the mask, in its largest region
 
 
@@ -90,18 +93,21 @@ def _separation(odds: Float32, away: Float32) -> float:
 
 
 def _edges(away: Float32, colours: Colours) -> float:
-    """Share of the outline across which the image changes clearly more than the background does."""
-    across = _changes(away, colours, 0.0)
+    """Share of the outline across which the image changes sharply, and clearly more than the background does."""
+    across, farther = _changes(away, colours, 0.0, (_ACROSS, _FARTHER))
     if not len(across):
         return 0.0
-    beside = _changes(away, colours, _BESIDE)
+    beside = _changes(away, colours, _BESIDE, (_ACROSS,))[0]
     own = float(np.median(beside)) if len(beside) else 0.0
     least = max(_CLEAR * own, 2 * colours.noise / max(float(np.median(colours.brightness)), 1.0))
-    return float((across > least).mean())
+    return float(((across > least) & (across > _SHARP * farther)).mean())
 
 
-def _changes(away: Float32, colours: Colours, level: float) -> NDArray[np.float64]:
-    """Measure changes of the image, in logarithms of its colours, across a level line of the distance, (N,)."""
+def _changes(away: Float32, colours: Colours, level: float, reaches: Sequence[float]) -> list[NDArray[np.float64]]:
+    """Measure changes of the image, in logarithms of its colours, across a level line of the distance.
+
+    One array (N,) for each reach, px, to either side of the same points of the line.
+    """
     height, width = away.shape
     found, _ = cv2.findContours((away < level).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     points = np.concatenate([chain[:, 0, :] for chain in found]).astype(np.float64)
@@ -111,14 +117,15 @@ def _changes(away: Float32, colours: Colours, level: float) -> NDArray[np.float6
     gradient = [cv2.Sobel(soft, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))]
     normal = np.stack([sampled(np.asarray(part, np.float32), points) for part in gradient], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    ends = points + _ACROSS * normal, points - _ACROSS * normal
-    soft_features = cv2.GaussianBlur(colours.features, (0, 0), 1.5)
-    changes = [
-        sampled(np.ascontiguousarray(soft_features[..., k]), ends[0])
-        - sampled(np.ascontiguousarray(soft_features[..., k]), ends[1])
-        for k in range(3)
-    ]
-    return np.asarray(np.linalg.norm(changes, axis=0))
+    features = cv2.GaussianBlur(colours.features, (0, 0), 1.5)
+    parts = [np.ascontiguousarray(features[..., k], dtype=np.float32) for k in range(3)]
+
+    def change(reach: float) -> NDArray[np.float64]:
+        ahead, behind = points + reach * normal, points - reach * normal
+        differences = np.stack([sampled(part, ahead) - sampled(part, behind) for part in parts])
+        return np.asarray(np.linalg.norm(differences, axis=0))
+
+    return [change(reach) for reach in reaches]
 
 
 def _plausibility(mask: Bool, prompts: Prompts) -> tuple[float, list[str]]:
@@ -126,7 +133,7 @@ def _plausibility(mask: Bool, prompts: Prompts) -> tuple[float, list[str]]:
     likely, notes = 1.0, []
     border, share = border_of(mask), float(mask.mean())
     if not prompts.given and not meets_border(mask, prompts.outside):
-        likely *= 0.5
+        likely *= _FROM_NOWHERE
         notes.append("the mask does not come in from the image's border, as instruments do")
     if border.sides > _MOST_SIDES:
         likely *= 0.5
