@@ -67,15 +67,16 @@ def measure_quality(
             readings=read[i : i + 1],
         )
         both, either = (drawn * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
+        # from a silhouette that is out of view: no farther than across the image
         distances = _contour_distances(silhouette, evidence.contour.pixels - [left, top])
-        far_off = float(np.hypot(*evidence.mask.shape))
+        distances = np.minimum(distances, np.hypot(*evidence.mask.shape))
         found.append(
             Quality(
                 iou=float(both / max(either, 1)),
                 loss=float(terms.total(weights)[0]),
                 terms={name: float(value[0]) for name, value in asdict(terms).items()},
-                contour_px_median=float(np.minimum(np.median(distances), far_off)),
-                contour_px_95=float(np.minimum(np.percentile(distances, 95), far_off)),
+                contour_px_median=float(np.median(distances)),
+                contour_px_95=float(np.percentile(distances, 95)),
             )
         )
     return found, rays

@@ -15,9 +15,9 @@ from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.frame_files import FrameData
 from dvrk_cmaes.result import Alternative, Quality, Result
-from dvrk_cmaes.session import SessionFrame
+from dvrk_cmaes.session import SessionCalibration, SessionFrame
 from dvrk_cmaes.session.consensus import Mode
-from dvrk_cmaes.session.model import Calibration, SessionModel, Spreads
+from dvrk_cmaes.session.model import BASE_AXES, Calibration, SessionModel, Spreads
 from dvrk_cmaes.session.solve import FrameViews
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
@@ -153,3 +153,28 @@ def own_base(world: World, index: int) -> np.ndarray:
     """Return the base that one frame's true pose and readings give, offsets taken for zero."""
     outer = dict(zip(OUTER_JOINTS, world.model.outer[index].tolist(), strict=True))
     return np.asarray(world.poses[index] @ np.linalg.inv(base_from_root(outer)))
+
+
+def true_calibration(
+    body: Body, base: np.ndarray, truths: list[Truth], frames: list[SessionFrame]
+) -> SessionCalibration:
+    """Return the calibration that a session should find, known to half a millimetre and degree."""
+    names = ("insertion", "roll", *body.instrument.joint_names)
+    true = [{**truth.outer, **truth.joints} for truth in truths]
+    off = [[t[name] - f.result.readings[name] for name in names] for t, f in zip(true, frames, strict=True)]
+    spreads = Spreads.of(SessionConfig(), body.instrument.joint_names)
+    known = {"slack_translation": float(spreads.slack[0]), "slack_rotation": float(spreads.slack[3])}
+    known |= dict(zip(OUTER_JOINTS, spreads.outer.tolist(), strict=True))
+    known |= dict(zip(body.instrument.joint_names, spreads.joints.tolist(), strict=True))
+    return SessionCalibration(
+        instrument=body.instrument.name,
+        camera_from_base=base,
+        offsets=dict(zip(names, np.mean(off, axis=0).tolist(), strict=True)),
+        axes=(*BASE_AXES, *names),
+        covariance=np.diag([*[(3e-4) ** 2] * 3, *[np.deg2rad(0.3) ** 2] * 3, *[1e-6] * len(names)]),
+        spreads=known,
+        frames=tuple(frame.name for frame in frames),
+        iou=0.95,
+        contour_px_95=2.0,
+        roll_offset=body.instrument.roll_offset,
+    )

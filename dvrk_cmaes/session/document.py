@@ -120,24 +120,23 @@ class SessionCalibration:
             A field that is missing or wrong; the message begins with ``where``.
         """
         fields = Fields.of(where, document)
+        if fields.count("schema", SCHEMA) != SCHEMA:
+            raise fields.refuse("schema", f"{SCHEMA}, the only one known to this version")
         base = fields.pose("camera_from_base", required=True)
         assert base is not None
         offsets = fields.numbers("offsets", required=True)
-        covariance = fields.inner("covariance", required=True)
-        assert covariance is not None
-        matrix = covariance.array("matrix", (6 + len(offsets),) * 2)
-        if matrix is None:
-            raise InputError(f"{where}: covariance.matrix: expected {6 + len(offsets)} rows, got none")
+        axes = (*BASE_AXES, *offsets)
         arm = fields.choice("arm", ("classic", "si"), "classic")
-        lone, quality = fields.inner("leave_one_out"), fields.inner("quality", required=True)
-        assert quality is not None
+        lone, quality, config = (fields.inner(name) for name in ("leave_one_out", "quality", "config"))
+        if quality is None:
+            raise fields.refuse("quality", "an object")
         return cls(
             instrument=fields.text("instrument"),
             camera_from_base=base,
             offsets=offsets,
-            axes=covariance.texts("axes"),
-            covariance=matrix,
-            spreads=fields.numbers("spreads", required=True),
+            axes=axes,
+            covariance=_covariance(fields, axes),
+            spreads=_spreads(fields),
             frames=fields.texts("frames"),
             left_out={one.text("frame"): one.text("reason") for one in fields.inners("left_out")},
             leave_one_out={} if lone is None else _leave_one_out(lone),
@@ -151,7 +150,7 @@ class SessionCalibration:
             seconds=fields.number("seconds", 0.0),
             seed=fields.count("seed"),
             version=fields.text("version"),
-            config=dict(document.get("config") or {}),
+            config={} if config is None else dict(config.values),
         )
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
@@ -219,6 +218,27 @@ def _untold(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> lis
             amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
             found.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
     return found
+
+
+def _covariance(fields: Fields, axes: tuple[str, ...]) -> Float64:
+    """Matrix (K, K) of the covariance, whose axes must be the calibration's own."""
+    covariance = fields.inner("covariance", required=True)
+    assert covariance is not None
+    if covariance.texts("axes") != axes:
+        raise covariance.refuse("axes", ", ".join(axes))
+    matrix = covariance.array("matrix", (len(axes), len(axes)))
+    if matrix is None or (np.diag(matrix) < 0).any():
+        raise covariance.refuse("matrix", f"{len(axes)} rows of {len(axes)} finite numbers, no negative variance")
+    return matrix
+
+
+def _spreads(fields: Fields) -> dict[str, float]:
+    inner = fields.inner("spreads", required=True)
+    assert inner is not None
+    for name in inner.values:
+        if inner.number(name) <= 0:
+            raise inner.refuse(name, "a number above 0")
+    return fields.numbers("spreads")
 
 
 def _leave_one_out(fields: Fields) -> dict[str, tuple[float, float]]:

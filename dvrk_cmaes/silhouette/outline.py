@@ -55,7 +55,9 @@ def _visible_turns(
     u, row = crossings.u, crossings.row
     # Neighbours too close to be told apart may be the wrong way round: what then seems to lie between them is nothing.
     gap = (row[start[1:]] == row[end[:-1]]) & (u[start[1:]] - u[end[:-1]] < _CLOSE)
-    start, end = start[np.insert(~gap, 0, True)], end[np.append(~gap, True)]
+    first, last = np.ones((2, len(start)), dtype=np.bool_)
+    first[1:], last[:-1] = ~gap, ~gap
+    start, end = start[first], end[last]
     wide = u[end] - u[start] >= _CLOSE
     turns = np.stack([start[wide], end[wide]], axis=1).ravel()
     begins = np.tile([1.0, -1.0], np.count_nonzero(wide))

@@ -1,0 +1,136 @@
+"""A new frame of a calibrated session: what is expected is tried first, and where it fails, the frame is searched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from batch_sessions import QUICK_CONFIG
+from made_sessions import make_frames_in_memory, true_calibration
+
+from dvrk_cmaes import estimate
+from dvrk_cmaes.comparison import compare_poses
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import change_between, moved
+from dvrk_cmaes.io.frame_files import FrameData
+from dvrk_cmaes.result import Result
+from dvrk_cmaes.session import SessionCalibration, SessionFrame
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.truth import Truth
+
+
+class Known:
+    """A session whose calibration is known, and a frame of it."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        base, self.truths, self.frames = make_frames_in_memory(body, 4, level="clean")
+        self.session: SessionCalibration = true_calibration(body, base, self.truths, self.frames)
+
+    @property
+    def frame(self) -> SessionFrame:
+        return self.frames[1]
+
+    @property
+    def truth(self) -> Truth:
+        return self.truths[1]
+
+    def estimate(self, session: SessionCalibration | None, readings: dict[str, float] | None = None) -> Result:
+        data = self.frame.data
+        assert isinstance(data, FrameData)
+        given = self.frame.result.readings if readings is None else readings
+        return estimate(data.mask, data.camera, given, self.body, session=session, config=QUICK_CONFIG)
+
+    def tip_mm(self, result: Result) -> float:
+        assert result.camera_from_root is not None
+        truth = (self.truth.camera_from_root, self.truth.joints)
+        tip = compare_poses(self.body.instrument, (result.camera_from_root, result.joints), truth).tip_mm
+        assert tip is not None
+        return tip
+
+
+@pytest.fixture(scope="module")
+def known(bundled_body: Body) -> Known:
+    return Known(bundled_body)
+
+
+@pytest.fixture(scope="module")
+def explained(known: Known) -> Result:
+    return known.estimate(known.session)
+
+
+def test_a_frame_that_the_session_explains_is_not_searched(known: Known, explained: Result) -> None:
+    assert explained.source == "session"
+    assert explained.status == "ok"
+    assert known.tip_mm(explained) < 0.5
+    assert explained.alternatives == ()
+    assert not any("session" in warning for warning in explained.warnings)
+    assert 0 < explained.evaluations < 600  # of thousands that a search takes
+
+
+def test_its_base_is_the_session_s_but_for_the_frame_s_own_errors(known: Known, explained: Result) -> None:
+    assert explained.camera_from_base is not None
+    off = change_between(known.session.camera_from_base, explained.camera_from_base)
+    assert 1e3 * np.linalg.norm(off[:3]) < 3
+    # the shaft's direction; the turn about it is left to roll's reading, and its noise
+    assert np.degrees(np.linalg.norm(off[3:])) < 6
+
+
+def test_its_covariance_holds_the_truth_and_is_no_point(known: Known, explained: Result) -> None:
+    assert explained.camera_from_root is not None
+    assert explained.covariance is not None
+    bent = np.array([explained.joints[name] for name in known.body.instrument.joint_names])
+    change = change_between(explained.camera_from_root, known.truth.camera_from_root)
+    off = np.concatenate([change, known.truth.values - bent])
+    assert off @ np.linalg.solve(explained.covariance, off) < 27.9  # 99.9 % of chi-squared, 9
+    assert (np.sqrt(np.diag(explained.covariance)) > [1e-5] * 3 + [1e-4] * 6).all()
+
+
+def test_the_same_frame_gives_the_same_answer(known: Known, explained: Result) -> None:
+    again = known.estimate(known.session)
+    assert replace(again, seconds=0).to_dict() == replace(explained, seconds=0).to_dict()
+
+
+@pytest.mark.parametrize(
+    "change", [[0.005, 0.005, 0, 0.1, 0.1, 0.5], [0.02, 0.02, 0, 0.3, 0.3, 0.5]], ids=["beside", "out of view"]
+)
+def test_a_frame_that_the_session_does_not_explain_is_searched_and_says_so(known: Known, change: list[float]) -> None:
+    away = replace(known.session, camera_from_base=moved(known.session.camera_from_base, change))
+    found, alone = known.estimate(away), known.estimate(None)
+    assert found.source == "frame"
+    (said,) = set(found.warnings) - set(alone.warnings)
+    assert said.startswith("session: ")
+    assert said.endswith(": searched anew")
+    assert found.camera_from_root is not None
+    np.testing.assert_array_equal(found.camera_from_root, alone.camera_from_root)
+
+
+def test_a_mask_that_is_explained_only_far_from_what_is_expected_is_searched(known: Known) -> None:
+    # a reading's error that the outline contradicts: the arm's own joints are never 8 deg off
+    readings = {**known.frame.result.readings}
+    readings["yaw"] += np.deg2rad(8)
+    found = known.estimate(known.session, readings)
+    assert found.source == "frame"
+    assert any(w.startswith("session: ") and w.endswith("searched anew") for w in found.warnings)
+
+
+@pytest.mark.parametrize("missing", [("roll",), ("yaw", "pitch", "insertion", "roll")])
+def test_a_frame_without_outer_readings_is_searched_and_says_which(known: Known, missing: tuple[str, ...]) -> None:
+    readings = {name: value for name, value in known.frame.result.readings.items() if name not in missing}
+    found = known.estimate(known.session, readings)
+    assert found.source == "frame"
+    assert f"session: no reading of {', '.join(missing)}: searched without it" in found.warnings
+
+
+def test_a_joint_of_the_wrist_may_be_missing(known: Known) -> None:
+    readings = {name: value for name, value in known.frame.result.readings.items() if name != "jaw"}
+    found = known.estimate(known.session, readings)
+    assert found.source == "session"
+    assert known.tip_mm(found) < 1.0
+
+
+def test_a_session_of_another_instrument_is_refused(known: Known) -> None:
+    offsets = {name: value for name, value in known.session.offsets.items() if name != "jaw"}
+    with pytest.raises(InputError, match=r"^session: offsets: expected those of insertion, roll, wrist_pitch, "):
+        known.estimate(replace(known.session, offsets=offsets))
