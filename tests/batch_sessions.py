@@ -26,6 +26,8 @@ first_steps = 1
 small_modes = 2
 half_size_modes = 1
 modes = 1
+[refine.outline]
+iterations = 4
 """
 """Settings for tests that want a result, but not a good one."""
 

@@ -19,7 +19,7 @@ COMMAND = [sys.executable, "-m", "dvrk_cmaes", "batch"]
 
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
-    session = make_session(tmp_path / "session", [f"{k:02d}" for k in range(12)])
+    session = make_session(tmp_path / "session", [f"{k:02d}" for k in range(8)])
     (tmp_path / "quick.toml").write_text(QUICK)
     options = ["--config", tmp_path / "quick.toml", "--out", tmp_path / "out", "--workers", "2"]
     return [*COMMAND, str(session), *map(str, options)]
@@ -46,19 +46,19 @@ def test_ctrl_c_finishes_what_is_running_and_says_how_to_go_on(command: list[str
     out, said = batch.communicate(timeout=60)
     there = len(results(tmp_path))
     assert batch.returncode == 130
-    assert 2 <= there < 12
+    assert 2 <= there < 8
     assert said.splitlines() == [
         "dvrk-cmaes: warning: stopping: the frames that are running are finished and written first "
         "(Ctrl-C again: at once)",
-        f"dvrk-cmaes: interrupted: {12 - there} of 12 frames are left; the same command goes on from here",
+        f"dvrk-cmaes: interrupted: {8 - there} of 8 frames are left; the same command goes on from here",
     ]
-    assert f"12 frames: {there} ok, {12 - there} missing" in out.splitlines() or "doubtful" in out
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["missing"] == 12 - there
+    assert f"8 frames: {there} ok, {8 - there} missing" in out.splitlines() or "doubtful" in out
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["missing"] == 8 - there
     again = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
     assert again.returncode in (0, 3)
-    assert json.loads(again.stdout)["timing"]["run"]["frames"] == 12 - there
+    assert json.loads(again.stdout)["timing"]["run"]["frames"] == 8 - there
     assert again.stderr.splitlines()[0] == (
-        f"dvrk-cmaes: results are there of {there} frames, {12 - there} are to be done"
+        f"dvrk-cmaes: results are there of {there} frames, {8 - there} are to be done"
     )
 
 
@@ -77,7 +77,7 @@ def test_a_second_ctrl_c_ends_it_at_once(command: list[str], tmp_path: Path) -> 
 def test_killed_again_and_again_it_ends_with_the_files_of_an_undisturbed_batch(tmp_path: Path) -> None:
     (tmp_path / "quick.toml").write_text(QUICK)
     session = make_session(tmp_path / "session", ["a", "b", "c"])
-    options = ["--session", session, "--frames", "8", "--kills", "3", "--longest", "4", "--", "--config"]
+    options = ["--session", session, "--frames", "6", "--kills", "2", "--longest", "4", "--", "--config"]
     done = subprocess.run(
         [sys.executable, SCRIPTS / "kill_batch.py", *options, tmp_path / "quick.toml"],
         capture_output=True,
@@ -86,4 +86,4 @@ def test_killed_again_and_again_it_ends_with_the_files_of_an_undisturbed_batch(t
     )
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert (report["kills"], report["files that differ"]) == (3, [])
+    assert (report["kills"], report["files that differ"]) == (2, [])
