@@ -1,9 +1,13 @@
-"""Results folders for tests of the page: made up, with overlays of noise between the strips of text of real ones."""
+"""Results folders for tests of the page, and what is read from a page.
+
+Results are made up, with overlays of noise between the strips of text of real ones.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
@@ -12,6 +16,7 @@ import numpy as np
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.report.files import write_frame
 from dvrk_cmaes.report.overlay import LEGEND
+from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.panels import footer, header
 from dvrk_cmaes.result import Alternative, Quality, Result
 
@@ -76,3 +81,46 @@ def write_results(out: Path, results: Iterable[Result]) -> Path:
     for one in results:
         write_frame(out, one, overlay(one))
     return out
+
+
+class Page(HTMLParser):
+    """Text, headings of frames, and addresses of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.frames: list[str] = []
+        self.addresses: list[str] = []
+        self.tags: list[str] = []
+        self.words: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
+        self._open.append(tag)
+        if tag == "h3" and "summary" in self._open:
+            self.frames.append("")
+        if tag in ("meta", "link", "img", "input", "path", "rect", "circle"):
+            self._open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in self._open:
+            while self._open.pop() != tag:
+                pass
+
+    def handle_data(self, data: str) -> None:
+        if self._open and self._open[-1] in ("script", "style"):
+            return
+        self.words.append(data.strip())
+        if "h3" in self._open and "summary" in self._open:
+            self.frames[-1] += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(word for word in self.words if word)
+
+
+def page_of(out: Path) -> Page:
+    """Make the page of a results folder, and read it."""
+    return Page(write_page(out).read_text(encoding="utf-8"))

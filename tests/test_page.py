@@ -7,7 +7,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from page_results import doubtful, failed, overlay, result, write_results
+from page_results import doubtful, failed, overlay, page_of, result, write_results
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
@@ -39,52 +38,10 @@ from dvrk_cmaes.result import Result
 JPEG = "data:image/jpeg;base64,"
 
 
-class Page(HTMLParser):
-    """Text, headings of frames, and addresses of a page."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.frames: list[str] = []
-        self.addresses: list[str] = []
-        self.tags: list[str] = []
-        self.words: list[str] = []
-        self._open: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
-        self._open.append(tag)
-        if tag == "h3" and "summary" in self._open:
-            self.frames.append("")
-        if tag in ("meta", "link", "img", "input", "path", "rect", "circle"):
-            self._open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in self._open:
-            while self._open.pop() != tag:
-                pass
-
-    def handle_data(self, data: str) -> None:
-        if self._open and self._open[-1] in ("script", "style"):
-            return
-        self.words.append(data.strip())
-        if "h3" in self._open and "summary" in self._open:
-            self.frames[-1] += data
-
-    @property
-    def text(self) -> str:
-        return " ".join(word for word in self.words if word)
-
-
 def pixels_of(small: Thumbnail | None) -> np.ndarray:
     assert small is not None
     data = base64.b64decode(small.address.removeprefix(JPEG))
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-
-
-def page_of(out: Path) -> Page:
-    return Page(write_page(out).read_text(encoding="utf-8"))
 
 
 def at_rcm(name: str, *millimetres: float) -> Result:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import chromium, command, complaints, emulate, requests
+from browser import CONTRAST, chromium, command, complaints, emulate, requests
 from page_results import doubtful, failed, overlay, result, write_results
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
@@ -276,32 +276,6 @@ def test_a_thousand_frames_are_light(driver: WebDriver, tmp_path: Path) -> None:
     assert (worked(driver) - loaded) / SCREENS < 0.05
     assert len(shown(driver)) == 1000
 
-
-CONTRAST = """
-const parse = (text) => text.match(/[0-9.]+/g).map(Number);
-const luminance = ([r, g, b]) => {
-  const [R, G, B] = [r, g, b].map((v) => v / 255).map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
-  return 0.2126 * R + 0.7152 * G + 0.0722 * B;
-};
-const ground = (element) => {
-  for (let e = element; e; e = e.parentElement) {
-    const colour = parse(getComputedStyle(e).backgroundColor);
-    if (colour.length === 3 || colour[3] > 0) return colour;
-  }
-};
-const weak = [];
-for (const element of document.querySelectorAll("body *")) {
-  const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
-  if (!own || !element.checkVisibility() || element.closest("script")) continue;
-  const style = getComputedStyle(element);
-  const ink = parse(element.closest("svg") ? style.fill : style.color);
-  const [a, b] = [luminance(ink), luminance(ground(element))].sort((x, y) => y - x);
-  const ratio = (a + 0.05) / (b + 0.05);
-  if (ratio < 4.5) weak.push([element.textContent.slice(0, 40), element.className, ratio]);
-}
-return weak;
-"""
-"""Texts with less contrast than 4.5, which WCAG 2.2 asks for."""
 
 SCREENS = 60
 SCROLL = f"""
