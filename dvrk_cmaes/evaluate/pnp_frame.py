@@ -13,7 +13,6 @@ from dvrk_cmaes import __version__
 from dvrk_cmaes.arm import OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import describe_limits
 from dvrk_cmaes.evaluate.pnp import PointPose, Solver, place_markers, solve_points
 from dvrk_cmaes.evaluate.tip_pose import solve_tips
 from dvrk_cmaes.evidence import gather_evidence
@@ -21,6 +20,7 @@ from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.frame_files import FrameData, FrameFiles
 from dvrk_cmaes.io.markers import Marker
+from dvrk_cmaes.joint_readings import describe_limits
 from dvrk_cmaes.result import Result
 
 Float64 = NDArray[np.float64]

@@ -17,7 +17,7 @@ from made_sessions import RIGHT_MODE_DEG, Made, by_estimate, error_of, make
 
 from dvrk_cmaes.comparison import PoseError
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.estimation import prepare
+from dvrk_cmaes.prepared import prepare
 from dvrk_cmaes.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.report.figure import new_figure
 from dvrk_cmaes.search import METHODS as SEARCHES

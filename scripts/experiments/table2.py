@@ -29,8 +29,8 @@ from picking import (
 )
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.estimation import prepare
 from dvrk_cmaes.evaluate.paper import TABLE_TWO
+from dvrk_cmaes.prepared import prepare
 from dvrk_cmaes.report.figure import new_figure
 from dvrk_cmaes.synth.session import MadeFrame
 
