@@ -31,7 +31,8 @@ class FrameView:
 
     The outline is worth ``information`` (D, D), D = 6 + J, and pulls with ``slope`` (D,), the gradient of half its sum
     of squares over the small changes in the root's axes. ``score`` is the fit's negative log-likelihood,
-    ``evaluations`` the silhouettes that it took.
+    ``evaluations`` the silhouettes that it took. ``iou`` is its overlap with the mask, ``own_iou`` that of the frame's
+    pose by itself, where there is one.
     """
 
     camera_from_root: Float64
@@ -40,6 +41,12 @@ class FrameView:
     slope: Float64
     score: float
     evaluations: int = 0
+    iou: float = 1.0
+    own_iou: float = 0.0
+
+    def without_outline(self) -> FrameView:
+        """Return a view that tells nothing: the frame is not what the session takes it for."""
+        return replace(self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope))
 
 
 def unread(instrument: Instrument, readings: Readings) -> Readings:
@@ -78,8 +85,18 @@ def fit_frame(
     best = fits[0]
     priors, pull = np.zeros_like(best.information), np.zeros(len(best.information))
     refiner.priors.add(priors, pull, best.camera_from_root, best.joints)
+    overlaps = [
+        overlap(renderer, evidence, at) for at in [(best.camera_from_root, best.joints), *([own] if own else [])]
+    ]
     # At the end of a refinement outline and priors pull alike.
-    return FrameView(best.camera_from_root, best.joints, best.information - priors, -pull, best.score, count)
+    return FrameView(best.camera_from_root, best.joints, best.information - priors, -pull, best.score, count, *overlaps)
+
+
+def overlap(renderer: Renderer, evidence: Evidence, at: PoseAndJoints) -> float:
+    """Intersection of a pose's silhouette and the mask over their union, ignored pixels left out."""
+    silhouette = renderer.masks(at[0][None], at[1][None])[0]
+    both, either = (((a * evidence.weight).sum()) for a in (silhouette & evidence.mask, silhouette | evidence.mask))
+    return float(both / max(either, 1))
 
 
 def noise_of(renderer: Renderer, evidence: Evidence, own: PoseAndJoints) -> OutlineNoise:

@@ -85,7 +85,9 @@ def marginalise(model: SessionModel, views: FrameViews, calibration: Calibration
     pseudo = np.asarray(np.linalg.pinv(views.information, rcond=1e-9, hermitian=True), dtype=np.float64)
     ideal = -_times(pseudo, views.slope)
     apart = expected - ideal
-    misfit = np.einsum("ni,nij,nj->n", apart, information, apart)
+    misfit = np.maximum(
+        np.einsum("ni,nij,nj->n", apart, information, apart), 0
+    )  # rounding, of frames that tell nothing
     return _Marginals(_times(prior, expected - solved), information, misfit, solved - expected, both)
 
 
