@@ -91,6 +91,15 @@ def test_the_black_around_a_round_picture_is_no_instrument_but_what_one_comes_in
     assert found.notes == ()
 
 
+def test_a_shaft_as_dark_as_the_black_around_a_round_picture_is_still_in_view() -> None:
+    drawn = draw_tool()
+    image = drawn.image.copy()
+    shaft = drawn.mask & (np.indices(drawn.mask.shape)[1] < 165)
+    image[shaft] = image[shaft] // 7
+    drawn = Drawing(image, drawn.mask).in_round_picture(150)
+    assert drawn.overlap(segment(drawn.image).mask) >= 0.85
+
+
 def test_of_two_instruments_a_box_or_a_point_chooses(drawing: Drawing) -> None:
     other = draw_tool(seed=3).mirrored()
     left, right = _two(drawing, other)

@@ -143,7 +143,7 @@ def beside_odds(table: ColourTable, mask: Bool) -> Float32:
 
 def _rough(colours: Colours, prompts: Prompts) -> Bool:
     """Find the instrument at a reduced size, (H, W): with a box, with the bias that makes it fill the box best."""
-    prior = greyness(colours, prompts.background, prompts.tool, any_colour=prompts.box is not None)
+    prior = greyness(colours, prompts.around_box, prompts.tool, any_colour=prompts.box is not None)
     table = ColourTable(colours)
     mask = _rounds(colours, table, prior, prompts)
     if prompts.box is None:

@@ -36,6 +36,13 @@ class Prompts:
         """Whether anything was said of where the instrument is."""
         return self.box is not None or bool(self.points)
 
+    @property
+    def around_box(self) -> Bool | None:
+        """What the camera sees outside of the box, (H, W): what the background looks like. None without a box."""
+        if self.box is None or self.background is None:
+            return None
+        return self.background if self.outside is None else self.background & ~self.outside
+
     def seen(self, outside: Bool) -> Prompts:
         """Add what the camera does not see, (H, W)."""
         if not outside.any():

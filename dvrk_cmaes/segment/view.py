@@ -21,7 +21,8 @@ _RIM = 4  # px that a lens's edge fades over
 def outside_view(image: NDArray[np.uint8]) -> Bool:
     """Pixels (H, W) of an image (H, W, 3) that are outside the round picture of a lens; none where it fills the image.
 
-    Black regions at the image's corners, if they are at two corners or more: a dark shaft covers one at most.
+    Black regions at the image's corners, if they are at two corners or more, and of these what is outside the convex
+    hull of the rest: a lens's picture is convex, and a dark shaft that runs into the black is a notch in it.
     """
     brightness = cv2.GaussianBlur(image.max(axis=2).astype(np.float32), (0, 0), _BLUR)
     _, labels = cv2.connectedComponents((brightness < _BLACK).astype(np.uint8), connectivity=4)
@@ -29,4 +30,6 @@ def outside_view(image: NDArray[np.uint8]) -> Bool:
     black = np.isin(labels, corners[corners > 0])
     if np.count_nonzero(corners) < _LEAST_CORNERS or black.mean() < _LEAST_SHARE or black.all():
         return np.zeros(black.shape, np.bool_)
-    return np.asarray(cv2.dilate(black.astype(np.uint8), np.ones((2 * _RIM + 1,) * 2, np.uint8)) > 0)
+    hull = cv2.convexHull(cv2.findNonZero((~black).astype(np.uint8)))
+    inside = cv2.fillConvexPoly(np.zeros(black.shape, np.uint8), hull, 1) > 0
+    return np.asarray(cv2.dilate((~inside).astype(np.uint8), np.ones((2 * _RIM + 1,) * 2, np.uint8)) > 0)
