@@ -23,6 +23,9 @@ _MOST_VOTERS = 240  # frames that each proposal is tried on
 CAP = 4.0
 """Squared misfit per degree of freedom beyond which a mode is another one."""
 
+_ANY_ANGLE = np.deg2rad(30.0)
+_ANYWHERE = np.array([0.02, 0.02, 0.02, _ANY_ANGLE, _ANY_ANGLE, 2 * _ANY_ANGLE])  # where wrong modes lie: m, rad
+
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -69,12 +72,12 @@ def find_consensus(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_
         if frame not in proposers:
             continue
         proposal = ballot.proposal(frame, k)
-        cost = float(np.minimum(ballot.misfit(proposal, frame, k, voters)[0], CAP).sum())
+        cost = float(ballot.vote(proposal, frame, k, voters).cost.sum())
         if cost < least:
             best, least, source = proposal, cost, (frame, k)
     assert best is not None
-    misfit, chosen = ballot.misfit(best, *source, np.arange(len(modes)))
-    return Consensus(best, chosen, misfit)
+    votes = ballot.vote(best, *source, np.arange(len(modes)))
+    return Consensus(best, votes.chosen, votes.misfit)
 
 
 def choose_modes(
@@ -91,6 +94,18 @@ def choose_modes(
         chosen.append(own[best])
         misfit.append(squares[best] / len(apart[best]))
     return chosen, np.array(misfit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Votes:
+    """What V voters say of a proposal, by their best modes: ``cost`` (V,) is half a log-likelihood a degree of freedom.
+
+    A proposer who hardly knows its own pose agrees with everybody, which its likelihood does not reward.
+    """
+
+    cost: Float64
+    misfit: Float64
+    chosen: NDArray[np.intp]
 
 
 class _Ballot:
@@ -113,10 +128,8 @@ class _Ballot:
         none[2:] = np.nan_to_num(mode.joints - own.joints[0])
         return Calibration(mode.camera_from_root @ inverse(own.base_from_root(none)[0]), none)
 
-    def misfit(
-        self, proposal: Calibration, frame: int, k: int, voters: NDArray[np.intp]
-    ) -> tuple[Float64, NDArray[np.intp]]:
-        """Squared misfit over D of the voters' best modes (V,), and which mode that is (V,)."""
+    def vote(self, proposal: Calibration, frame: int, k: int, voters: NDArray[np.intp]) -> _Votes:
+        """Ask the voters (V,) how well a proposal explains the best of their modes."""
         model = self._model.subset(voters)
         poses, joints = model.predict(proposal)
         dimension = 6 + joints.shape[1]
@@ -138,5 +151,9 @@ class _Ballot:
         )
         total = spread[:, None] + self._covariance[voters]
         squared = np.einsum("vmi,vmi->vm", apart, np.linalg.solve(total, apart[..., None])[..., 0]) / dimension
-        best = squared.argmin(axis=1)
-        return squared[np.arange(len(voters)), best], best
+        width = np.linalg.slogdet(total)[1] / dimension
+        elsewhere = 2 * np.log(np.concatenate([_ANYWHERE, np.full(dimension - 6, _ANY_ANGLE)])).sum() / dimension + 1
+        cost = np.minimum(squared + width, elsewhere)
+        best = (squared + width).argmin(axis=1)
+        mine = np.arange(len(voters)), best
+        return _Votes(cost[mine], squared[mine], best)

@@ -38,6 +38,7 @@ _CHOICES = 5  # times that modes are chosen anew
 _SETTLING = 3  # solutions of the session between two of its frames
 _TURNED_ROUNDS = 2  # in which other turns about the shaft are tried
 _SLIP = 4.0  # spreads
+_LEAST_OVERLAP = 0.5  # for a frame that says anything
 _LESS_OVERLAP = 0.1  # than by itself, for a frame that the session still explains
 
 Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
@@ -235,7 +236,7 @@ class SessionRounds:
 
 def _explains(view: FrameView) -> bool:
     """Whether a frame's mask is explained as its session expects it, too, and not only by itself."""
-    return view.iou > view.own_iou - _LESS_OVERLAP
+    return view.iou > max(view.own_iou - _LESS_OVERLAP, _LEAST_OVERLAP)
 
 
 def _turned(pose: Float64, degrees: float) -> Float64:

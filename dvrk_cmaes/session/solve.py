@@ -17,7 +17,7 @@ from dvrk_cmaes.session.model import Calibration, SessionModel
 
 Float64 = NDArray[np.float64]
 
-_ROBUST = 2.0  # a frame counts a quarter where its misfit is this many times what is expected
+_ROBUST = 2.0  # times the expected error, at which a frame counts two fifths; within that error it counts whole
 _ITERATIONS = 30
 
 
@@ -108,7 +108,8 @@ def solve(
 
     def linearised(at: Calibration) -> tuple[Float64, Float64, Float64, Float64]:
         frames, rate = marginalise(model, views, at), model.jacobian(at)
-        weights = 1 / (1 + frames.misfit / (dimension * _ROBUST**2)) ** 2
+        # A frame that is as far off as expected counts whole, or else the calibration would seem less sure than it is.
+        weights = np.minimum((1 + _ROBUST**-2) / (1 + frames.misfit / (dimension * _ROBUST**2)), 1) ** 2
         shares = np.einsum("nik,nij,njl,n->nkl", rate, frames.information, rate, weights)
         pulls = np.einsum("nik,ni,n->nk", rate, frames.pull, weights)
         return weights, frames.misfit, shares, pulls
