@@ -5,6 +5,7 @@
     python scripts/accuracy.py lies SESSION...         are falsified frames doubted
     python scripts/accuracy.py bound SESSION...        errors against the smallest possible (Cramer-Rao)
     python scripts/accuracy.py sessions SESSION...     each solved together: errors of its base, its 95 % intervals
+    python scripts/accuracy.py session-lies SESSION... each falsified as a whole: is that named
 
 A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; `dvrk-cmaes synth`
 makes more. A session's name without its digits is its level (clean, easy, ...). Calibration wants at least 200 frames.
@@ -26,7 +27,9 @@ from accuracy_calibration import calibration_report
 from accuracy_cases import Case, Run, read_cases, run_cases
 from accuracy_errors import error_report, frame_errors, frame_rows
 from accuracy_lies import lie_report, load_others, make_lies
-from accuracy_session import honest_trials, read_bases, run_trials, session_report
+from accuracy_session import Outcome, Trial, honest_trials, read_bases, run_trials, session_report
+from accuracy_session_lies import false_cases, false_trials
+from accuracy_session_lies import lie_report as session_lie_report
 from accuracy_tables import show, write_features
 
 from dvrk_cmaes.config import EstimateConfig
@@ -135,11 +138,24 @@ def bound(arguments: argparse.Namespace) -> Report:
     return bound_report(prepare(arguments.instrument), runs, _config(arguments))
 
 
+def _solve(arguments: argparse.Namespace, trials: Sequence[Trial]) -> list[Outcome]:
+    return run_trials(trials, instrument=arguments.instrument, config=_config(arguments), workers=arguments.workers)
+
+
 def sessions(arguments: argparse.Namespace) -> Report:
     bases = read_bases(arguments.sessions)
-    trials = honest_trials(_run(arguments, _honest(arguments)), bases)
-    outcomes = run_trials(trials, instrument=arguments.instrument, config=_config(arguments), workers=arguments.workers)
+    outcomes = _solve(arguments, honest_trials(_run(arguments, _honest(arguments)), bases))
     return session_report(prepare(arguments.instrument).instrument, outcomes)
+
+
+def session_lies(arguments: argparse.Namespace) -> Report:
+    bases, cases = read_bases(arguments.sessions), _honest(arguments)
+    grouped: dict[str, list[Case]] = {}
+    for case in cases:
+        grouped.setdefault(case.session, []).append(case)
+    runs = _run(arguments, [*cases, *false_cases(grouped)], label="frames and lies")
+    honest = honest_trials(runs[: len(cases)], bases)
+    return session_lie_report(_solve(arguments, false_trials(honest, runs[len(cases) :])))
 
 
 COMMANDS: Final = {
@@ -148,6 +164,7 @@ COMMANDS: Final = {
     "lies": lies,
     "bound": bound,
     "sessions": sessions,
+    "session-lies": session_lies,
 }
 
 
