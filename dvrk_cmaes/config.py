@@ -53,14 +53,15 @@ class SearchConfig:
 class RefineConfig:
     """The local refinement: ``method`` and, for all but Gauss-Newton, its ``evaluations`` of the loss.
 
-    All candidates are refined by ``first_steps`` steps on the search's small images, ``small_modes`` modes to the end
-    there, ``half_size_modes`` at half the image size and ``modes`` at full size.
+    All candidates are refined by ``first_steps`` steps on the search's small images, ``small_modes`` modes by
+    ``small_steps`` more there, ``half_size_modes`` at half the image size and ``modes`` at full size.
     """
 
     method: str = "gauss-newton"
     evaluations: int = 400
     first_steps: int = 3
     small_modes: int = 10
+    small_steps: int = 6
     half_size_modes: int = 3
     modes: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)

@@ -24,6 +24,7 @@ from dvrk_cmaes.silhouette import LANES, Renderer
 Float64 = NDArray[np.float64]
 
 _TWIN_ANGLE = np.deg2rad(40)
+_CLEARLY_WORSE = 15.0  # in negative log-likelihood
 _TWINS = 3  # of the best candidates that are refined with them
 
 
@@ -96,7 +97,8 @@ class LocalSearch:
         coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if instrument.has_twin else []
         modes = self._refine(coarse, [*candidates, *twins], iterations=config.refine.first_steps)
-        modes = self._refine(coarse, best_of_each(modes, most=config.refine.small_modes))
+        modes = best_of_each(modes, most=config.refine.small_modes)
+        modes = self._refine(coarse, modes, iterations=config.refine.small_steps)
         modes = best_of_each(modes, most=config.refine.half_size_modes)
         if full_width >= 320:
             modes = self._refine(self._refiner(2), modes)
@@ -114,12 +116,19 @@ class LocalSearch:
         silhouette = self._renderer.masks(best.camera_from_root[None], best.joints[None])[0]
         noise = measure_noise(self._evidence.contour, silhouette)
         refiner = self._refiner(1, correlation=noise.length)
+        # A mode that is this much worse will not come to be the best by a last few steps, nor its outline the better.
+        close = [
+            mode
+            for mode in modes
+            if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
+        ]
+        rest = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes if mode not in close]
         if self._config.refine.method == "gauss-newton":
-            modes = self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
+            close = self._refine(refiner, close, cauchy=self._config.refine.outline.last_cauchy)
         else:
-            modes = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
-        grown = noise.inflation
-        return [replace(m, information=refiner.information(m, noise) / grown) for m in best_of_each(modes)]
+            close = [refiner.assess(mode.camera_from_root, mode.joints) for mode in close]
+        first, *others = best_of_each([*close, *rest])
+        return [replace(first, information=refiner.information(first, noise) / noise.inflation), *others]
 
     def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine at full size by the chosen method."""

@@ -240,8 +240,7 @@ def test_an_unknown_layout_is_told_what_was_expected_and_what_it_has(tmp_path: P
         (b"\xff\xfe\x00", "expected a camera file (YAML or XML) in UTF-8, got other bytes at 0"),
         (
             "width: [1, 2\nheight: 2]: 3\n",
-            "expected a camera file (YAML or XML), got no valid YAML "
-            "(line 2: expected ',' or ']', but got ':')",
+            "expected a camera file (YAML or XML), got no valid YAML (line 2: expected ',' or ']', but got ':')",
         ),
         (
             "when: 2020-99-99\n",

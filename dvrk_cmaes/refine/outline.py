@@ -301,7 +301,6 @@ class OutlineRefiner:
         return moved(state.pose, step[:6]), state.joints + step[6:], step
 
 
-
 @dataclass(eq=False)
 class _State:
     """One pose on its way."""

@@ -72,8 +72,8 @@ def try_session(
     spread = model.covariance(calibration)[0] + rate @ session.covariance @ rate.T
     expected = PosePrior(poses[0], joints[0], np.asarray(np.linalg.inv(spread), dtype=np.float64))
     start = (poses[0], joints[0])
-    view = fit_frame(renderer, evidence, readings, config, expected, (start,), None)
-    fitted = (view.camera_from_root, view.joints)
+    first = fit_frame(renderer, evidence, readings, config, expected, (start,), None)
+    fitted = (first.camera_from_root, first.joints)
     view = fit_frame(renderer, evidence, readings, config, expected, (fitted,), fitted)
     (quality,), rays = measure_quality(
         renderer, evidence, readings, [view], config.weights, decay=config.decay_px, field=config.distance_field
@@ -97,6 +97,6 @@ def try_session(
         np.asarray(view.camera_from_root @ inverse(reached)),
         quality,
         tuple(doubts),
-        view.evaluations,
+        first.evaluations + view.evaluations,
         rays,
     )
