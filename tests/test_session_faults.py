@@ -36,6 +36,17 @@ def test_a_constant_lag_of_readings_is_found_in_frames(lag: int, seed: int) -> N
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_a_lag_is_found_where_half_of_the_frames_are_in_wrong_modes_for_it(seed: int) -> None:
+    world = make_world(10, seed)
+    model, kept = shifted(world.model, -2)
+    modes = [modes_of(world)[i] for i in kept]
+    strange = modes_of(make_world(10, seed + 50))
+    for i in (2, 4, 5, 7):
+        modes[i] = strange[i]
+    assert find_lag(model, modes, EXPECTED_OFFSETS) == 2
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_readings_in_time_have_no_lag(seed: int) -> None:
     world = make_world(10, seed)
     assert find_lag(world.model, modes_of(world, seed), EXPECTED_OFFSETS) == 0

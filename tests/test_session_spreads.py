@@ -56,6 +56,14 @@ def test_the_arm_s_spreads_never_shrink_below_what_is_configured() -> None:
     assert (model.spreads.outer[:3] >= world.model.spreads.outer[:3]).all()
 
 
+def test_the_slack_of_the_whole_shrinks_where_nothing_is_left_to_explain() -> None:
+    slack = make_world(1).model.spreads.slack
+    world = make_world(40, noise=0)
+    assert (learnt(world, world.views(np.random.default_rng(0), 0.02), 20).spreads.slack < 0.6 * slack).all()
+    far = make_world(40, noise=8)
+    assert (learnt(far, far.views(np.random.default_rng(0))).spreads.slack <= slack * (1 + 1e-9)).all()
+
+
 def test_spreads_grow_only_so_far() -> None:
     rng = np.random.default_rng(1)
     world = strayed(make_world(40, noise=0), 0, 40 * rng.standard_normal(40))

@@ -49,17 +49,24 @@ def _left_over(consensus: Consensus) -> float:
 
 
 def find_lag(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_spread: Float64) -> int:
-    """Find by how many frames readings are late: 0 unless that explains the frames clearly better."""
+    """Find by how many frames readings are late: 0 unless that explains the frames clearly better.
+
+    Clearly: it leaves half of the misfit, or twice as large a share of the frames agree. Frames that were estimated
+    with the readings of others may well be in wrong modes, so that not all of them will agree whatever the lag.
+    """
     if len(modes) < _LAG_FRAMES:
         return 0
-    now = _left_over(find_consensus(model, modes, offset_spread))
-    best, least = 0, _CLEARLY * now
+    consensus = find_consensus(model, modes, offset_spread)
+    now, share = _left_over(consensus), float(consensus.agree.mean())
+    best, least = 0, now
     for lag in _LAGS:
         other, kept = shifted(model, lag)
         if len(kept) < _LEAST_GROUP + 1:
             continue
-        found = _left_over(find_consensus(other, [modes[i] for i in kept], offset_spread))
-        if found < least:
+        consensus = find_consensus(other, [modes[i] for i in kept], offset_spread)
+        found, agree = _left_over(consensus), consensus.agree
+        better = found < _CLEARLY * now or (agree.sum() >= _LEAST_GROUP and agree.mean() * _CLEARLY >= share)
+        if better and found < least:
             best, least = lag, found
     return best if now > _CLEARLY else 0
 
