@@ -237,6 +237,18 @@ def test_frames_that_agree_on_nothing_are_refused(bundled_body: Body) -> None:
     assert text.startswith("session: expected at least 3 frames that agree on where the arm's base is, got ")
 
 
+def test_a_base_that_only_a_minority_agrees_on_is_warned_of(bundled_body: Body, made: Made) -> None:
+    strange = [make_frames_in_memory(bundled_body, 1, level="clean", seed=seed)[2][0] for seed in range(20, 24)]
+    frames = [*(made.frames[i] for i in (0, 2, 3)), *(replace(one, name=f"x{k}") for k, one in enumerate(strange))]
+    solved = rough(bundled_body, frames)
+    assert solved.calibration.warnings == (
+        "only 3 of 7 frames agree on where the arm's base is: "
+        "the others' masks or the readings are wrong, or these few are",
+    )
+    assert solved.calibration.status == "doubtful"
+    assert solved.calibration.frames == ("0000", "0002", "0003")
+
+
 def test_an_arm_that_stands_still_is_refused(made: Made) -> None:
     still = {name: made.frames[0].result.readings[name] for name in ("yaw", "pitch", "insertion", "roll")}
     frames = [with_result(one, readings={**one.result.readings, **still}) for one in made.frames]

@@ -39,6 +39,7 @@ _SETTLING = 3  # solutions of the session between two of its frames
 _TURNED_ROUNDS = 2  # in which other turns about the shaft are tried
 _SLIP = 4.0  # spreads
 _LEAST_OVERLAP = 0.5  # for a frame that says anything
+_TRUSTED_SHARE = 0.5  # of the frames: fewer that agree may do so by accident
 _LESS_OVERLAP = 0.1  # than by itself, for a frame that the session still explains
 
 Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
@@ -187,6 +188,11 @@ class SessionRounds:
             raise InputError(
                 f"session: expected at least {LEAST_FRAMES} frames that agree on where the arm's base is, "
                 f"got {agree.sum()} of {len(agree)}"
+            )
+        if agree.sum() < _TRUSTED_SHARE * len(agree):
+            self.warnings.append(
+                f"only {agree.sum()} of {len(agree)} frames agree on where the arm's base is: the others' masks or the "
+                "readings are wrong, or these few are"
             )
         covariance = deviations(self.model, _stacked(self.views), solution)
         reached = self.model.base_from_root(solution.calibration.offsets)
