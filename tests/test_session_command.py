@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from batch_sessions import QUICK
 from commands import Ran, run_command
-from made_sessions import SMALL, make_frames_in_memory
+from session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_sessions import EXPECTED_OFFSETS, SEEN, make_world
+from session_worlds import EXPECTED_OFFSETS, SEEN, make_world
 
 from dvrk_cmaes.geometry import exp_rotation, moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument

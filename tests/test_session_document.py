@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_sessions import make_world
+from session_worlds import make_world
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import change_between

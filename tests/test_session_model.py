@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_sessions import BASE, NAMES, OFFSETS, make_world
+from session_worlds import BASE, NAMES, OFFSETS, make_world
 
 from dvrk_cmaes.arm import base_from_root
 from dvrk_cmaes.config import SessionConfig

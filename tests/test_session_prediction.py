@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batch_sessions import QUICK_CONFIG
-from made_sessions import make_frames_in_memory, true_calibration
+from session_worlds import make_frames_in_memory, true_calibration
 
 from dvrk_cmaes import estimate
 from dvrk_cmaes.comparison import compare_poses

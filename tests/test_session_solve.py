@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_sessions import NAMES, PRIOR, SEEN, World, make_world
 from scipy.stats import chi2
+from session_worlds import NAMES, PRIOR, SEEN, World, make_world
 
 from dvrk_cmaes.geometry import change_between, moved, rotation_angle
 from dvrk_cmaes.session.model import Calibration

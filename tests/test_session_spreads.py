@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_sessions import PRIOR, World, make_world
+from session_worlds import PRIOR, World, make_world
 
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.session.model import SessionModel

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_sessions import in_other_mode, make_frames_in_memory, with_result
 from scipy.stats import chi2
+from session_worlds import in_other_mode, make_frames_in_memory, with_result
 
 from dvrk_cmaes.comparison import compare_poses
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
