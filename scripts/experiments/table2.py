@@ -155,7 +155,7 @@ def claims_of(rows: list[dict[str, Any]]) -> list[Claim]:
     return [
         Claim(
             "our calibration is within 5 points of the true one's rate in every cell",
-            gaps[worst] >= -LARGEST_GAP,
+            gaps[worst] >= -LARGEST_GAP - 1e-9,  # differences of rates are not exact
             f"worst: {worst[0]} at {100 * worst[1]:g} cm, {100 * gaps[worst]:+.1f} points",
         ),
         Claim(
