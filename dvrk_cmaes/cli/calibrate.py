@@ -143,12 +143,13 @@ def calibrate(
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     """Say what was found, how sure it is, and where it lies."""
     import numpy as np
-    from scipy.spatial.transform import Rotation
+
+    from dvrk_cmaes.geometry import log_rotation
 
     calibration = solved.calibration
     std = np.sqrt(np.diag(calibration.covariance))
     base = calibration.camera_from_base
-    where, turn = base[:3, 3] * 1e3, np.degrees(Rotation.from_matrix(base[:3, :3]).as_rotvec())
+    where, turn = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
     moved, turned = std[:3] * 1e3, np.degrees(std[3:6])
     yield Line(
         "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"

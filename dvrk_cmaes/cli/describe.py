@@ -42,7 +42,7 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
 
 def _pose(result: Result) -> Iterator[Line]:
     """Position and rotation with their standard deviations, and the base's where it is known."""
-    from scipy.spatial.transform import Rotation
+    from dvrk_cmaes.geometry import log_rotation
 
     for title, pose, std_t, std_r in (
         (result.root_link, result.camera_from_root, result.std_translation_mm, result.std_rotation_deg),
@@ -50,7 +50,7 @@ def _pose(result: Result) -> Iterator[Line]:
     ):
         if pose is None:
             continue
-        turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True)
+        turn = [math.degrees(angle) for angle in log_rotation(pose[:3, :3])]
         spread_t = "" if std_t is None else f"   std {_triple(std_t)} along its own axes"
         spread_r = "" if std_r is None else f"   std {_triple(std_r)} about its own axes"
         yield Line(f"{title} in the camera (x right, y down, z forward)", "bold")
