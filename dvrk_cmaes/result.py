@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.document import Fields
+from dvrk_cmaes.document import Fields, rounded, rounded_array
 
 Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
@@ -37,12 +37,12 @@ class Alternative:
     def to_dict(self) -> dict[str, Any]:
         """Return the alternative in the result's schema."""
         return {
-            "camera_from_root": _numbers(self.camera_from_root),
+            "camera_from_root": rounded_array(self.camera_from_root),
             "joints": _values(self.joints),
-            "loss": _number(self.loss),
-            "iou": _number(self.iou),
+            "loss": rounded(self.loss),
+            "iou": rounded(self.iou),
             "relation": self.relation,
-            "reading_distance_deg": None if self.reading_distance_deg is None else _number(self.reading_distance_deg),
+            "reading_distance_deg": None if self.reading_distance_deg is None else rounded(self.reading_distance_deg),
         }
 
 
@@ -158,8 +158,8 @@ class Result:
         std = None
         if self.std_translation_mm is not None and self.std_rotation_deg is not None:
             std = {
-                "translation_mm": _numbers(self.std_translation_mm),
-                "rotation_deg": _numbers(self.std_rotation_deg),
+                "translation_mm": rounded_array(self.std_translation_mm),
+                "rotation_deg": rounded_array(self.std_rotation_deg),
                 "joints_deg": _values(self.std_joints_deg or {}),
             }
         covariance = None
@@ -169,11 +169,11 @@ class Result:
         quality = None
         if self.quality is not None:
             quality = {
-                "iou": _number(self.quality.iou),
-                "loss": _number(self.quality.loss),
+                "iou": rounded(self.quality.iou),
+                "loss": rounded(self.quality.loss),
                 "terms": _values(self.quality.terms),
-                "contour_px_median": _number(self.quality.contour_px_median),
-                "contour_px_95": _number(self.quality.contour_px_95),
+                "contour_px_median": rounded(self.quality.contour_px_median),
+                "contour_px_95": rounded(self.quality.contour_px_95),
             }
         return {
             "schema": SCHEMA,
@@ -182,12 +182,12 @@ class Result:
             "reasons": list(self.reasons),
             "instrument": self.instrument,
             "root_link": self.root_link,
-            "camera_from_root": None if self.camera_from_root is None else _numbers(self.camera_from_root),
+            "camera_from_root": None if self.camera_from_root is None else rounded_array(self.camera_from_root),
             "joints": _values(self.joints),
             "readings": _values(self.readings),
             "warnings": list(self.warnings),
             "unused": list(self.unused),
-            "camera_from_base": None if self.camera_from_base is None else _numbers(self.camera_from_base),
+            "camera_from_base": None if self.camera_from_base is None else rounded_array(self.camera_from_base),
             "source": self.source,
             "change": self.change,
             "quality": quality,
@@ -241,14 +241,5 @@ def _alternative(fields: Fields) -> Alternative:
     )
 
 
-def _number(value: float) -> float:
-    """Round to nine decimals: a nanometre, far below any error, and the same on every run."""
-    return round(float(value), 9)
-
-
-def _numbers(array: Float64) -> Any:
-    return np.round(np.asarray(array, dtype=np.float64), 9).tolist()
-
-
 def _values(values: dict[str, float]) -> dict[str, float]:
-    return {name: _number(value) for name, value in values.items()}
+    return {name: rounded(value) for name, value in values.items()}

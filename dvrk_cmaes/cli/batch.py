@@ -176,18 +176,10 @@ def _run(
     from dvrk_cmaes.batch.cluster import dask_executor
     from dvrk_cmaes.batch.run import run_batch
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
-    from dvrk_cmaes.io.session_folder import read_session
 
     settings = method.resolve()
     model = instrument.load().instrument
-    session = read_session(
-        folder,
-        camera=camera.camera,
-        rectified=camera.rectified,
-        side=camera.side,
-        known=model.joint_names,
-        joints=joints,
-    )
+    session = camera.read_session(folder, known=model.joint_names, joints=joints)
     if label is not None:
         session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
     with ExitStack() as stack:

@@ -86,7 +86,6 @@ def calibrate(
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.results_folder import ALONE, read_results
-    from dvrk_cmaes.io.session_folder import read_session
     from dvrk_cmaes.session.folder import calibrate_folder, image_times
 
     target = session / "calibration" if out is None else out
@@ -94,14 +93,7 @@ def calibrate(
         raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
     settings = method.resolve()
     model = instrument.load().instrument
-    found = read_session(
-        session,
-        camera=camera.camera,
-        rectified=camera.rectified,
-        side=camera.side,
-        known=model.joint_names,
-        joints=joints,
-    )
+    found = camera.read_session(session, known=model.joint_names, joints=joints)
     if results is None:
         results = target / ALONE
         with stopping_on_interrupt() as stop, progress() as watcher:

@@ -215,17 +215,8 @@ def check(
 
 
 def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -> tuple[Body, Session]:
-    from dvrk_cmaes.io.session_folder import read_session
-
     body = instrument.load()
-    found = read_session(
-        session,
-        camera=camera.camera,
-        rectified=camera.rectified,
-        side=camera.side,
-        known=body.instrument.joint_names,
-    )
-    return body, found
+    return body, camera.read_session(session, known=body.instrument.joint_names)
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:

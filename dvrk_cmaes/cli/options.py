@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -14,6 +14,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.io.camera_file import CameraFile
+    from dvrk_cmaes.io.session_folder import Session
     from dvrk_cmaes.segment.with_instrument import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
@@ -55,6 +56,14 @@ class CameraOptions:
         if self.camera is None:
             raise InputError("--camera: expected a camera file, got none")
         return read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
+
+    def read_session(self, folder: Path, *, known: Iterable[str], joints: Sequence[Path] = ()) -> Session:
+        """Read a session folder, seen by this camera; ``known`` and ``joints`` as in `read_session` of the package."""
+        from dvrk_cmaes.io.session_folder import read_session
+
+        return read_session(
+            folder, camera=self.camera, rectified=self.rectified, side=self.side, known=known, joints=joints
+        )
 
 
 @Parameter(name="*", group=INSTRUMENT)

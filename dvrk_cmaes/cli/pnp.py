@@ -59,13 +59,10 @@ def pnp(
         Which instrument.
     """
     from dvrk_cmaes.io.atomic import write_json
-    from dvrk_cmaes.io.session_folder import read_session
     from dvrk_cmaes.report.files import check_output, result_path
 
     model = instrument.load().instrument
-    read = read_session(
-        session, camera=camera.camera, rectified=camera.rectified, side=camera.side, known=model.joint_names
-    )
+    read = camera.read_session(session, known=model.joint_names)
     for frame in read.frames:
         check_output(out, frame.name)
     if points == "tips":

@@ -98,7 +98,7 @@ def calibrate_session(
     left_out |= reasons
     used = [results[frame.name].quality for frame in work.frames if frame.name not in left_out]
     known = [quality for quality in used if quality is not None]
-    described = describe_solution(work.model, work.solution, settings, body.instrument)
+    described = describe_solution(work.model, work.solution, settings)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes import __version__
 from dvrk_cmaes.arm import Arm
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.document import Fields
+from dvrk_cmaes.document import Fields, rounded, rounded_array
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.session.model import BASE_AXES, OUTER_OFFSETS, Calibration, SessionModel, Spreads
 from dvrk_cmaes.session.solve import Solution
 
@@ -80,27 +79,27 @@ class SessionCalibration:
             "schema": SCHEMA,
             "status": self.status,
             "instrument": self.instrument,
-            "camera_from_base": _rounded(self.camera_from_base),
-            "rcm": _rounded(self.rcm),
-            "offsets": {name: _number(value) for name, value in self.offsets.items()},
+            "camera_from_base": rounded_array(self.camera_from_base),
+            "rcm": rounded_array(self.rcm),
+            "offsets": {name: rounded(value) for name, value in self.offsets.items()},
             "std": {
-                "base_translation_mm": _rounded(std[:3] * 1e3),
-                "base_rotation_deg": _rounded(np.degrees(std[3:6])),
-                "offsets": {name: _number(value) for name, value in zip(self.offsets, std[6:], strict=True)},
+                "base_translation_mm": rounded_array(std[:3] * 1e3),
+                "base_rotation_deg": rounded_array(np.degrees(std[3:6])),
+                "offsets": {name: rounded(value) for name, value in zip(self.offsets, std[6:], strict=True)},
             },
             "covariance": {
                 "axes": list(self.axes),
                 "matrix": [[float(f"{v:.6e}") for v in row] for row in self.covariance],
             },
-            "spreads": {name: _number(value) for name, value in self.spreads.items()},
+            "spreads": {name: rounded(value) for name, value in self.spreads.items()},
             "untold": list(self.untold),
             "warnings": list(self.warnings),
             "frames": list(self.frames),
             "left_out": [{"frame": name, "reason": reason} for name, reason in self.left_out.items()],
             "leave_one_out": {
-                name: {"iou": _number(iou), "contour_px": _number(px)} for name, (iou, px) in self.leave_one_out.items()
+                name: {"iou": rounded(iou), "contour_px": rounded(px)} for name, (iou, px) in self.leave_one_out.items()
             },
-            "quality": {"iou": _number(self.iou), "contour_px_95": _number(self.contour_px_95)},
+            "quality": {"iou": rounded(self.iou), "contour_px_95": rounded(self.contour_px_95)},
             "lag": self.lag,
             "arm": self.arm,
             "roll_offset": self.roll_offset,
@@ -177,9 +176,7 @@ class SessionCalibration:
         return model, Calibration(self.camera_from_base, np.array(list(self.offsets.values())))
 
 
-def describe_solution(
-    model: SessionModel, solution: Solution, config: EstimateConfig, instrument: Instrument
-) -> dict[str, Any]:
+def describe_solution(model: SessionModel, solution: Solution, config: EstimateConfig) -> dict[str, Any]:
     """Name the parts of a solution, as fields of a `SessionCalibration`."""
     names = (*OUTER_OFFSETS, *model.names)
     spreads = model.spreads
@@ -248,11 +245,3 @@ def _leave_one_out(fields: Fields) -> dict[str, tuple[float, float]]:
         assert one is not None
         found[name] = one.number("iou"), one.number("contour_px")
     return found
-
-
-def _number(value: float) -> float:
-    return round(float(value), 9)
-
-
-def _rounded(array: Float64) -> Any:
-    return np.round(np.asarray(array, dtype=np.float64), 9).tolist()
