@@ -34,7 +34,7 @@ _STEP: Final = 1e-5  # m and rad
 
 def crossing_rates(body: Body, case: Case, pose: Float64, joints: Float64) -> Float64:
     """How fast each crossing of the outline with a row or column moves along it, px per m or rad, (6 + J, N)."""
-    outline = Renderer(body, case.camera, threads=1).outlines(pose[None], joints[None], lines_per_pixel=1)
+    outline = Renderer(body, case.camera, threads=1).outlines(pose[None], joints[None])
     count = 6 + len(joints)
     change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
     links = body.camera_from_links(moved(pose, change[:, :6]), joints + change[:, 6:])[:, outline.link]

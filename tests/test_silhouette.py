@@ -15,9 +15,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.silhouette import NEAR, Body, Renderer
-from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.lanes import LANES
-from dvrk_cmaes.silhouette.spans import SpanRenderer
+from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 
 CAMERAS = {
     "pinhole": Camera(160, 120, 220.7, 220.7, 110.9, 47.2),
@@ -279,10 +278,10 @@ def test_a_renderer_at_another_size_sees_the_same(bundled_body: Body) -> None:
     np.testing.assert_allclose(4 * small_area, large_area, rtol=0.05, atol=40)
 
 
-def test_the_span_renderer_takes_one_group_at_a_time(bundled_body: Body) -> None:
-    spans = SpanRenderer(bundled_body.topology, CAMERAS["pinhole"], LineGrid(120), True)
+def test_outline_edges_are_found_of_one_group_at_a_time(bundled_body: Body) -> None:
+    too_many = np.zeros((LANES + 1, len(bundled_body.instrument.links), 4, 4))
     with pytest.raises(ValueError, match=f"at most {LANES} poses at a time, got {LANES + 1}"):
-        spans.spans(np.zeros((LANES + 1, len(bundled_body.instrument.links), 4, 4)))
+        OutlineEdges(bundled_body.topology, CAMERAS["pinhole"], too_many)
 
 
 def test_without_embree_there_is_no_slow_fallback_but_one_line(

@@ -16,6 +16,7 @@ Several poses are refined in step, since drawing eight costs little more than dr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -50,7 +51,6 @@ class OutlineConfig:
     iterations: int = 40
     blur: float = 1.2
     lines_per_pixel: int = 2
-    outline_lines: int = 1
     cauchy: float = 0.5
     small_cauchy: float = 0.25
     last_cauchy: float = 0.08
@@ -140,15 +140,22 @@ class OutlineRefiner:
     def _blurred(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(cv2.GaussianBlur(image, (0, 0), self._config.blur, borderType=cv2.BORDER_REPLICATE))
 
-    def _images(self, poses: Float64, joints: Float64) -> NDArray[np.float32]:
-        """Blurred coverage of C poses, (C, N), flat."""
+    def _seen(self, poses: Float64, joints: Float64) -> list[tuple[NDArray[np.float32], OutlinePoints]]:
+        """Blurred coverage (H, W) and outline of C poses."""
+        lines = self._config.lines_per_pixel
+        coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines)
+        pairs = zip(coverage, outlines.of_each(len(poses)), strict=True)
+        return [(self._blurred(image), outline) for image, outline in pairs]
+
+    def _images(self, poses: Float64, joints: Float64) -> list[NDArray[np.float32]]:
+        """Blurred coverage of C poses, (H, W) each."""
         coverage = self._renderer.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
-        return np.stack([self._blurred(image).ravel() for image in coverage])
+        return [self._blurred(image) for image in coverage]
 
     def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
-        """Cauchy's loss of a blurred image (N,): a sum of squares while all is small."""
-        r = (image - self._target.ravel()) / np.float32(cauchy)
-        return float(cauchy**2 * (self._weight.ravel() * np.log1p(r * r)).sum(dtype=np.float64))
+        """Cauchy's loss of a blurred image (H, W): a sum of squares while all is small."""
+        r = (image - self._target) / np.float32(cauchy)
+        return float(cauchy**2 * (self._weight * np.log1p(r * r)).sum(dtype=np.float64))
 
     def balance_at(self, pose: Float64, joints: Float64, *, cauchy: float | None = None) -> None:
         """Take the outline's error from a pose (4, 4) and joints (J,) for all that follows, instead of from each fit.
@@ -171,29 +178,20 @@ class OutlineRefiner:
         floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
         return 0.5 * count * float(np.log(max(loss, floor)))
 
-    def _normal_equations(
-        self, poses: Float64, joints: Float64, images: NDArray[np.float32], cauchy: float
-    ) -> tuple[Float64, Float64]:
-        """Outline's information (C, D, D) and gradient (C, D), in sums of squares of coverage."""
-        config = self._config
-        outline = self._renderer.outlines(poses, joints, lines_per_pixel=config.outline_lines)
-        count = len(self.steps)
-        information, gradient = np.zeros((len(poses), count, count)), np.zeros((len(poses), count))
-        speeds = self._speeds(outline, poses, joints)
-        lengths = np.linalg.norm(outline.normals, axis=1)
-        for i, image in enumerate(images):
-            mine = np.flatnonzero(outline.pose == i)
-            speed = speeds[:, mine]
-            r = (image - self._target.ravel()).reshape(self._target.shape)
-            weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
-            pull = sampled(self._blurred(weight * r), outline.pixels[mine])
-            trust = sampled(self._blurred(weight), outline.pixels[mine])
-            information[i] = (speed * (trust / (2 * np.sqrt(np.pi) * config.blur * lengths[mine]))) @ speed.T
-            gradient[i] = speed @ pull
-        return information, gradient
+    def _normal_equations(self, state: _State, rates: Float64, cauchy: float) -> tuple[Float64, Float64]:
+        """Outline's information (D, D) and gradient (D,) at a state, in sums of squares of coverage.
 
-    def _speeds(self, outline: OutlinePoints, poses: Float64, joints: Float64) -> Float64:
-        """How fast the outline points of C poses move along their normals with each small change, (D, N).
+        ``rates`` (N, D) are its outline points' speeds.
+        """
+        at, normals = state.outline.pixels, state.outline.normals
+        r = state.image - self._target
+        weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
+        pull, trust = sampled(self._blurred(weight * r), at), sampled(self._blurred(weight), at)
+        share = trust / (2 * np.sqrt(np.pi) * self._config.blur * np.linalg.norm(normals, axis=1))
+        return rates.T @ (rates * share[:, None]), pull @ rates
+
+    def _speeds(self, outlines: Sequence[OutlinePoints], poses: Float64, joints: Float64) -> list[Float64]:
+        """How fast the outline points of C poses move along their normals with each small change, (N, D) a pose.
 
         Times the stretch of outline that a point stands for; by central differences of the projection of the point,
         which stays where it is on the instrument.
@@ -202,17 +200,23 @@ class OutlineRefiner:
         change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
         changed = moved(poses[:, None], change[:, :6]).reshape(-1, 4, 4)
         bent = (joints[:, None] + change[:, 6:]).reshape(len(changed), -1)
-        links = self._renderer.body.camera_from_links(changed, bent).astype(np.float32)
-        links = links.reshape(len(poses), 2 * count, -1, 4, 4).transpose(0, 2, 1, 3, 4)
-        to_camera = links[outline.pose, outline.link]
-        x, y, z = outline.points.astype(np.float32).T[:, :, None, None]
-        points = (
-            to_camera[..., :3, 0] * x + to_camera[..., :3, 1] * y + to_camera[..., :3, 2] * z + to_camera[..., :3, 3]
-        )
-        np.maximum(points[..., 2], np.float32(1e-4), out=points[..., 2])
-        seen = self._camera.project(points)
-        rate = (seen[:, :count] - seen[:, count:]) / (2 * self.steps[:, None])
-        return np.asarray((rate * outline.normals[:, None]).sum(axis=-1).T)
+        links = self._renderer.body.camera_from_links(changed, bent)
+        # (C, L, 3, 4, 2 D): coordinates of points by coordinates in their link, for all changes.
+        camera_from_link = links.reshape(len(poses), 2 * count, -1, 4, 4)[..., :3, :].transpose(0, 2, 3, 4, 1)
+        camera_from_link = np.ascontiguousarray(camera_from_link, dtype=np.float32)
+        found = []
+        for outline, to_camera in zip(outlines, camera_from_link, strict=True):
+            points = np.ones((len(outline.points), 4), dtype=np.float32)
+            points[:, :3] = outline.points
+            moving = np.empty((3, len(points), 2 * count), dtype=np.float32)
+            edges = np.searchsorted(outline.link, np.arange(len(to_camera) + 1))
+            for matrix, begin, end in zip(to_camera, edges[:-1], edges[1:], strict=True):
+                np.matmul(points[begin:end], matrix, out=moving[:, begin:end])
+            np.maximum(moving[2], np.float32(1e-4), out=moving[2])
+            seen = self._camera.project(np.moveaxis(moving, 0, -1))
+            apart = (seen[:, :count] - seen[:, count:]) * outline.normals[:, None]
+            found.append(np.asarray(apart.sum(axis=-1) / (2 * self.steps)))
+        return found
 
     def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
         """Information (D, D) that outline and priors hold about the small changes of a fitted pose."""
@@ -226,14 +230,13 @@ class OutlineRefiner:
         Each ``noise.length`` px of outline is one measurement with ``noise.sigma``; what lies more than three of these
         away from the mask's outline, or is ignored, is none.
         """
-        outline = self._renderer.outlines(
-            fit.camera_from_root[None], fit.joints[None], lines_per_pixel=self._config.outline_lines
-        )
+        at = fit.camera_from_root[None], fit.joints[None]
+        outline = self._renderer.outlines(*at)
         off = sampled(signed_distance(self._mask), outline.pixels)
         counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
-        speed = self._speeds(outline, fit.camera_from_root[None], fit.joints[None])
+        (rates,) = self._speeds([outline], *at)
         length = np.linalg.norm(outline.normals, axis=1)
-        return np.asarray((speed * (counts / length)) @ speed.T / (noise.sigma**2 * noise.length))
+        return np.asarray(rates.T @ (rates * (counts / length)[:, None]) / (noise.sigma**2 * noise.length))
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) as they are."""
@@ -247,19 +250,20 @@ class OutlineRefiner:
         ``cauchy`` replaces the configuration's for the refinement; scores are those of the configuration's.
         """
         width = self._config.cauchy if cauchy is None else cauchy
-        states = [_State(pose, joint) for pose, joint in zip(poses, joints, strict=True)]
-        for state, image in zip(states, self._images(poses, joints), strict=True):
-            state.image, state.loss = image, self._loss(image, width)
-        self._linearise(states, width)
         most = self._config.iterations if iterations is None else iterations
-        for _ in range(most):
+        seen = zip(poses, joints, self._seen(poses, joints), strict=True)
+        states = [_State(pose, joint, *look, loss=self._loss(look[0], width)) for pose, joint, look in seen]
+        self._linearise(states, width)
+        for left in reversed(range(most)):
             active = [state for state in states if not state.finished]
             if not active:
                 break
             trials = [self._step(state) for state in active]
-            images = self._images(np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials]))
+            at = np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials])
+            # No step follows the last one, so that its outline is not asked for.
+            looks = self._seen(*at) if left else [(image, None) for image in self._images(*at)]
             improved = []
-            for state, (pose, joint, step), image in zip(active, trials, images, strict=True):
+            for state, (pose, joint, step), (image, outline) in zip(active, trials, looks, strict=True):
                 loss = self._loss(image, width)
                 cost = state.scale * loss + self.priors.cost(pose, joint)
                 gain = state.scale * state.loss + self.priors.cost(state.pose, state.joints) - cost
@@ -271,7 +275,9 @@ class OutlineRefiner:
                 state.finished = bool(small or gain < 0.1 * self._tolerance)
                 state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
                 state.damping = max(state.damping / 8, 1e-4)
-                improved.append(state)
+                if outline is not None:
+                    state.outline = outline
+                    improved.append(state)
             self._linearise(improved, width)
         fits = []
         for state in states:
@@ -288,10 +294,11 @@ class OutlineRefiner:
         if not states:
             return
         poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
-        outline, gradient = self._normal_equations(poses, joints, np.stack([s.image for s in states]), cauchy)
-        for i, state in enumerate(states):
+        speeds = self._speeds([state.outline for state in states], poses, joints)
+        for state, rates in zip(states, speeds, strict=True):
+            outline, gradient = self._normal_equations(state, rates, cauchy)
             state.scale = self._scale(state.loss)
-            state.information, state.slope = state.scale * outline[i], state.scale * gradient[i]
+            state.information, state.slope = state.scale * outline, state.scale * gradient
             self.priors.add(state.information, state.slope, state.pose, state.joints)
 
     def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
@@ -307,8 +314,9 @@ class _State:
 
     pose: Float64
     joints: Float64
-    image: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
-    loss: float = np.inf
+    image: NDArray[np.float32]
+    outline: OutlinePoints
+    loss: float
     scale: float = 1.0
     information: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     slope: Float64 = field(default_factory=lambda: np.zeros(0))

@@ -7,17 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.silhouette.grid import Float32, LineGrid, Projection
-from dvrk_cmaes.silhouette.lanes import LANES
-from dvrk_cmaes.silhouette.outline_edges import outline_segments
+from dvrk_cmaes.silhouette.grid import Float32, LineGrid
+from dvrk_cmaes.silhouette.ordering import ordered
+from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 from dvrk_cmaes.silhouette.segments import Segments
-from dvrk_cmaes.silhouette.topology import MeshTopology
 
-__all__ = ["CODE_BITS", "LANES", "NO_CHANGE", "Crossings", "find_crossings"]
-
-CODE_BITS = 3
-NO_CHANGE = 2
+_CODE_BITS = 3
+_NO_CHANGE = 2
 """A crossing's code is its change of the layer count, -2 to 2, plus this."""
 
 
@@ -29,28 +25,29 @@ class Crossings:
     """(N,) pose * lines + line."""
     u: Float32
     """(N,) pixel column coordinate."""
-    code: NDArray[np.int32]
-    """(N,) by how much the layer count changes from left to right, plus ``NO_CHANGE``."""
+    change: NDArray[np.int8]
+    """(N,) by how much the layer count changes from left to right; each row's sum to zero."""
     segments: Segments
     slope: Float32
     """(S,) change of the position from a line to the next."""
     segment: NDArray[np.int32] | None
     """(N,) which segment a crossing is on, where asked for."""
 
+    def turns(self, position: NDArray[np.int32], rows: int, positions: int) -> NDArray[np.intp]:
+        """Crossings at which the instrument begins and ends to cover a row, in turns, (2 S,), by row and position.
 
-def find_crossings(
-    topology: MeshTopology,
-    camera: Camera,
-    grid: LineGrid,
-    camera_from_link: NDArray[np.float64],
-    *,
-    detail: bool = False,
-) -> Crossings:
-    """Crossings of all lines with the outline edges of up to ``LANES`` poses, (C, L, 4, 4).
+        ``position`` (N,) is what crossings are sorted by along their row, 0 to ``positions`` - 1.
+        """
+        order = ordered(self.row, position, rows, positions)
+        covered = np.cumsum(self.change.take(order, mode="clip"), dtype=np.int32) > 0
+        turns = covered.copy()
+        turns[1:] ^= covered[:-1]
+        return order.take(np.flatnonzero(turns), mode="clip")
 
-    With ``detail``, also which segment each crossing is on.
-    """
-    found = outline_segments(topology, Projection(camera, grid), camera_from_link, detail=detail)
+
+def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False) -> Crossings:
+    """Crossings of all lines with outline edges; with ``detail``, also which segment each crossing is on."""
+    found = edges.segments(grid, detail=detail)
     segments = found.segments
 
     first = np.minimum(*segments.line).astype(np.int32)
@@ -81,9 +78,9 @@ def find_crossings(
     row *= grid.lines
     row += first
     row -= offset
-    row <<= CODE_BITS
+    row <<= _CODE_BITS
     row += change
-    row += NO_CHANGE
+    row += _NO_CHANGE
     common.view(np.int32)[:, 3] = row
     each = np.repeat(common.view(np.complex128)[:, 0], count).view(np.float32).reshape(-1, 4)
     place = np.arange(total, dtype=np.int32)
@@ -91,12 +88,15 @@ def find_crossings(
     u -= each[:, 2]
     u *= each[:, 0]
     u += each[:, 1]
-    place <<= CODE_BITS
+    place <<= _CODE_BITS
     place += each.view(np.int32)[:, 3]
+    change = (place & ((1 << _CODE_BITS) - 1)).astype(np.int8)
+    change -= _NO_CHANGE
+    place >>= _CODE_BITS
     return Crossings(
-        row=place >> CODE_BITS,
+        row=place,
         u=u,
-        code=place & ((1 << CODE_BITS) - 1),
+        change=change,
         segments=segments,
         slope=slope,
         segment=np.repeat(np.arange(len(count), dtype=np.int32), count) if detail else None,

@@ -12,7 +12,7 @@ from dvrk_cmaes.silhouette.grid import Float32
 from dvrk_cmaes.silhouette.lanes import Words, answers_of, shift_of, words_of
 from dvrk_cmaes.silhouette.scenes import NEAR
 from dvrk_cmaes.silhouette.segments import Segments
-from dvrk_cmaes.silhouette.vertices import ProjectedVertices
+from dvrk_cmaes.silhouette.vertices import VerticesOnLines
 
 
 def _cut_points(homogeneous: Float32, ends: NDArray[np.intp]) -> Float32:
@@ -25,11 +25,12 @@ def _cut_points(homogeneous: Float32, ends: NDArray[np.intp]) -> Float32:
     return at
 
 
-def cut_link(vertices: ProjectedVertices, link: int, outline: Words, detail: bool) -> Segments:
+def cut_link(on_lines: VerticesOnLines, link: int, outline: Words, detail: bool) -> Segments:
     """Segments of a link that end on the near plane or run along it; what touches it or is behind leaves ``outline``.
 
     ``outline`` (E,) holds the outline edges of all links; with ``detail``, the segments know their depth.
     """
+    vertices = on_lines.vertices
     topology, lanes = vertices.topology, vertices.lanes
     edges = slice(topology.edge_start[link], topology.edge_start[link + 1])
     start, end = words_of(vertices.behind[link]).take(
@@ -43,11 +44,11 @@ def cut_link(vertices: ProjectedVertices, link: int, outline: Words, detail: boo
 
     ends = (topology.edge_ends.take(edge, axis=1) - topology.vertex_start[link]) * lanes + lane
     xy = _cut_points(vertices.homogeneous[link], ends)
-    u, v = vertices.projection.bent(xy)
-    line = vertices.projection.first_line(v)
+    u, v = on_lines.grid.place(vertices.projection.pixels(xy))
+    line = on_lines.grid.first_line(v)
 
     # What is before the plane of an outline edge.
-    left = vertices.segments(edge.take(own), lane.take(own), detail)
+    left = on_lines.segments(edge.take(own), lane.take(own), detail)
     place = end_behind.take(own).view(np.int8), np.arange(len(own))
     left.u[place], left.v[place], left.line[place] = u.take(own), v.take(own), line.take(own)
     if left.xy is not None:

@@ -1,8 +1,7 @@
 """Sort crossings line by line by counting, in time that grows with their number only.
 
-A sparse matrix in compressed rows is a list grouped by row; turning it into compressed columns groups it by column and
-keeps the order within. Twice that is a radix sort of two digits, here of a line's number with a position on it behind:
-several times as fast as a comparison sort.
+NumPy's stable sort of 16-bit numbers counts them. Two such sorts, of the lower and then of the upper half of a number
+made of a line with a position on it behind, are several times as fast as a comparison sort.
 """
 
 from __future__ import annotations
@@ -12,25 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Integers = NDArray[np.signedinteger[Any]]
+_DIGIT_BITS = 16
 
 
-def ordered(
-    row: NDArray[np.int32], position: NDArray[np.int32], value: Integers, rows: int, positions: int
-) -> tuple[NDArray[np.int32], Integers]:
-    """Sort (N,) values by row, then by position; those at the same position keep their order.
+def ordered(row: NDArray[np.int32], position: NDArray[np.int32], rows: int, positions: int) -> NDArray[np.intp]:
+    """Order (N,) that sorts by row, then by position; those at the same position keep theirs.
 
-    Gives where each row begins, (rows + 1,), and the values in order.
+    Rows are 0 to ``rows`` - 1, positions 0 to ``positions`` - 1.
     """
-    from scipy.sparse import coo_array
-
-    bits = (positions - 1).bit_length()
-    # A table of counters for each digit: best if both are small enough for the processor's nearest caches.
-    low_bits = max(min((bits + rows.bit_length()) // 2 - 1, bits), 0)
-    high = row << (bits - low_bits)
-    high += position >> low_bits
-    low = position & ((1 << low_bits) - 1)
-    entries = coo_array((value, (low, high)), shape=(1 << low_bits, rows << (bits - low_bits)))
-    entries.has_canonical_format = True  # entries at the same place are not to be added up
-    by_row = entries.tocsr().tocsc()
-    return by_row.indptr[:: 1 << (bits - low_bits)], by_row.data
+    low_bits = max(positions - 1, 0).bit_length()
+    bits = low_bits + max(rows - 1, 0).bit_length()
+    key: NDArray[np.unsignedinteger[Any]] = row.astype(np.uint32 if bits <= 32 else np.uint64)
+    key <<= low_bits
+    key |= position.view(np.uint32)
+    order = key.astype(np.uint16).argsort(kind="stable")
+    for shift in range(_DIGIT_BITS, bits, _DIGIT_BITS):
+        digit = (key >> shift).astype(np.uint16).take(order, mode="clip")
+        order = order.take(digit.argsort(kind="stable"), mode="clip")
+    return order

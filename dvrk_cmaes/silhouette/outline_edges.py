@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.silhouette.grid import Projection
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.silhouette.grid import LineGrid, Projection
 from dvrk_cmaes.silhouette.lanes import answers_of, lanes_for, product, shift_of, words_of
 from dvrk_cmaes.silhouette.near_plane import cut_link
 from dvrk_cmaes.silhouette.segments import Segments, bent
@@ -42,31 +43,50 @@ def _looks(topology: MeshTopology, camera_from_link: NDArray[np.float64], lanes:
     return side > 0
 
 
-def outline_segments(
-    topology: MeshTopology, projection: Projection, camera_from_link: NDArray[np.float64], *, detail: bool
-) -> OutlineSegments:
-    """Segments of the outlines of a few poses (C, L, 4, 4), as far as they cross lines.
+class OutlineEdges:
+    """The outline edges of a few poses (C, L, 4, 4), at most ``LANES``, for lines of any kind."""
 
-    With ``detail``, the segments know their depth.
-    """
-    poses, lanes = len(camera_from_link), lanes_for(len(camera_from_link))
-    looks = _looks(topology, camera_from_link, lanes)
-    outline = words_of(looks).take(topology.edge_faces[0], axis=0, mode="clip")
-    outline ^= words_of(looks).take(topology.edge_faces[1], axis=0, mode="clip")
-    outline ^= topology.flip[lanes]
+    def __init__(self, topology: MeshTopology, camera: Camera, camera_from_link: NDArray[np.float64]) -> None:
+        self.poses, self._lanes = len(camera_from_link), lanes_for(len(camera_from_link))
+        self.camera_from_link = camera_from_link
+        self._topology = topology
+        self._looks = _looks(topology, camera_from_link, self._lanes)
+        looks = words_of(self._looks)
+        outline = looks.take(topology.edge_faces[0], axis=0, mode="clip")
+        outline ^= looks.take(topology.edge_faces[1], axis=0, mode="clip")
+        outline ^= topology.flip[self._lanes]
+        self._outline = outline
+        self._projection = Projection(camera)
+        self._vertices = ProjectedVertices(topology, self._projection, camera_from_link)
 
-    vertices = ProjectedVertices(topology, projection, camera_from_link)
-    straight = projection.camera.is_pinhole
-    cut = [cut_link(vertices, link, outline, detail) for link in vertices.behind]
-    chosen = answers_of(outline)
-    if straight:
-        chosen &= np.not_equal(*(vertices.line.take(ends, axis=0, mode="clip") for ends in topology.edge_ends))
-    elif poses < lanes:
-        chosen[:, poses:] = False
-    at = np.flatnonzero(chosen)
-    segments = vertices.segments(at >> shift_of(lanes), at & (lanes - 1), detail)
-    for more in cut:
-        segments = segments.and_more(more.crossing() if straight else more)
-    if not straight:
-        segments = bent(segments, projection)
-    return OutlineSegments(segments, looks.ravel().take(segments.face * lanes + segments.lane, mode="clip"))
+    @property
+    def links(self) -> int:
+        """Number of links with geometry."""
+        return self._topology.links
+
+    def link_of(self, face: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Which link faces (N,) belong to."""
+        return np.searchsorted(self._topology.face_start, face, side="right") - 1
+
+    def segments(self, grid: LineGrid, *, detail: bool) -> OutlineSegments:
+        """Segments of the outlines, as far as they cross lines; with ``detail``, they know their depth."""
+        straight, lanes = self._projection.camera.is_pinhole, self._lanes
+        vertices, outline = self._vertices.on(grid), self._outline
+        cut = []
+        if self._vertices.behind:
+            outline = outline.copy()
+            cut = [cut_link(vertices, link, outline, detail) for link in self._vertices.behind]
+        chosen = answers_of(outline)
+        if straight:
+            start, end = (vertices.line.take(ends, axis=0, mode="clip") for ends in self._topology.edge_ends)
+            chosen = chosen & (start != end)
+        elif self.poses < lanes:
+            chosen = chosen.copy()
+            chosen[:, self.poses :] = False
+        at = np.flatnonzero(chosen)
+        segments = vertices.segments(at >> shift_of(lanes), at & (lanes - 1), detail)
+        for more in cut:
+            segments = segments.and_more(more.crossing() if straight else more)
+        if not straight:
+            segments = bent(segments, self._projection, grid)
+        return OutlineSegments(segments, self._looks.ravel().take(segments.face * lanes + segments.lane, mode="clip"))

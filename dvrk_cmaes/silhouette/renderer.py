@@ -22,8 +22,9 @@ from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.lanes import groups_of
 from dvrk_cmaes.silhouette.lighter import lightened
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
+from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
-from dvrk_cmaes.silhouette.spans import SpanRenderer, Spans
+from dvrk_cmaes.silhouette.spans import Spans, covered_spans
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
 
 T = TypeVar("T")
@@ -112,23 +113,18 @@ class Renderer:
         """Return a renderer of the same body in the same camera at another image size."""
         return Renderer(self.body, self.camera.scaled(width, height), threads=self.threads)
 
-    def _spans(self, lines_per_pixel: int, to_pixel: bool) -> SpanRenderer:
-        grid = LineGrid(self.camera.height, lines_per_pixel)
-        return SpanRenderer(self.body.topology, self.camera, grid, to_pixel)
-
     def _each_group(
         self,
-        renderer: SpanRenderer,
         camera_from_root: NDArray[np.float64],
         joints: NDArray[np.float64],
-        use: Callable[[Spans, int], T],
-    ) -> list[T]:
-        """Apply ``use`` to the spans of each group of poses and its size, in threads."""
+        use: Callable[[OutlineEdges], T],
+    ) -> tuple[list[T], list[int]]:
+        """Apply ``use`` to the outline edges of each group of poses, in threads; what it gave, and their sizes."""
         links = self.body.camera_from_links(camera_from_root, joints)
         groups = [links[group] for group in groups_of(len(links))]
 
         def work(group: NDArray[np.float64]) -> T:
-            return use(renderer.spans(group), len(group))
+            return use(OutlineEdges(self.body.topology, self.camera, group))
 
         if self.threads == 1 or len(groups) == 1:
             done = [work(group) for group in groups]
@@ -136,7 +132,7 @@ class Renderer:
             done = list(_pool(self.threads).map(work, groups))
         with self._counting:
             self.poses += len(links)
-        return done
+        return done, [len(group) for group in groups]
 
     def sums(
         self,
@@ -152,7 +148,7 @@ class Renderer:
         With ``to_pixel``, over the pixels whose centres are covered; otherwise over the real outline, which makes the
         sums continuous in the pose.
         """
-        width, lines = self.camera.width, self.camera.height * lines_per_pixel
+        width, grid = self.camera.width, LineGrid(self.camera.height, lines_per_pixel)
         flat = images.table.reshape(-1, images.table.shape[2])
 
         def upto(row: NDArray[np.int64], at: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -166,70 +162,86 @@ class Renderer:
                 values += step
             return values
 
-        def add(spans: Spans, poses: int) -> NDArray[np.float64]:
-            pose = spans.row // lines
-            row = spans.row - pose * lines
+        def add(edges: OutlineEdges) -> NDArray[np.float64]:
+            spans = covered_spans(edges, grid, width, to_pixel=to_pixel)
+            pose = spans.row // grid.lines
+            row = spans.row - pose * grid.lines
             if lines_per_pixel > 1:
                 row //= lines_per_pixel
             values = upto(row, spans.end)
             values -= upto(row, spans.start)
             columns = values.T[: images.count]
-            return np.stack([np.bincount(pose, weights=column, minlength=poses) for column in columns], axis=1)
+            return np.stack([np.bincount(pose, weights=column, minlength=edges.poses) for column in columns], axis=1)
 
-        renderer = self._spans(lines_per_pixel, to_pixel)
-        return np.concatenate(self._each_group(renderer, camera_from_root, joints, add)) / lines_per_pixel
+        return np.concatenate(self._each_group(camera_from_root, joints, add)[0]) / lines_per_pixel
 
     def coverage(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 4
     ) -> NDArray[np.float32]:
         """Antialiased silhouettes of C poses: the covered share of each pixel, (C, H, W)."""
-        renderer = self._spans(lines_per_pixel, to_pixel=False)
+        grid = LineGrid(self.camera.height, lines_per_pixel)
+
+        def draw(edges: OutlineEdges) -> NDArray[np.float32]:
+            return self._covered_shares(covered_spans(edges, grid, self.camera.width), edges.poses, lines_per_pixel)
+
+        return np.concatenate(self._each_group(camera_from_root, joints, draw)[0])
+
+    def _covered_shares(self, spans: Spans, poses: int, lines_per_pixel: int) -> NDArray[np.float32]:
+        """Covered share of each pixel, (C, H, W)."""
         height, width = self.camera.height, self.camera.width
+        row = spans.row // lines_per_pixel if lines_per_pixel > 1 else spans.row
+        at = np.concatenate([spans.start, spans.end])
+        whole = at.astype(np.int32)
+        later = at - whole.astype(np.float32)
+        later[len(row) :] *= -1
+        now = np.repeat(np.array([1, -1], dtype=np.float32), len(row)) - later
+        index = np.tile(row * (width + 2), 2) + whole
+        change = np.bincount(
+            np.concatenate([index, index + 1]),
+            weights=np.concatenate([now, later]),
+            minlength=poses * height * (width + 2),
+        )
+        table = change.astype(np.float32).reshape(poses * height, width + 2).cumsum(axis=1)[:, :width]
+        return table.reshape(poses, height, width) * np.float32(1 / lines_per_pixel)
 
-        def draw(spans: Spans, poses: int) -> NDArray[np.float32]:
-            row = spans.row // lines_per_pixel if lines_per_pixel > 1 else spans.row
-            at = np.concatenate([spans.start, spans.end])
-            whole = at.astype(np.int32)
-            later = at - whole.astype(np.float32)
-            later[len(row) :] *= -1
-            now = np.repeat(np.array([1, -1], dtype=np.float32), len(row)) - later
-            index = np.tile(row * (width + 2), 2) + whole
-            change = np.bincount(
-                np.concatenate([index, index + 1]),
-                weights=np.concatenate([now, later]),
-                minlength=poses * height * (width + 2),
-            )
-            table = change.astype(np.float32).reshape(poses * height, width + 2).cumsum(axis=1)[:, :width]
-            return table.reshape(poses, height, width) * np.float32(1 / lines_per_pixel)
+    def outlines(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> OutlinePoints:
+        """Points on the outlines of C poses, on a line a pixel, and where they lie on the instrument."""
+        grid = LineGrid(self.camera.height)
 
-        return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
+        def find(edges: OutlineEdges) -> OutlinePoints:
+            rows = covered_spans(edges, grid, self.camera.width, detail=True)
+            return outline_points(edges, self.camera, rows, grid)
 
-    def outlines(
-        self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 1
-    ) -> OutlinePoints:
-        """Points on the outlines of C poses, and where they lie on the instrument."""
-        links = self.body.camera_from_links(camera_from_root, joints)
-        slices = groups_of(len(links))
-        groups = [outline_points(self.body.topology, self.camera, links[s], per_pixel=lines_per_pixel) for s in slices]
-        if len(groups) == 1:
-            return groups[0]
-        pose = np.concatenate([group.pose + one.start for group, one in zip(groups, slices, strict=True)])
-        rest = [np.concatenate([getattr(g, name) for g in groups]) for name in ("pixels", "normals", "link", "points")]
-        return OutlinePoints(pose, *rest)
+        return OutlinePoints.joined(*self._each_group(camera_from_root, joints, find))
+
+    def coverage_and_outlines(
+        self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 2
+    ) -> tuple[NDArray[np.float32], OutlinePoints]:
+        """Both at little more than the cost of one of them; the outlines' points are on a line a pixel, too."""
+        grid = LineGrid(self.camera.height, lines_per_pixel)
+
+        def both(edges: OutlineEdges) -> tuple[NDArray[np.float32], OutlinePoints]:
+            rows = covered_spans(edges, grid, self.camera.width, detail=True)
+            points = outline_points(edges, self.camera, rows, grid)
+            return self._covered_shares(rows, edges.poses, lines_per_pixel), points
+
+        done, sizes = self._each_group(camera_from_root, joints, both)
+        return np.concatenate([one for one, _ in done]), OutlinePoints.joined([points for _, points in done], sizes)
 
     def masks(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Silhouettes to the pixel of C poses: whether each pixel's centre is covered, (C, H, W)."""
-        renderer = self._spans(1, to_pixel=True)
         height, width = self.camera.height, self.camera.width
+        grid = LineGrid(height)
 
-        def draw(spans: Spans, poses: int) -> NDArray[np.bool_]:
+        def draw(edges: OutlineEdges) -> NDArray[np.bool_]:
+            spans, poses = covered_spans(edges, grid, width, to_pixel=True), edges.poses
             begin = spans.row * (width + 1)
             index = np.concatenate([begin + spans.start.astype(np.int32), begin + spans.end.astype(np.int32)])
             sign = np.repeat([1.0, -1.0], len(begin))
             change = np.bincount(index, weights=sign, minlength=poses * height * (width + 1))
             return np.asarray(change.reshape(poses, height, width + 1).cumsum(axis=2)[:, :, :width] > 0.5)
 
-        return np.concatenate(self._each_group(renderer, camera_from_root, joints, draw))
+        return np.concatenate(self._each_group(camera_from_root, joints, draw)[0])
 
     def trace(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Trace one ray through every pixel's centre, with nothing clever: the reference for ``masks``, (C, H, W)."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.silhouette.grid import Float32, Projection
+from dvrk_cmaes.silhouette.grid import Float32, LineGrid, Projection
 from dvrk_cmaes.silhouette.scenes import NEAR
 
 _BEND = 0.0005  # pixels by which a lens may bend a segment that is drawn straight
@@ -96,7 +96,7 @@ def _straight_length(camera: Camera) -> float:
     return float(4.0 * np.sqrt(_BEND / max(bend.max(), 1e-9)))
 
 
-def bent(segments: Segments, projection: Projection) -> Segments:
+def bent(segments: Segments, projection: Projection, grid: LineGrid) -> Segments:
     """Divide segments that a lens may bend visibly into short ones, inside the image's surroundings."""
     assert segments.xy is not None
     focal = np.array([[projection.camera.fx], [projection.camera.fy]], dtype=np.float32)
@@ -106,10 +106,10 @@ def bent(segments: Segments, projection: Projection) -> Segments:
     short = segments.select(np.flatnonzero((segments.line[0] != segments.line[1]) & ~is_long))
     if not is_long.any():
         return short
-    return short.and_more(_divided(segments.select(np.flatnonzero(is_long)), projection, straight))
+    return short.and_more(_divided(segments.select(np.flatnonzero(is_long)), projection, grid, straight))
 
 
-def _divided(segments: Segments, projection: Projection, straight: float) -> Segments:
+def _divided(segments: Segments, projection: Projection, grid: LineGrid, straight: float) -> Segments:
     """Divide segments into parts of at most a given length, px."""
     assert segments.xy is not None
     start, end = segments.xy.astype(np.float64).transpose(1, 2, 0)
@@ -128,7 +128,7 @@ def _divided(segments: Segments, projection: Projection, straight: float) -> Seg
     rank = np.arange(len(owner)) - (np.cumsum(inner) - inner)[owner]
     share = enter[owner] + (leave - enter)[owner] * rank / np.maximum(pieces[owner], 1)
     at = (start[owner] + share[:, None] * way[owner]).T.astype(np.float32)
-    u, v = projection.bent(at)
+    u, v = grid.place(projection.pixels(at))
     last = np.cumsum(inner + 2) - 1
     first = last - inner - 1
     place = first[owner] + 1 + rank
@@ -140,7 +140,7 @@ def _divided(segments: Segments, projection: Projection, straight: float) -> Seg
         points[place] = between
         return np.stack([points[part], points[part + 1]])
 
-    line = chain(segments.line, projection.first_line(v))
+    line = chain(segments.line, grid.first_line(v))
     inverse = segments.inverse_depth
     if inverse is not None:  # linear along a straight line in the image
         inverse = chain(inverse, inverse[0, owner] + share * (inverse[1] - inverse[0])[owner])

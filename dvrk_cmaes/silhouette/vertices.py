@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.silhouette.grid import Float32, Projection
+from dvrk_cmaes.silhouette.grid import Float32, LineGrid, Projection
 from dvrk_cmaes.silhouette.lanes import lanes_for, product
 from dvrk_cmaes.silhouette.scenes import NEAR
 from dvrk_cmaes.silhouette.segments import Segments
@@ -16,7 +19,7 @@ class ProjectedVertices:
     """The vertices' places in the image, arrays (V, lanes); those behind the near plane have none that means anything.
 
     ``behind`` holds, of the links that the plane cuts or that are behind it, which of their vertices are behind, and
-    ``homogeneous`` their u, v and 1, times the depth: (3, V of the link, lanes).
+    ``homogeneous`` their u, v and 1, times the depth: (3, V of the link, lanes). What is kept of them is in pixels.
     """
 
     def __init__(self, topology: MeshTopology, projection: Projection, camera_from_link: NDArray[np.float64]) -> None:
@@ -48,21 +51,37 @@ class ProjectedVertices:
         image = homogeneous[:2]
         image *= self.inverse_depth
         self.xy: Float32 | None = None if projection.camera.is_pinhole else image
-        self.u, self.v = projection.bent(image.reshape(2, -1)).reshape(image.shape)
-        self.line = projection.first_line(self.v)
+        self.pixels = projection.pixels(image.reshape(2, -1)).reshape(image.shape)
+
+    def on(self, grid: LineGrid) -> VerticesOnLines:
+        """Say where they lie among lines."""
+        u, v = grid.place(self.pixels)
+        return VerticesOnLines(self, grid, u, v, grid.first_line(v))
+
+
+@dataclass(frozen=True, eq=False)
+class VerticesOnLines:
+    """Vertices among lines: positions along them (u), among them (v), and the first line at or below, (V, lanes)."""
+
+    vertices: ProjectedVertices
+    grid: LineGrid
+    u: Float32
+    v: Float32
+    line: NDArray[np.signedinteger[Any]]
 
     def segments(self, edge: NDArray[np.intp], lane: NDArray[np.intp], detail: bool) -> Segments:
         """Edges as segments; with ``detail``, they know their depth."""
-        ends = self.topology.edge_ends.take(edge, axis=1, mode="clip")
-        ends *= self.lanes
+        vertices, topology = self.vertices, self.vertices.topology
+        ends = topology.edge_ends.take(edge, axis=1, mode="clip")
+        ends *= vertices.lanes
         ends += lane
         return Segments(
             lane,
-            self.topology.edge_faces[0].take(edge, mode="clip"),
-            self.topology.weight.take(edge, mode="clip"),
+            topology.edge_faces[0].take(edge, mode="clip"),
+            topology.weight.take(edge, mode="clip"),
             self.u.ravel().take(ends, mode="clip"),
             self.v.ravel().take(ends, mode="clip"),
             self.line.ravel().take(ends, mode="clip"),
-            None if self.xy is None else self.xy.reshape(2, -1).take(ends, axis=1, mode="clip"),
-            self.inverse_depth.ravel().take(ends, mode="clip") if detail else None,
+            None if vertices.xy is None else vertices.xy.reshape(2, -1).take(ends, axis=1, mode="clip"),
+            vertices.inverse_depth.ravel().take(ends, mode="clip") if detail else None,
         )
