@@ -3,6 +3,7 @@
     python scripts/bench.py render       ms a candidate, loss terms out, beside peers that do the same work
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
     python scripts/bench.py scale        the renderer against image and mesh size, frames a second against workers
+    python scripts/bench.py cores        what a second core is worth to two threads, and to two processes
 
 Frames and meshes are those kept beside the checkout, or --sessions and --instrument. --json prints numbers for
 programs, --quick does the least that shows that it works. What is compared is run in turns, in one process; times are
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from bench_cores import cores_report
 from bench_estimate import estimate_report, workers_report
 from bench_render import render_report, scale_report
 
@@ -63,7 +65,11 @@ def _scale(arguments: argparse.Namespace) -> dict[str, Any]:
     return report | workers_report(arguments.instrument, arguments.golden, workers=workers, frames=frames)
 
 
-COMMANDS: Final = {"render": _render, "estimate": _estimate, "scale": _scale}
+def _cores(arguments: argparse.Namespace) -> dict[str, Any]:
+    return cores_report(arguments.instrument, arguments.golden, repeats=3 if arguments.quick else arguments.repeats)
+
+
+COMMANDS: Final = {"render": _render, "estimate": _estimate, "scale": _scale, "cores": _cores}
 
 
 def _machine() -> dict[str, Any]:

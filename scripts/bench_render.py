@@ -57,7 +57,7 @@ def in_turns(work: Mapping[str, Callable[[], object]], repeats: int) -> dict[str
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
-def _images(camera: Camera) -> NDArray[np.float32]:
+def images_to_sum(camera: Camera) -> NDArray[np.float32]:
     """Three images to sum, as a loss has them: ones, a mask, a distance field."""
     v, u = np.mgrid[: camera.height, : camera.width]
     far = np.hypot(u - camera.width / 2, v - camera.height / 2) / camera.width
@@ -79,7 +79,7 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     instrument = load_instrument(source)
     body = Body.prepare(instrument)
     camera, poses, joints = population(instrument, golden)
-    images = _images(camera)
+    images = images_to_sum(camera)
     table, flat = PixelSums.of(images), images.reshape(len(images), -1)
     renderers = {n: Renderer(body, camera, threads=n) for n in (1, THREADS)}
     few = poses[:PEER_POSES], joints[:PEER_POSES]
@@ -162,7 +162,7 @@ def scale_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     camera, poses, joints = population(body.instrument, golden)
 
     def sums(body: Body, camera: Camera) -> Callable[[], object]:
-        table, renderer = PixelSums.of(_images(camera)), Renderer(body, camera, threads=1)
+        table, renderer = PixelSums.of(images_to_sum(camera)), Renderer(body, camera, threads=1)
         return lambda: renderer.sums(poses, joints, table)
 
     by_size = in_turns({f"{w} x {h}": sums(body, _seen_at(camera, w, h)) for w, h in SIZES}, repeats)
