@@ -72,14 +72,17 @@ class TrustConfig:
     """Thresholds beyond which a result is doubtful, set on made frames of all levels and on falsified ones.
 
     ``least_iou``: overlap of silhouette and mask. ``largest_contour_px``: what 95 % of the mask's contour must be
-    within. ``least_score_gap``: log-likelihood by which another mode must be worse; ``largest_outline_gap``: by which
-    the outline alone may prefer one. ``largest_reading_sigmas``: deviation of one joint from its reading;
-    ``largest_reading_sum``: squared deviations of all. ``unobservable_share``: of a reading's spread, for a joint's
-    standard deviation.
+    within. ``largest_bend_px`` and ``largest_bend_share`` of the shaft's width, of which the larger holds: how far the
+    silhouette may bend along a straight line that ends the mask. ``least_score_gap``: log-likelihood by which
+    another mode must be worse; ``largest_outline_gap``: by which the outline alone may prefer one.
+    ``largest_reading_sigmas``: deviation of one joint from its reading; ``largest_reading_sum``: squared deviations of
+    all. ``unobservable_share``: of a reading's spread, for a joint's standard deviation.
     """
 
     least_iou: float = 0.85
     largest_contour_px: float = 3.5
+    largest_bend_px: float = 3.0
+    largest_bend_share: float = 0.06
     least_score_gap: float = 3.0
     largest_outline_gap: float = 2.0
     largest_reading_sigmas: float = 2.8

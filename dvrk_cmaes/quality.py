@@ -21,15 +21,16 @@ from dvrk_cmaes.refine.outline import OutlineFit
 from dvrk_cmaes.result import Quality
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.confirm import confirmed
+from dvrk_cmaes.straight_cut import largest_bend, shaft_width
 
 Float64 = NDArray[np.float64]
 
 
 def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float64:
-    """Distances in px from points (N, 2) to a silhouette's outline, (N,); infinite where there is none."""
+    """Distances in px from points (N, 2) to a silhouette's outline, negative inside, (N,); infinite without one."""
     if not len(points) or silhouette.all() or not silhouette.any():
-        return np.full(max(len(points), 1), np.inf)
-    return np.abs(sampled(signed_distance(silhouette), points))
+        return np.full(len(points), np.inf)
+    return sampled(signed_distance(silhouette), points)
 
 
 def measure_quality(
@@ -68,8 +69,10 @@ def measure_quality(
         )
         both, either = (drawn * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
         # from a silhouette that is out of view: no farther than across the image
-        distances = _contour_distances(silhouette, evidence.contour.pixels - [left, top])
-        distances = np.minimum(distances, np.hypot(*evidence.mask.shape))
+        across = float(np.hypot(*evidence.mask.shape))
+        signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -across, across)
+        distances = np.abs(signed) if len(signed) else np.array([across])
+        shaft = shaft_width(renderer.body.instrument, evidence.camera, poses[i])
         found.append(
             Quality(
                 iou=float(both / max(either, 1)),
@@ -77,6 +80,7 @@ def measure_quality(
                 terms={name: float(value[0]) for name, value in asdict(terms).items()},
                 contour_px_median=float(np.median(distances)),
                 contour_px_95=float(np.percentile(distances, 95)),
+                bend_px=0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
             )
         )
     return found, rays
@@ -103,6 +107,11 @@ def doubts_of_fit(
         reasons.append(
             f"outline residual too high: a twentieth of the mask's contour is more than "
             f"{quality.contour_px_95:.1f} px from the silhouette"
+        )
+    shaft = shaft_width(instrument, evidence.camera, best.camera_from_root)
+    if shaft is not None and quality.bend_px > max(trust.largest_bend_px, trust.largest_bend_share * shaft):
+        reasons.append(
+            f"mask cut straight: along a straight line that ends it, the silhouette bends by {quality.bend_px:.1f} px"
         )
     if instrument.jaw_tips and _tips_out_of_view(best, instrument, evidence):
         reasons.append("tip out of view: a jaw tip lies outside the image")

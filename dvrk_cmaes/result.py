@@ -48,13 +48,17 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Quality:
-    """How well the silhouette explains the mask; contour distances in px of the full image."""
+    """How well the silhouette explains the mask; contour distances in px of the full image.
+
+    ``bend_px``: how far the silhouette bends along a straight line that ends the mask; 0 where none does.
+    """
 
     iou: float
     loss: float
     terms: dict[str, float]
     contour_px_median: float
     contour_px_95: float
+    bend_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +178,7 @@ class Result:
                 "terms": _values(self.quality.terms),
                 "contour_px_median": rounded(self.quality.contour_px_median),
                 "contour_px_95": rounded(self.quality.contour_px_95),
+                "bend_px": rounded(self.quality.bend_px),
             }
         return {
             "schema": SCHEMA,
@@ -212,6 +217,7 @@ def _quality(fields: Fields | None) -> Quality | None:
         terms=fields.numbers("terms"),
         contour_px_median=fields.number("contour_px_median"),
         contour_px_95=fields.number("contour_px_95"),
+        bend_px=fields.number("bend_px", 0.0),
     )
 
 

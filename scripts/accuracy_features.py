@@ -53,6 +53,7 @@ def measure_features(
         "iou": quality.iou,
         "contour_px_median": quality.contour_px_median,
         "contour_px_95": quality.contour_px_95,
+        "bend_px": quality.bend_px,
         **{f"term_{name}": value for name, value in quality.terms.items()},
     }
     for name, z in zip(names, (joints - values) / spread, strict=True):
