@@ -36,7 +36,7 @@ def full() -> Result:
         camera_from_base=moved(POSE, [0.1, 0, 0, 0, 0, 1]),
         source="session",
         change={"translation_mm": 0.3, "rotation_deg": 1.0, "joints_deg": {"jaw": 0.2}},
-        quality=Quality(0.97, 0.1, {"mse": 0.02, "dist": 0.01}, 0.6, 2.1),
+        quality=Quality(0.97, 0.1, {"mse": 0.02, "dist": 0.01}, 0.6, 2.1, 1.4),
         covariance=np.diag([1e-8, 2e-8, 3e-8, 1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 4e-3]),
         alternatives=(Alternative(POSE, JOINTS, 0.12, 0.96, "mirror twin", 41.0),),
         seconds=0.7,
@@ -75,6 +75,14 @@ def test_pose_joints_and_seconds_are_enough(tmp_path: Path) -> None:
     assert (result.frame, result.status, result.root_link) == ("0026", "ok", "roll_link")
     np.testing.assert_array_equal(result.camera_from_root, POSE)
     assert (result.joints, result.seconds, result.covariance) == (JOINTS, 0.7, None)
+
+
+def test_a_quality_from_before_bends_were_measured_has_none(tmp_path: Path) -> None:
+    document = full().to_dict()
+    del document["quality"]["bend_px"]
+    quality = read_result(write(tmp_path / "0007.json", document)).quality
+    assert quality is not None
+    assert quality.bend_px == 0
 
 
 def test_a_failed_frame_has_no_pose(tmp_path: Path) -> None:
