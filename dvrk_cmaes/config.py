@@ -128,7 +128,11 @@ class SessionConfig:
 
 @dataclass(frozen=True)
 class EstimateConfig:
-    """Settings of `estimate`; ``field`` is the distance field's method, ``decay`` (px) its length."""
+    """Settings of `estimate`; ``field`` is the distance field's method, ``decay`` (px) its length.
+
+    More than one of ``threads`` only pays where images are large: on a frame's many small ones they wait for each other
+    at the interpreter's lock. A folder's frames go to processes instead.
+    """
 
     search: SearchConfig = field(default_factory=SearchConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
@@ -139,7 +143,7 @@ class EstimateConfig:
     session: SessionConfig = field(default_factory=SessionConfig)
     distance_field: str = "fmm"
     decay_px: float = 30.0
-    threads: int = 2
+    threads: int = 1
     seed: int = 0
 
     def as_dict(self) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def calibrate_session(
     config
         All settings; ``config.session`` says how frames hang together.
     run
-        How to apply a function to many tasks; two threads unless given.
+        How to apply a function to many tasks; unless given, on the configuration's threads.
     draw
         Draw each frame, too: its result, and what the other frames predict.
     progress
