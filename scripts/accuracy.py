@@ -3,14 +3,15 @@
     python scripts/accuracy.py errors SESSION...       errors, spreads, share doubted
     python scripts/accuracy.py calibration SESSION...  do the 90 % intervals hold the truth
     python scripts/accuracy.py lies SESSION...         are falsified frames doubted
-    python scripts/accuracy.py bound SESSION...        errors against the smallest possible (Cramer-Rao)
+    python scripts/accuracy.py bound SESSION...        errors and spreads against the smallest possible (Cramer-Rao)
     python scripts/accuracy.py sessions SESSION...     each solved together: errors of its base, its 95 % intervals
     python scripts/accuracy.py session-lies SESSION... each falsified as a whole: is that named
 
-A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth. data/demo is one; `dvrk-cmaes synth`
-makes more. A session's name without its digits is its level (clean, easy, ...). Calibration wants at least 200 frames.
---keep DIR writes results there and takes those that are there already: several commands share them, and what is kept is
-from the program that wrote it. What each part of the method is worth: scripts/experiments/ablation.py.
+A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth; of a session without it, errors and
+bound say what needs none. data/demo is one; `dvrk-cmaes synth` makes more. A session's name without its digits is its
+level (clean, easy, ...). Calibration wants at least 200 frames. --keep DIR writes results there and takes those there
+already: several commands share them, and what is kept is from the program that wrote it. What each part of the
+method is worth: scripts/experiments/ablation.py.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from accuracy_lies import lie_report, load_others, make_lies
 from accuracy_session import Outcome, Trial, honest_trials, read_bases, run_trials, session_report
 from accuracy_session_lies import false_cases, false_trials
 from accuracy_session_lies import lie_report as session_lie_report
+from accuracy_spread_bound import mask_report
 from accuracy_tables import show, write_features
 
 from dvrk_cmaes.config import EstimateConfig
@@ -134,8 +136,9 @@ def lies(arguments: argparse.Namespace) -> Report:
 
 
 def bound(arguments: argparse.Namespace) -> Report:
-    runs = _run(arguments, _honest(arguments))
-    return bound_report(prepare(arguments.instrument), runs, _config(arguments))
+    runs = _run(arguments, _honest(arguments, truth=False))
+    body, config = prepare(arguments.instrument), _config(arguments)
+    return {**bound_report(body, runs, config), **mask_report(body, runs, config)}
 
 
 def _solve(arguments: argparse.Namespace, trials: Sequence[Trial]) -> list[Outcome]:

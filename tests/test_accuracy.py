@@ -114,12 +114,12 @@ def test_frames_of_one_arm_agree_and_a_steady_error_along_the_shaft_moves_their_
 def test_the_rates_of_all_crossings_add_up_to_the_silhouettes_change_of_area(
     bundled_body: Body, cases: list[Case]
 ) -> None:
-    from accuracy_bound import crossing_rates
+    from accuracy_bound import find_crossings
 
     case = cases[0]
     assert case.truth is not None
     pose, joints = case.truth.camera_from_root, np.array(list(wrist(case).values()))
-    rates = crossing_rates(bundled_body, case, pose, joints).sum(axis=1)
+    rates = find_crossings(bundled_body, case, pose, joints).rates.sum(axis=1)
     renderer = Renderer(bundled_body, case.camera, threads=1)
     steps = np.array([2e-5] * 3 + [2e-4] * 6)
     change = np.concatenate([np.diag(steps), -np.diag(steps)])
