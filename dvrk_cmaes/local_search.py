@@ -19,12 +19,14 @@ from dvrk_cmaes.objective import Objective, Readings
 from dvrk_cmaes.parallel import batches
 from dvrk_cmaes.refine.direct import refine_direct
 from dvrk_cmaes.refine.outline import OutlineFit, OutlineRefiner
+from dvrk_cmaes.refine.wavering import SHARPER, fit_wavering, wavers
 from dvrk_cmaes.silhouette import LANES, Renderer
 
 Float64 = NDArray[np.float64]
 
 _TWIN_ANGLE = np.deg2rad(40)
 _CLEARLY_WORSE = 15.0  # in negative log-likelihood
+_AS_GOOD = 3.0  # by that measure
 _TWINS = 3  # of the best candidates that are refined with them
 
 
@@ -123,12 +125,24 @@ class LocalSearch:
             if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
         ]
         rest = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes if mode not in close]
+        modes = best_of_each([*self._last(refiner, close), *rest])
+        instrument = self._renderer.body.instrument
+        if instrument.has_twin and not any(is_twin(instrument, modes[0], other) for other in modes[1:]):
+            modes = best_of_each([*modes, *self._last(refiner, [self._twin(modes[0])])])
+        first, *others = modes
+        inflation = noise.inflation
+        if self._config.refine.method == "gauss-newton" and wavers(noise):
+            fitted = refiner.assess(*fit_wavering(refiner, first.camera_from_root, first.joints))
+            if fitted.score < first.score + _AS_GOOD:
+                first = replace(first, camera_from_root=fitted.camera_from_root, joints=fitted.joints)
+                inflation *= SHARPER
+        return [replace(first, information=refiner.information(first, noise) / inflation), *others]
+
+    def _last(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+        """Refine by the last steps, which are Gauss-Newton's; after any other method modes stay as they are."""
         if self._config.refine.method == "gauss-newton":
-            close = self._refine(refiner, close, cauchy=self._config.refine.outline.last_cauchy)
-        else:
-            close = [refiner.assess(mode.camera_from_root, mode.joints) for mode in close]
-        first, *others = best_of_each([*close, *rest])
-        return [replace(first, information=refiner.information(first, noise) / noise.inflation), *others]
+            return self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
+        return [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
 
     def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine at full size by the chosen method."""

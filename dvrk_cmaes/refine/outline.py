@@ -53,7 +53,7 @@ class OutlineConfig:
     lines_per_pixel: int = 2
     cauchy: float = 0.5
     small_cauchy: float = 0.25
-    last_cauchy: float = 0.08
+    last_cauchy: float = 0.03
     correlation: float = 8.0
     noise_floor: float = 0.15
     keypoint_sigma: float = 2.0
@@ -218,6 +218,21 @@ class OutlineRefiner:
             found.append(np.asarray(apart.sum(axis=-1) / (2 * self.steps)))
         return found
 
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """The part of the mask that is looked at, (H, W)."""
+        return self._mask
+
+    @property
+    def weight(self) -> NDArray[np.float32]:
+        """0 where a pixel of that part counts neither way, (H, W)."""
+        return self._weight
+
+    def outline_rates(self, pose: Float64, joints: Float64) -> tuple[OutlinePoints, Float64]:
+        """Outline points (N,) of one pose (4, 4), and how fast they move along their normals, (N, 6 + J)."""
+        outline = self._renderer.outlines(pose[None], joints[None])
+        return outline, self._speeds([outline], pose[None], joints[None])[0]
+
     def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
         """Information (D, D) that outline and priors hold about the small changes of a fitted pose."""
         information = self.outline_information(fit, noise)
@@ -230,11 +245,9 @@ class OutlineRefiner:
         Each ``noise.length`` px of outline is one measurement with ``noise.sigma``; what lies more than three of these
         away from the mask's outline, or is ignored, is none.
         """
-        at = fit.camera_from_root[None], fit.joints[None]
-        outline = self._renderer.outlines(*at)
+        outline, rates = self.outline_rates(fit.camera_from_root, fit.joints)
         off = sampled(signed_distance(self._mask), outline.pixels)
         counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
-        (rates,) = self._speeds([outline], *at)
         length = np.linalg.norm(outline.normals, axis=1)
         return np.asarray(rates.T @ (rates * (counts / length)[:, None]) / (noise.sigma**2 * noise.length))
 

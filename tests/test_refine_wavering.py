@@ -1,0 +1,100 @@
+"""The last steps on a wavering outline: nearer to the truth where errors are smooth, and nothing where they are not."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence import gather_evidence
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.hypotheses import lookat_pose
+from dvrk_cmaes.noise import OutlineNoise, measure_noise, signed_distance
+from dvrk_cmaes.objective import Readings
+from dvrk_cmaes.refine.outline import OutlineConfig, OutlineRefiner
+from dvrk_cmaes.refine.wavering import fit_wavering, wavers
+from dvrk_cmaes.silhouette import Body, Renderer
+
+CAMERA = Camera(640, 480, 880, 880, 330, 250)
+POSE = lookat_pose(0.2, 0.3, 1.0, 0.12)
+JOINTS = np.array([0.4, -0.3, 0.5])
+READ = JOINTS + np.array([0.1, -0.1, 0.15])
+
+
+def wavering_mask(body: Body, seed: int, size: float = 1.0) -> np.ndarray:
+    """The silhouette, its outline moved by smooth errors: standard deviation ``size`` px, gone over some 20 px."""
+    exact = Renderer(body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+    waves = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(exact.shape), (0, 0), 6.0)
+    return signed_distance(exact) < size * waves / waves.std()
+
+
+def refiner(body: Body, mask: np.ndarray) -> OutlineRefiner:
+    low, high = body.instrument.limits.T
+    readings = Readings(READ, np.deg2rad([10, 10, 15]), low, high)
+    evidence = gather_evidence(mask, CAMERA, body.instrument)
+    return OutlineRefiner(Renderer(body, CAMERA), evidence, readings, OutlineConfig())
+
+
+def tip_error(body: Body, pose: np.ndarray, joints: np.ndarray) -> float:
+    """Root mean square error of the jaw tips, mm."""
+    found, true = (body.instrument.tips(q) @ t[:3, :3].T + t[:3, 3] for t, q in ((pose, joints), (POSE, JOINTS)))
+    return float(1e3 * np.sqrt(((found - true) ** 2).sum(axis=1).mean()))
+
+
+def axis_error(pose: np.ndarray) -> float:
+    """Angle between the shaft's axis and the true one, deg."""
+    return float(np.degrees(np.linalg.norm(np.cross(pose[:3, 2], POSE[:3, 2]))))
+
+
+def test_knowing_that_errors_are_smooth_brings_the_pose_nearer(bundled_body: Body) -> None:
+    rng = np.random.default_rng(5)
+    tips, axes = [], []
+    for seed in range(8):
+        at = refiner(bundled_body, wavering_mask(bundled_body, seed))
+        start = moved(POSE, rng.normal(size=6) * [3e-4, 3e-4, 1e-3, 0.03, 0.03, 0.08])
+        fit = at.refine_all(start[None], JOINTS[None] + 0.1 * rng.normal(size=(1, 3)))[0]
+        fit = at.refine_all(fit.camera_from_root[None], fit.joints[None], cauchy=OutlineConfig.last_cauchy)[0]
+        poses = (fit.camera_from_root, fit.joints), fit_wavering(at, fit.camera_from_root, fit.joints)
+        tips.append([tip_error(bundled_body, *one) for one in poses])
+        axes.append([axis_error(pose) for pose, _ in poses])
+    before, after = np.sqrt(np.mean(np.square(axes), axis=0))
+    assert after < 0.7 * before
+    assert after < 1.0
+    before, after = np.mean(tips, axis=0)
+    assert after < 0.9 * before
+
+
+def test_it_is_for_outlines_that_waver_over_short_stretches_only(bundled_body: Body) -> None:
+    exact = Renderer(bundled_body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+    for size, expected in ((1.0, True), (0.0, False)):
+        evidence = gather_evidence(wavering_mask(bundled_body, 1, size), CAMERA, bundled_body.instrument)
+        assert wavers(measure_noise(evidence.contour, exact)) == expected
+    assert not wavers(OutlineNoise(sigma=1.5, length=35.0))
+
+
+def test_what_is_a_few_deviations_off_is_a_mistake_and_left_out(bundled_body: Body) -> None:
+    mask = wavering_mask(bundled_body, 1)
+    bitten = mask.copy()
+    row, column = np.argwhere(mask)[len(np.argwhere(mask)) // 3]
+    cv2.circle(blob := np.zeros(mask.shape, dtype=np.uint8), (int(column), int(row)), 14, 1, -1)
+    bitten[blob > 0] = False
+    whole, less = (fit_wavering(refiner(bundled_body, one), POSE, JOINTS) for one in (mask, bitten))
+    assert tip_error(bundled_body, *less) < tip_error(bundled_body, *whole) + 0.15
+
+
+def test_a_pose_far_from_the_mask_is_left_where_it_is(bundled_body: Body) -> None:
+    away = POSE.copy()
+    away[:3, 3] += [0.5, 0.3, 0.0]
+    pose, joints = fit_wavering(refiner(bundled_body, wavering_mask(bundled_body, 0)), away, JOINTS)
+    np.testing.assert_array_equal(pose, away)
+    np.testing.assert_array_equal(joints, JOINTS)
+
+
+def test_a_large_image_needs_no_more_points_than_a_small_one(
+    bundled_body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at = refiner(bundled_body, wavering_mask(bundled_body, 2))
+    every = fit_wavering(at, POSE, JOINTS)
+    monkeypatch.setattr("dvrk_cmaes.refine.wavering._POINTS", 300)
+    assert tip_error(bundled_body, *fit_wavering(at, POSE, JOINTS)) < 2 * tip_error(bundled_body, *every) + 0.1
