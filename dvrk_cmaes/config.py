@@ -61,7 +61,7 @@ class RefineConfig:
     evaluations: int = 400
     first_steps: int = 3
     small_modes: int = 10
-    small_steps: int = 6
+    small_steps: int = 12
     half_size_modes: int = 3
     modes: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)
