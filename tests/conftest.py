@@ -7,16 +7,21 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import settings
 
+from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.camera_file import read_camera
 from dvrk_cmaes.io.images import read_mask
 from dvrk_cmaes.silhouette import Body
+
+if TYPE_CHECKING:
+    from accuracy_cases import Case
 
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
@@ -52,6 +57,20 @@ def bundled_body() -> Body:
 def scanned_body(shared: Path) -> Body:
     """The scanned Large Needle Driver; its shaft is open and not manifold."""
     return Body.prepare(load_instrument(shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"))
+
+
+@pytest.fixture
+def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let tests import the scripts' modules."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "scripts"))
+
+
+@pytest.fixture
+def cases(scripts_on_path: None) -> list[Case]:
+    """The bundled session's frames as scripts/accuracy.py reads them."""
+    from accuracy_cases import read_cases
+
+    return read_cases([str(bundled_path("demo"))], instrument="lnd", frames=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,16 +22,7 @@ if TYPE_CHECKING:
     from accuracy_cases import Case, Run
 
 
-@pytest.fixture(autouse=True)
-def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-
-
-@pytest.fixture
-def cases() -> list[Case]:
-    from accuracy_cases import read_cases
-
-    return read_cases([str(ROOT / "data" / "demo")], instrument="lnd", frames=None)
+pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 
 def a_run(case: Case, pose: np.ndarray, joints: Mapping[str, float], spread: np.ndarray | None = None) -> Run:

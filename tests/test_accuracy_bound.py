@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -17,23 +16,11 @@ from dvrk_cmaes.geometry import moved, transform
 from dvrk_cmaes.noise import signed_distance
 from dvrk_cmaes.silhouette import Body, Renderer
 
-ROOT = Path(__file__).resolve().parents[1]
-SCRIPTS = ROOT / "scripts"
-
 if TYPE_CHECKING:
     from accuracy_cases import Case, Run
 
 
-@pytest.fixture(autouse=True)
-def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-
-
-@pytest.fixture
-def cases() -> list[Case]:
-    from accuracy_cases import read_cases
-
-    return read_cases([str(ROOT / "data" / "demo")], instrument="lnd", frames=None)
+pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 
 def with_mask(body: Body, case: Case, *, wave: float) -> Case:
