@@ -13,6 +13,7 @@ from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 from dvrk_cmaes.silhouette.segments import Segments
 
 _CODE_BITS = 3
+PAYLOAD_BITS = 31 - _CODE_BITS
 _NO_CHANGE = 2
 """A crossing's code is its change of the layer count, -2 to 2, plus this."""
 
@@ -25,24 +26,33 @@ class Crossings:
     """(N,) pose * lines + line."""
     u: Float32
     """(N,) pixel column coordinate."""
-    change: NDArray[np.int8]
-    """(N,) by how much the layer count changes from left to right; each row's sum to zero."""
+    code: NDArray[np.int32]
+    """(N,) by how much the layer count changes from left to right, plus ``_NO_CHANGE``; each row's sum to zero."""
     segments: Segments
     slope: Float32
     """(S,) change of the position from a line to the next."""
     segment: NDArray[np.int32] | None
     """(N,) which segment a crossing is on, where asked for."""
 
-    def turns(self, position: NDArray[np.int32], rows: int, positions: int) -> NDArray[np.intp]:
-        """Crossings at which the instrument begins and ends to cover a row, in turns, (2 S,), by row and position.
+    def turns(
+        self, position: NDArray[np.int32], payload: NDArray[np.int32], rows: int, positions: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Where the instrument begins and ends to cover a row, in turns, by row and position: rows and payloads (2 S,).
 
-        ``position`` (N,) is what crossings are sorted by along their row, 0 to ``positions`` - 1.
+        ``position`` (N,) is what crossings are sorted by along their row, 0 to ``positions`` - 1; ``payload`` (N,), of
+        at most ``PAYLOAD_BITS`` bits, what is wanted of those that are turns.
         """
-        order = ordered(self.row, position, rows, positions)
-        covered = np.cumsum(self.change.take(order, mode="clip"), dtype=np.int32) > 0
+        value = payload << _CODE_BITS
+        value |= self.code
+        start, value = ordered(self.row, position, value, rows, positions)
+        # Codes are changes plus _NO_CHANGE, so their running sum is the layer count and so much for each crossing.
+        count = np.cumsum(value & ((1 << _CODE_BITS) - 1), dtype=np.int32)
+        covered = count > np.arange(_NO_CHANGE, _NO_CHANGE * (len(count) + 1), _NO_CHANGE, dtype=np.int32)
         turns = covered.copy()
         turns[1:] ^= covered[:-1]
-        return order.take(np.flatnonzero(turns), mode="clip")
+        at = np.flatnonzero(turns)
+        row = np.repeat(np.arange(rows, dtype=np.int32), np.diff(start))
+        return row.take(at, mode="clip"), value.take(at, mode="clip") >> _CODE_BITS
 
 
 def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False) -> Crossings:
@@ -90,13 +100,10 @@ def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False)
     u += each[:, 1]
     place <<= _CODE_BITS
     place += each.view(np.int32)[:, 3]
-    change = (place & ((1 << _CODE_BITS) - 1)).astype(np.int8)
-    change -= _NO_CHANGE
-    place >>= _CODE_BITS
     return Crossings(
-        row=place,
+        row=place >> _CODE_BITS,
         u=u,
-        change=change,
+        code=place & ((1 << _CODE_BITS) - 1),
         segments=segments,
         slope=slope,
         segment=np.repeat(np.arange(len(count), dtype=np.int32), count) if detail else None,

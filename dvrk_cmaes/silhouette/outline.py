@@ -72,6 +72,7 @@ class _Turns:
     def of(spans: Spans, grid: LineGrid, extent: int) -> _Turns:
         """Find them on all lines."""
         crossings = spans.crossings
+        assert spans.turns is not None
         assert crossings.segment is not None
         n = grid.per_pixel
         start, end = spans.turns

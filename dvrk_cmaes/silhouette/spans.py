@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.silhouette.crossings import Crossings, find_crossings
+from dvrk_cmaes.silhouette.crossings import PAYLOAD_BITS, Crossings, find_crossings
 from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 
@@ -38,8 +38,8 @@ class Spans:
     start: NDArray[np.float32]
     end: NDArray[np.float32]
     crossings: Crossings
-    turns: NDArray[np.intp]
-    """(2, S) the crossings at which spans begin and end."""
+    turns: NDArray[np.int32] | None
+    """(2, S) the crossings at which spans begin and end, where asked for."""
 
 
 def covered_spans(
@@ -48,10 +48,11 @@ def covered_spans(
     """Find the spans of lines that a few poses cover, in an image that is ``extent`` pixels long along the lines.
 
     With ``to_pixel``, a span's ends are whole pixels, such that the pixels whose centres are covered are those between
-    them; otherwise they are where the outline really is. With ``detail``, crossings know their segments.
+    them; otherwise they are where the outline really is. With ``detail``, spans know the crossings at which they begin
+    and end, and these their segments.
     """
     crossings = find_crossings(edges, grid, detail=detail)
-    bits = 0 if to_pixel else 31 - extent.bit_length()  # behind the point of a position
+    bits = 0 if to_pixel else PAYLOAD_BITS - extent.bit_length()  # behind the point of a position
     if to_pixel:
         at = np.ceil(crossings.u)
     else:
@@ -60,9 +61,10 @@ def covered_spans(
     np.clip(at, 0, extent << bits, out=at)
     fixed = at.astype(np.int32)
     counted = min(bits, _SORTED_BITS)
-    turns = crossings.turns(fixed >> (bits - counted), edges.poses * grid.lines, (extent << counted) + 1)
-    row = crossings.row.take(turns, mode="clip").astype(np.int64)
-    ends = fixed.take(turns, mode="clip")
+    position, positions = fixed >> (bits - counted), (extent << counted) + 1
+    payload = np.arange(len(fixed), dtype=np.int32) if detail else fixed
+    turn_row, found = crossings.turns(position, payload, edges.poses * grid.lines, positions)
+    row, ends = turn_row.astype(np.int64), fixed.take(found, mode="clip") if detail else found
     if not to_pixel:
         # Neighbours too close to be told apart may be the wrong way round: then there is nothing between them.
         along = (row << 32) + ends
@@ -70,4 +72,5 @@ def covered_spans(
         ends = along.astype(np.int32)
     where = ends.astype(np.float32)
     where *= np.float32(1 / (1 << bits))
-    return Spans(row[::2], where[::2], where[1::2], crossings, turns.reshape(-1, 2).T)
+    turns = found.reshape(-1, 2).T if detail else None
+    return Spans(row[::2], where[::2], where[1::2], crossings, turns)
