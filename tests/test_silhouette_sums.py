@@ -65,6 +65,21 @@ def test_smooth_sums_are_sums_over_the_coverage(bundled_body: Body, camera: Came
     np.testing.assert_allclose(found, np.einsum("chw,khw->ck", coverage, images * weight), rtol=1e-5, atol=1e-2)
 
 
+@pytest.mark.parametrize("camera", [PINHOLE, LENS])
+@pytest.mark.parametrize("lines", [1, 2, 4])
+def test_coverage_and_outlines_drawn_at_once_are_those_drawn_alone(
+    bundled_body: Body, camera: Camera, lines: int
+) -> None:
+    renderer = Renderer(bundled_body, camera, threads=1)
+    coverage, outlines = renderer.coverage_and_outlines(*population(20), lines_per_pixel=lines)
+    np.testing.assert_allclose(coverage, renderer.coverage(*population(20), lines_per_pixel=lines), atol=1e-3)
+    pairs = zip(outlines.of_each(20), renderer.outlines(*population(20)).of_each(20), strict=True)
+    for together, alone in pairs:
+        lengths = [np.linalg.norm(one.normals, axis=1).sum() for one in (together, alone)]
+        assert lengths[0] == pytest.approx(lengths[1], rel=0.05, abs=6)
+        assert np.all(np.diff(together.link) >= 0)
+
+
 @pytest.mark.parametrize("lines", [1, 2, 4])
 def test_coverage_is_what_a_finer_trace_sees_of_each_pixel(bundled_body: Body, lines: int) -> None:
     camera = PINHOLE.scaled(80, 60)
