@@ -27,6 +27,14 @@ def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def squared_after_the_first(task: tuple[int, Path]) -> int:
+    """The first at once, all others once there is a file."""
+    number, gate = task
+    while number and not gate.exists():
+        time.sleep(0.01)
+    return number * number
+
+
 def squared(task: int) -> int:
     return task * task
 
@@ -72,14 +80,15 @@ def test_processes_that_die_at_their_start_end_the_work_with_a_reason() -> None:
 
 
 def test_once_stopped_what_is_running_is_finished_and_nothing_more_is_begun(tmp_path: Path) -> None:
-    stop = threading.Event()
-    found = through_processes(range(100), squared, start=nothing, workers=2, time_limit=60, stop=stop)
-    task, value = next(found)
+    stop, gate = threading.Event(), tmp_path / "gate"
+    tasks = [(number, gate) for number in range(100)]
+    found = through_processes(tasks, squared_after_the_first, start=nothing, workers=2, time_limit=60, stop=stop)
+    assert next(found) == ((0, gate), 0)
     stop.set()
+    gate.touch()
     rest = dict(found)
-    assert value == task * task
-    assert len(rest) <= 4
-    assert all(value == task * task for task, value in rest.items())
+    assert len(rest) <= 2
+    assert all(value == number * number for (number, _), value in rest.items())
 
 
 def test_who_stops_listening_leaves_no_process_behind() -> None:

@@ -86,6 +86,10 @@ class Priors:
             information += self._expected.information
             slope += self._expected.information @ self._expected.deviation(pose, joints)
 
+    def held(self, joints: Float64) -> Float64:
+        """Joints (J,) held at most ``LIMIT_SPREAD`` beyond their limits."""
+        return np.clip(joints, self._readings.low - LIMIT_SPREAD, self._readings.high + LIMIT_SPREAD)
+
     @property
     def _tips(self) -> Float64 | None:
         return self._evidence.tips if self._evidence.tips_given else None

@@ -66,7 +66,7 @@ def fit_wavering(refiner: OutlineRefiner, pose: Float64, joints: Float64) -> tup
         step = -np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))
         step *= min(1.0, _LARGEST_STEP / max(size, 1e-12))
-        pose, joints = moved(pose, step[:6]), joints + step[6:]
+        pose, joints = moved(pose, step[:6]), refiner.priors.held(joints + step[6:])
         if size < 0.3:
             break
     return pose, joints
