@@ -89,6 +89,13 @@ class LocalSearch:
     def _twin(self, mode: HasPose) -> Candidate:
         return Candidate(*self._renderer.body.instrument.twin(mode.camera_from_root, mode.joints), mode.score)
 
+    def _missing_twin(self, best: HasPose, others: Sequence[HasPose]) -> list[Candidate]:
+        """Give the mirror twin of the best mode, where the instrument has one and it is not among the others."""
+        instrument = self._renderer.body.instrument
+        if not instrument.has_twin or any(is_twin(instrument, best, other) for other in others):
+            return []
+        return [self._twin(best)]
+
     def refine(self, candidates: Sequence[Candidate]) -> list[OutlineFit]:
         """Refine candidates through growing image sizes; the modes that are left, the best first.
 
@@ -108,8 +115,8 @@ class LocalSearch:
         finest = self._refiner(1)
         final = self._finest(finest, modes[: config.refine.modes])
         best = min(final, key=lambda m: m.score)
-        if instrument.has_twin and not any(is_twin(instrument, best, other) for other in final):
-            final += self._finest(finest, [self._twin(best)])
+        if missing := self._missing_twin(best, final):
+            final += self._finest(finest, missing)
         return self._finish(final)
 
     def _finish(self, modes: list[OutlineFit]) -> list[OutlineFit]:
@@ -126,9 +133,8 @@ class LocalSearch:
         ]
         rest = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes if mode not in close]
         modes = best_of_each([*self._last(refiner, close), *rest])
-        instrument = self._renderer.body.instrument
-        if instrument.has_twin and not any(is_twin(instrument, modes[0], other) for other in modes[1:]):
-            modes = best_of_each([*modes, *self._last(refiner, [self._twin(modes[0])])])
+        if missing := self._missing_twin(modes[0], modes[1:]):
+            modes = best_of_each([*modes, *self._last(refiner, missing)])
         first, *others = modes
         inflation = noise.inflation
         if self._config.refine.method == "gauss-newton" and wavers(noise):

@@ -24,27 +24,28 @@ from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
 WORKERS: Final = 2
 _TOGETHER: Final = 8  # populations a process draws between two looks at the clock
 
-_work: Callable[[], object] | None = None
+_work: Callable[[int], object] | None = None
 
 
-def _prepare(source: str, golden: Path, threads: int) -> tuple[Callable[[], object], int]:
-    """Work that draws a population once, and how many candidates that is."""
+def _prepare(source: str, golden: Path) -> tuple[Callable[[int], object], int]:
+    """Work that draws a population once on so many threads, and how many candidates that is."""
     body = Body.prepare(load_instrument(source))
     camera, poses, joints = population(body.instrument, golden)
-    table, renderer = PixelSums.of(images_to_sum(camera)), Renderer(body, camera, threads=threads)
-    return lambda: renderer.sums(poses, joints, table), len(poses)
+    table = PixelSums.of(images_to_sum(camera))
+    renderers = {threads: Renderer(body, camera, threads=threads) for threads in (1, WORKERS)}
+    return lambda threads: renderers[threads].sums(poses, joints, table), len(poses)
 
 
 def _start(source: str, golden: Path) -> None:
     global _work
-    _work, _ = _prepare(source, golden, threads=1)
-    _work()
+    _work, _ = _prepare(source, golden)
+    _work(1)
 
 
 def _several() -> None:
     assert _work is not None
     for _ in range(_TOGETHER):
-        _work()
+        _work(1)
 
 
 def _waits() -> int:
@@ -54,8 +55,7 @@ def _waits() -> int:
 
 def cores_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     """Milliseconds a candidate: one thread, two threads, and two processes at once, in turns."""
-    one, count = _prepare(source, golden, threads=1)
-    two, _ = _prepare(source, golden, threads=WORKERS)
+    draw, count = _prepare(source, golden)
     seconds: dict[str, list[float]] = {"1 thread": [], "2 threads": [], "2 processes": []}
     waits: dict[str, list[int]] = {name: [] for name in seconds}
     with ProcessPoolExecutor(
@@ -66,7 +66,11 @@ def cores_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
             for done in [pool.submit(_several) for _ in range(WORKERS)]:
                 done.result()
 
-        ways = {"1 thread": (one, 1), "2 threads": (two, 1), "2 processes": (processes, WORKERS * _TOGETHER)}
+        ways: dict[str, tuple[Callable[[], object], int]] = {
+            "1 thread": (lambda: draw(1), 1),
+            "2 threads": (lambda: draw(WORKERS), 1),
+            "2 processes": (processes, WORKERS * _TOGETHER),
+        }
         for turn in range(repeats + 1):
             for name, (work, populations) in ways.items():
                 before, start = _waits(), time.perf_counter()

@@ -4,7 +4,7 @@ A segmenter's outline wavers by a pixel or more over some twenty pixels. Points 
 nearly as much, so that their sum says little, but their difference, the place of a bend or the far end of an edge
 against the near one, says a lot. Generalised least squares weigh sums and differences by what they are worth
 (Aitken): with errors e of covariance C and rates J, the step solves (J C^-1 J^T + P) x = J C^-1 e - p, P and p from the
-priors. C = s^2 (0.95 exp(-pi (d / length)^2) + 0.05 length I) and the pixel grid's, d px apart; its small uncorrelated
+priors. C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I) and the pixel grid's, d px apart; its small uncorrelated
 part, as large as all of the noise taken for white, stands for what of the errors is not smooth. What is more than
 ``_CLIP`` standard deviations off is a segmenter's mistake and left out.
 """
@@ -22,7 +22,7 @@ from dvrk_cmaes.silhouette import OutlinePoints
 Float64 = NDArray[np.float64]
 
 SHARPER = 0.65
-"""How much smaller the covariance of a pose is after these steps, as 90 % intervals on 240 made frames say."""
+"""How much smaller the covariance of a pose is after these steps, as 90 % intervals on 236 made frames say."""
 
 _ROUGHEST = 0.6  # px; a finer outline is mostly right to the pixel, and the outline's own loss does better
 _LONGEST = 25.0  # px; what is off over longer stretches is the instrument's shape, not the segmenter

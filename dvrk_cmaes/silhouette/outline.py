@@ -39,12 +39,11 @@ class OutlinePoints:
     points: Float64
 
     @staticmethod
-    def joined(groups: Sequence[OutlinePoints], sizes: Sequence[int]) -> OutlinePoints:
-        """Join those of several groups of so many poses each."""
+    def joined(groups: Sequence[OutlinePoints], parts: Sequence[slice]) -> OutlinePoints:
+        """Join those of the parts that a population was divided into."""
         if len(groups) == 1:
             return groups[0]
-        first = np.cumsum([0, *sizes[:-1]])
-        pose = np.concatenate([group.pose + start for group, start in zip(groups, first, strict=True)])
+        pose = np.concatenate([group.pose + part.start for group, part in zip(groups, parts, strict=True)])
         rest = [np.concatenate([getattr(g, name) for g in groups]) for name in ("link", "pixels", "normals", "points")]
         return OutlinePoints(pose, *rest)
 
@@ -104,7 +103,10 @@ class _Turns:
 
 
 def outline_points(edges: OutlineEdges, camera: Camera, rows: Spans, grid: LineGrid) -> OutlinePoints:
-    """Points on the visible outlines of a few poses, on a line a pixel; ``rows`` are ``grid``'s spans, in detail."""
+    """Points on the visible outlines of a few poses, on the rows of ``grid`` and on a column a pixel.
+
+    ``rows`` are the spans of ``grid``, in detail.
+    """
     columns = LineGrid(camera.width, vertical=True)
     spans = covered_spans(edges, columns, camera.height, detail=True)
     parts = [

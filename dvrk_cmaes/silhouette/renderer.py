@@ -118,8 +118,8 @@ class Renderer:
         camera_from_root: NDArray[np.float64],
         joints: NDArray[np.float64],
         use: Callable[[OutlineEdges], T],
-    ) -> tuple[list[T], list[int]]:
-        """Apply ``use`` to the outline edges of each group of poses, in threads; what it gave, and their sizes."""
+    ) -> list[T]:
+        """Apply ``use`` to the outline edges of each group of poses, in threads."""
         links = self.body.camera_from_links(camera_from_root, joints)
         groups = [links[group] for group in groups_of(len(links))]
 
@@ -132,7 +132,7 @@ class Renderer:
             done = list(_pool(self.threads).map(work, groups))
         with self._counting:
             self.poses += len(links)
-        return done, [len(group) for group in groups]
+        return done
 
     def sums(
         self,
@@ -173,7 +173,7 @@ class Renderer:
             columns = values.T[: images.count]
             return np.stack([np.bincount(pose, weights=column, minlength=edges.poses) for column in columns], axis=1)
 
-        return np.concatenate(self._each_group(camera_from_root, joints, add)[0]) / lines_per_pixel
+        return np.concatenate(self._each_group(camera_from_root, joints, add)) / lines_per_pixel
 
     def coverage(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 4
@@ -184,7 +184,7 @@ class Renderer:
         def draw(edges: OutlineEdges) -> NDArray[np.float32]:
             return self._covered_shares(covered_spans(edges, grid, self.camera.width), edges.poses, lines_per_pixel)
 
-        return np.concatenate(self._each_group(camera_from_root, joints, draw)[0])
+        return np.concatenate(self._each_group(camera_from_root, joints, draw))
 
     def _covered_shares(self, spans: Spans, poses: int, lines_per_pixel: int) -> NDArray[np.float32]:
         """Covered share of each pixel, (C, H, W)."""
@@ -212,12 +212,13 @@ class Renderer:
             rows = covered_spans(edges, grid, self.camera.width, detail=True)
             return outline_points(edges, self.camera, rows, grid)
 
-        return OutlinePoints.joined(*self._each_group(camera_from_root, joints, find))
+        groups = self._each_group(camera_from_root, joints, find)
+        return OutlinePoints.joined(groups, groups_of(len(camera_from_root)))
 
     def coverage_and_outlines(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 2
     ) -> tuple[NDArray[np.float32], OutlinePoints]:
-        """Both at little more than the cost of one of them; the outlines' points are on a line a pixel, too."""
+        """Both at little more than the cost of one of them; the outlines' points are on all of the coverage's rows."""
         grid = LineGrid(self.camera.height, lines_per_pixel)
 
         def both(edges: OutlineEdges) -> tuple[NDArray[np.float32], OutlinePoints]:
@@ -225,8 +226,8 @@ class Renderer:
             points = outline_points(edges, self.camera, rows, grid)
             return self._covered_shares(rows, edges.poses, lines_per_pixel), points
 
-        done, sizes = self._each_group(camera_from_root, joints, both)
-        return np.concatenate([one for one, _ in done]), OutlinePoints.joined([points for _, points in done], sizes)
+        coverage, points = zip(*self._each_group(camera_from_root, joints, both), strict=True)
+        return np.concatenate(coverage), OutlinePoints.joined(points, groups_of(len(camera_from_root)))
 
     def masks(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Silhouettes to the pixel of C poses: whether each pixel's centre is covered, (C, H, W)."""
@@ -241,7 +242,7 @@ class Renderer:
             change = np.bincount(index, weights=sign, minlength=poses * height * (width + 1))
             return np.asarray(change.reshape(poses, height, width + 1).cumsum(axis=2)[:, :, :width] > 0.5)
 
-        return np.concatenate(self._each_group(camera_from_root, joints, draw)[0])
+        return np.concatenate(self._each_group(camera_from_root, joints, draw))
 
     def trace(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Trace one ray through every pixel's centre, with nothing clever: the reference for ``masks``, (C, H, W)."""
