@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from dvrk_cmaes._version import __version__
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration import SessionCalibration, SessionFrame, calibrate_session
     from dvrk_cmaes.camera import Camera
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.estimation import estimate
     from dvrk_cmaes.instrument import Instrument, load_instrument
-    from dvrk_cmaes.prepared import prepare
-    from dvrk_cmaes.result import Result
-    from dvrk_cmaes.session import SessionCalibration, SessionFrame, calibrate_session
+    from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.silhouette.prepare import prepare
 
 _HOMES = {
     "Camera": "camera",
     "EstimateConfig": "config",
     "Instrument": "instrument",
-    "Result": "result",
-    "SessionCalibration": "session",
-    "SessionFrame": "session",
-    "calibrate_session": "session",
+    "Result": "results.result",
+    "SessionCalibration": "calibration",
+    "SessionFrame": "calibration",
+    "calibrate_session": "calibration",
     "estimate": "estimation",
     "load_instrument": "instrument",
-    "prepare": "prepared",
+    "prepare": "silhouette.prepare",
 }
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "Result",
     "SessionCalibration",
     "SessionFrame",
+    "__version__",
     "calibrate_session",
     "estimate",
     "load_instrument",

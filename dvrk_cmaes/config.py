@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from typing import Any
-
-from dvrk_cmaes.hypotheses import LookAtRange
-from dvrk_cmaes.losses import LossWeights
-from dvrk_cmaes.refine.outline import OutlineConfig
 
 
 @dataclass(frozen=True)
@@ -47,6 +44,66 @@ class SearchConfig:
     free_share: float = 0.15
     unread_share: float = 0.25
     unread_spares: int = 5
+
+
+@dataclass(frozen=True)
+class LookAtRange:
+    """Limits of LookAt samples: angles in rad, distance in m.
+
+    The shaft points away from the camera plane, so alpha and gamma stay below 90 degrees; the turn about the shaft,
+    beta, is free.
+    """
+
+    tilt: float = math.radians(80)
+    near: float = 0.05
+    far: float = 0.22
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights l1 to l5 of the paper's losses, and that of the readings.
+
+    Silhouette terms are per pixel of the mask. Jaw tips found on a mask are often something else: they count
+    ``found_tips`` times what given ones do. ``line_offset`` (1/px) makes an edge's shift comparable with its turn
+    in rad. Chosen by the ablation on made frames.
+    """
+
+    mse: float = 1.0
+    dist: float = 0.5
+    scale: float = 0.3
+    cylinder: float = 0.3
+    keypoints: float = 0.002
+    found_tips: float = 0.2
+    readings: float = 0.004
+    line_offset: float = 0.005
+
+
+@dataclass(frozen=True)
+class OutlineConfig:
+    """How the outline is fitted.
+
+    ``blur`` px of the level's image; ``cauchy`` is the coverage difference beyond which a residual counts less,
+    ``small_cauchy`` that on smaller images, ``last_cauchy`` that of the last steps at full size, when all but a
+    segmenter's mistakes is small; ``correlation`` px of outline make one measurement until the frame's own length is
+    known; ``noise_floor`` px, the least error an outline is given; ``keypoint_sigma`` px of given tips; ``tolerance``
+    in standard deviations, below which a step is the last. ``steps`` are those of the differences: along the root's
+    axes, m, about them, rad, and of the joints, rad.
+    """
+
+    iterations: int = 40
+    blur: float = 1.2
+    lines_per_pixel: int = 2
+    cauchy: float = 0.5
+    small_cauchy: float = 0.25
+    last_cauchy: float = 0.03
+    correlation: float = 8.0
+    noise_floor: float = 0.15
+    keypoint_sigma: float = 2.0
+    translation_step: float = 1e-4
+    swing_step: float = 2e-3
+    turn_step: float = 1e-2
+    joint_step: float = 1e-2
+    tolerance: float = 0.05
 
 
 @dataclass(frozen=True)

@@ -25,3 +25,15 @@ class InputError(DvrkCmaesError):
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:
     """Sort the known names by likeness to a mistyped one, the most alike first."""
     return sorted(known, key=lambda k: -difflib.SequenceMatcher(None, name, k).ratio())
+
+
+_LONGEST = 200
+
+
+def one_line(error: BaseException) -> str:
+    """Return what an error says on one line, at most 200 characters long; its kind if it says nothing."""
+    text = " ".join(str(error).split())
+    if isinstance(error, KeyError):
+        text = f"{text} is missing"
+    text = text or type(error).__name__
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

@@ -8,23 +8,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes import __version__
-from dvrk_cmaes.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes._version import __version__
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.prediction import SessionPose, try_session
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.config_check import check_config
-from dvrk_cmaes.evidence import gather_evidence
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import describe_limits, reading_distance, split_readings
 from dvrk_cmaes.geometry import inverse
-from dvrk_cmaes.global_search import find_candidates
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.joint_readings import describe_limits, reading_distance, split_readings
-from dvrk_cmaes.local_search import LocalSearch, is_twin
-from dvrk_cmaes.prepared import lightened, prepare
-from dvrk_cmaes.quality import judge, measure_quality
-from dvrk_cmaes.result import Alternative, Result
-from dvrk_cmaes.session.document import SessionCalibration
-from dvrk_cmaes.session.prediction import SessionPose, try_session
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.pose.quality import judge, measure_quality
+from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
+from dvrk_cmaes.pose.search.global_search import find_candidates
+from dvrk_cmaes.results.result import Alternative, Result
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette.prepare import lightened, prepare
 
 Float64 = NDArray[np.float64]
 

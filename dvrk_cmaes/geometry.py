@@ -86,6 +86,12 @@ def shift_of_change(pose: Float64) -> Float64:
     return out
 
 
+def apply(target_from_source: Float64, points: Float64) -> Float64:
+    """Map points (..., N, 3), m, of the source frame into the target frame; the transform is (4, 4) or (..., 4, 4)."""
+    rotation = np.swapaxes(target_from_source[..., :3, :3], -1, -2)
+    return np.asarray(points @ rotation + target_from_source[..., None, :3, 3])
+
+
 def inverse(pose: Float64) -> Float64:
     """Inverse of rigid transforms (..., 4, 4)."""
     r = np.swapaxes(pose[..., :3, :3], -1, -2)

@@ -35,9 +35,9 @@ from accuracy_spread_bound import mask_report
 from accuracy_tables import show, write_features
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.config_file import read_config
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.prepared import prepare
+from dvrk_cmaes.io.toml_file import read_config
+from dvrk_cmaes.silhouette.prepare import prepare
 
 Report = Mapping[str, Sequence[Mapping[str, Any]]]
 

@@ -25,11 +25,11 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.frame_files import read_frame
-from dvrk_cmaes.io.golden_file import FrameTruth
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.prepared import prepare
+from dvrk_cmaes.silhouette.prepare import prepare
 
 Float64 = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from accuracy_cases import Run, by_level
 
-from dvrk_cmaes.comparison import compare_poses
 from dvrk_cmaes.evaluate.consistency import converge_shafts, rcm_spread
+from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.instrument import Instrument
 
 RIGHT_MODE_DEG: Final = 30.0

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence import Evidence, gather_evidence
+from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.evidence.outline_noise import measure_noise, sampled, signed_distance
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.noise import measure_noise, sampled, signed_distance
-from dvrk_cmaes.objective import Readings
-from dvrk_cmaes.refine.outline import OutlineRefiner
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
@@ -66,7 +67,7 @@ def measure_features(
     features |= _overlap(mask & evidence.weight.astype(np.bool_), silhouette, evidence)
     features |= _edges(evidence)
     features["depth_m"] = float(result.camera_from_root[2, 3])
-    tips = instrument.tips(joints) @ result.camera_from_root[:3, :3].T + result.camera_from_root[:3, 3]
+    tips = apply(result.camera_from_root, instrument.tips(joints))
     if len(tips) and tips[:, 2].min() > 1e-3:
         pixels = camera.project(tips)
         size = np.array([camera.width, camera.height])

@@ -20,18 +20,18 @@ from accuracy_errors import RIGHT_MODE_DEG
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from dvrk_cmaes.arm import Arm
-from dvrk_cmaes.comparison import PoseError, compare_poses
+from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import change_between, rotation_angle
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.frame_files import FrameData
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.result import Result
-from dvrk_cmaes.session import SessionFrame, SolvedSession, calibrate_session
-from dvrk_cmaes.session.model import BASE_AXES
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette.prepare import prepare
 
 Float64 = NDArray[np.float64]
 

@@ -36,9 +36,9 @@ from scipy.spatial.distance import cdist
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evaluate.consistency import FEWEST, converge_shafts, rcm_spread
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, sampled, signed_distance
+from dvrk_cmaes.evidence.shaft_edges import find_contour
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.noise import OutlineNoise, measure_noise, sampled, signed_distance
-from dvrk_cmaes.shaft_edges import find_contour
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]

@@ -17,11 +17,11 @@ import numpy as np
 
 from dvrk_cmaes import estimation, local_search
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frame_run import run_frame
-from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
-from dvrk_cmaes.io.session_folder import Session, read_session
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import run_frame
+from dvrk_cmaes.silhouette.prepare import prepare
 
 _ROUNDS = 2  # frames for nothing, for each process
 

@@ -23,14 +23,14 @@ import numpy as np
 import psutil
 from many_frames import multiplied_session
 
-from dvrk_cmaes.batch.run import Watcher, run_batch
-from dvrk_cmaes.batch.worker import FrameOutcome
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.config_file import read_config
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.result import Status
+from dvrk_cmaes.io.toml_file import read_config
+from dvrk_cmaes.results.result import Status
+from dvrk_cmaes.runs.batch import Watcher, run_batch
+from dvrk_cmaes.runs.worker import FrameOutcome
 
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
 SETTLED: Final = 100  # frames, after which memory should not grow

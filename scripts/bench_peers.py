@@ -17,6 +17,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.silhouette import NEAR, Body, Renderer
 
 Float64 = NDArray[np.float64]
@@ -64,7 +65,7 @@ def _posed(body: Body, poses: Float64, joints: Float64) -> Iterator[tuple[Float6
     offsets = np.cumsum([0, *(len(link.vertices) for link in links)])
     faces = np.concatenate([link.faces + offset for link, offset in zip(links, offsets, strict=False)]).astype(np.int32)
     for transforms in body.camera_from_links(poses, joints):
-        parts = [link.vertices @ pose[:3, :3].T + pose[:3, 3] for link, pose in zip(links, transforms, strict=True)]
+        parts = [apply(pose, link.vertices) for link, pose in zip(links, transforms, strict=True)]
         yield np.concatenate(parts), faces
 
 

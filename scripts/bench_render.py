@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument import Instrument, Link, load_instrument
-from dvrk_cmaes.io.session_folder import read_session
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
 
 Float64 = NDArray[np.float64]

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from many_frames import multiplied_session
 
-from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.io.bundled import bundled_path
 
 
 def main() -> int:

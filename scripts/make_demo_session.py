@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 from committed_data import refuse_in_ci
 
-from dvrk_cmaes.arm import OUTER_JOINTS
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
-from dvrk_cmaes.io.joints import WRIST_JOINTS
+from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
 from dvrk_cmaes.synth.images import draw_image

@@ -22,18 +22,18 @@ import numpy as np
 from accuracy_tables import show
 from numpy.typing import NDArray
 
-from dvrk_cmaes.comparison import compare_poses
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evidence import window_around
-from dvrk_cmaes.frame_run import estimate_frame
-from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
-from dvrk_cmaes.io.session_folder import Session, read_session
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.evidence.gather import window_around
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.with_instrument import Segmenter
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.prepare import prepare
 
 Bool = NDArray[np.bool_]
 Rows = list[dict[str, Any]]

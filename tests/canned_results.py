@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.arm import base_from_root
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.result import Quality, Result
+from dvrk_cmaes.results.result import Quality, Result
 
 BASE = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])
 """camera_from_base of every frame."""

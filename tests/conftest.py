@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.files import read_camera
+from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.io.camera_file import read_camera
-from dvrk_cmaes.io.images import read_mask
+from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from canned_results import canned
 from instrument_files import TETRA_OBJ, mesh_link, write_urdf
 from made_recordings import good, write_bag, write_video
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.cli.options import InstrumentOptions
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 MASK, IMAGE, CAMERA, JOINTS = (DEMO / p for p in ("masks/0000.png", "images/0000.jpg", "camera.yaml", "joints.csv"))
@@ -57,8 +57,8 @@ def frame(**changes: object) -> Arguments:
 def stopped_after_reading(frame: Callable[..., None], session: Callable[..., None]) -> Iterator[None]:
     """Call these with what ``estimate`` and ``batch`` have read, instead of working on; load the instrument once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvrk_cmaes.frame_run.estimate", frame)
-        patch.setattr("dvrk_cmaes.batch.run.run_batch", session)
+        patch.setattr("dvrk_cmaes.runs.frame.estimate", frame)
+        patch.setattr("dvrk_cmaes.runs.batch.run_batch", session)
         patch.setattr(InstrumentOptions, "load", functools.cache(InstrumentOptions.load))
         yield
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from page_results import JOINTS, result, write_results
 
-from dvrk_cmaes.arm import base_from_root
+from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.model import BASE_AXES
+from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.geometry import exp_rotation, moved, transform
+from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.io.atomic import write_image, write_json
-from dvrk_cmaes.report.files import left_out_path
-from dvrk_cmaes.report.left_out_overlay import draw_left_out
-from dvrk_cmaes.result import Result
-from dvrk_cmaes.session import SessionCalibration
-from dvrk_cmaes.session.model import BASE_AXES
+from dvrk_cmaes.results.paths import left_out_path
+from dvrk_cmaes.results.result import Result
 
 BASE = transform(exp_rotation([0.9, 1.8, -0.4]), [0.07, -0.07, 0.055])
 OFFSETS = {"insertion": 4e-4, **dict(zip(("roll", *JOINTS), np.deg2rad([2, -8, 3, 5]).tolist(), strict=True))}

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
+from dvrk_cmaes.calibration.consensus import Mode
+from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, SessionModel, Spreads
+from dvrk_cmaes.calibration.solve import FrameViews
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.frame_files import FrameData
-from dvrk_cmaes.result import Alternative, Quality, Result
-from dvrk_cmaes.session import SessionCalibration, SessionFrame
-from dvrk_cmaes.session.consensus import Mode
-from dvrk_cmaes.session.model import BASE_AXES, Calibration, SessionModel, Spreads
-from dvrk_cmaes.session.solve import FrameViews
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths

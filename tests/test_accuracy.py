@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.arm import base_from_root
 from dvrk_cmaes.geometry import moved, transform
+from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.silhouette import Body, Renderer
 
 ROOT = Path(__file__).resolve().parents[1]

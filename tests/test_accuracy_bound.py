@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dvrk_cmaes.arm import base_from_root
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import moved, transform
-from dvrk_cmaes.noise import signed_distance
+from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from dvrk_cmaes.calibration import SessionCalibration, SolvedSession
+from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.session import SessionCalibration, SolvedSession
-from dvrk_cmaes.session.model import BASE_AXES
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"

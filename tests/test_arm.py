@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from dvrk_cmaes.arm import OUTER_JOINTS, ROLL_OFFSET_LONG, Arm, base_from_root, dh_table
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET_LONG, Arm, base_from_root, dh_table
 
 OUTER = np.array([0.31, -0.22, 0.14, 0.87])
 angles = st.floats(-1.5, 1.5)

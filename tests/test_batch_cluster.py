@@ -16,14 +16,14 @@ from pathlib import Path
 import pytest
 from batch_sessions import QUICK, QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes.batch.anywhere import Elsewhere, through_executor
-from dvrk_cmaes.batch.cluster import dask_executor
-from dvrk_cmaes.batch.pool import Died
-from dvrk_cmaes.batch.run import Watcher, run_batch
-from dvrk_cmaes.batch.worker import FrameOutcome
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.runs.batch import Watcher, run_batch
+from dvrk_cmaes.runs.cluster import dask_executor
+from dvrk_cmaes.runs.executor import Elsewhere, through_executor
+from dvrk_cmaes.runs.processes import Died
+from dvrk_cmaes.runs.worker import FrameOutcome
 from dvrk_cmaes.silhouette import Body
 
 NAMES = [f"{k:04d}" for k in range(8)]

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from batch_sessions import QUICK, make_session
 
-from dvrk_cmaes.batch.run import Watcher
-from dvrk_cmaes.batch.worker import FrameOutcome
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.batch_progress import progress
-from dvrk_cmaes.io.images import read_mask
+from dvrk_cmaes.frames.images import read_mask
+from dvrk_cmaes.runs.batch import Watcher
+from dvrk_cmaes.runs.worker import FrameOutcome
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -118,7 +118,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(run: Run, arguments: tuple[str, .
 
 
 def test_a_scheduler_that_is_not_there_is_a_mistake(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dvrk_cmaes.batch.cluster._CONNECT", 0.3)
+    monkeypatch.setattr("dvrk_cmaes.runs.cluster._CONNECT", 0.3)
     make_session(tmp_path / "session", ["a"])
     code, out, said = run("session", "--scheduler", "tcp://127.0.0.1:9")
     assert (code, out) == (2, "")

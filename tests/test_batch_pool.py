@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.batch.pool import Died, through_processes
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.runs.processes import Died, through_processes
 
 
 def nothing() -> None:
@@ -104,7 +104,7 @@ def test_who_stops_listening_leaves_no_process_behind() -> None:
 
 ORPHANS = """
 import os, pathlib, sys, threading, time
-from dvrk_cmaes.batch.pool import through_processes
+from dvrk_cmaes.runs.processes import through_processes
 
 def sleep(task):
     pathlib.Path(sys.argv[1], str(os.getpid())).touch()

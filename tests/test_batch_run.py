@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from batch_sessions import QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes.batch.folder import locked
-from dvrk_cmaes.batch.run import BatchSummary, finish, run_batch
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.results_folder import read_results
-from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.runs.batch import BatchSummary, finish, run_batch
+from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.silhouette import Body
 
 Batch = Callable[..., BatchSummary]
@@ -141,7 +141,7 @@ def test_going_on_otherwise_is_refused_with_what_changed(
     (two / "camera.yaml").write_text(camera.replace("image_width: 640", "image_width: 644"), encoding="utf-8")
     assert refusal(batch, two) == f"{otherwise} (camera.width: 640 -> 644): {way_out}"
     (two / "camera.yaml").write_text(camera, encoding="utf-8")
-    monkeypatch.setattr("dvrk_cmaes.batch.manifest.__version__", "9.9")
+    monkeypatch.setattr("dvrk_cmaes.runs.manifest.__version__", "9.9")
     assert refusal(batch, two) == f"{otherwise} (version: 0.1.0 -> 9.9): {way_out}"
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from batch_sessions import QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes.batch.folder import locked
-from dvrk_cmaes.batch.merge import merge_shards
-from dvrk_cmaes.batch.run import BatchSummary, run_batch
-from dvrk_cmaes.batch.worklist import Shard
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.runs.batch import BatchSummary, run_batch
+from dvrk_cmaes.runs.merge import merge_shards
+from dvrk_cmaes.runs.output import locked
+from dvrk_cmaes.runs.worklist import Shard
 from dvrk_cmaes.silhouette import Body
 
 NAMES = [f"{k:04d}" for k in range(5)]

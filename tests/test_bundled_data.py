@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dvrk_cmaes.arm import base_from_root
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.files import read_camera
+from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.io.camera_file import read_camera
-from dvrk_cmaes.io.images import read_ignore, read_image, read_mask
-from dvrk_cmaes.io.joints import OUTER_JOINTS, WRIST_JOINTS, read_joints
+from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.joints.reading import OUTER_JOINTS, WRIST_JOINTS, read_joints
 from dvrk_cmaes.silhouette import Body, Renderer
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body, Renderer
 
 FOLDER = bundled_path("instruments", "lnd")

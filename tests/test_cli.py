@@ -14,8 +14,8 @@ import pytest
 from commands import Ran, run_command
 from instrument_files import mesh_link, write_urdf
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"
@@ -333,7 +333,7 @@ def test_what_ends_a_run_half_way_is_one_line(
     def fail(*_: object, **__: object) -> None:
         raise raised
 
-    monkeypatch.setattr("dvrk_cmaes.frame_run.estimate", fail)
+    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate", fail)
     done = run(*frame())
     assert done.code == code
     assert said in done.complaint

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.cli import main
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"

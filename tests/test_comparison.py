@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.comparison import PoseError, Tolerance, compare_poses
+from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.silhouette import Body
 

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.arm import base_from_root
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.agreement import measure_agreement
 from dvrk_cmaes.evaluate.consistency import base_spread, converge, converge_shafts, rcm_spread
 from dvrk_cmaes.evaluate.result_set import read_result_set
+from dvrk_cmaes.frames.published_poses import read_published_poses
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
-from dvrk_cmaes.io.published_poses import read_published_poses
-from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 HEADER = "frame,rx,ry,rz,tx,ty,tz,wrist_pitch,wrist_yaw,jaw_2,jaw_1"

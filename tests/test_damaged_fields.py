@@ -15,7 +15,7 @@ from damage import INPUTS, Input, stopped_after_reading
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.io.session_folder import Session
+from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.silhouette import Body
 
 READ = "all was read"

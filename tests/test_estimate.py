@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes import Camera, EstimateConfig, Result, estimate
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.frames.frame import FrameData, read_frame
+from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.geometry import inverse, rotation_angle
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.io.frame_files import FrameData, read_frame
-from dvrk_cmaes.io.session_folder import Session, read_session
-from dvrk_cmaes.refine import METHODS as REFINEMENTS
-from dvrk_cmaes.search import METHODS as SEARCHES
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
+from dvrk_cmaes.pose.search import METHODS as SEARCHES
 from dvrk_cmaes.silhouette import Body, Renderer
 
 QUICK = EstimateConfig()
@@ -104,7 +104,7 @@ def test_the_twin_is_an_alternative_farther_from_the_readings(quick_result: Resu
 def test_the_base_is_reached_from_the_root_by_the_outer_readings_alone(
     quick_result: Result, bundled_body: Body, frame: FrameData, readings: dict[str, float]
 ) -> None:
-    from dvrk_cmaes.arm import base_from_root
+    from dvrk_cmaes.instrument.arm import base_from_root
 
     assert quick_result.camera_from_root is not None
     expected = quick_result.camera_from_root @ inverse(base_from_root(readings))

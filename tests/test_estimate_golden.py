@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.comparison import PoseError, Tolerance, compare_poses
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.io.images import read_ignore, read_mask
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
+from dvrk_cmaes.frames.images import read_ignore, read_mask
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
 GOLDEN = bundled_path("golden")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.distance_field import FIELDS, distance_field
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evidence import gather_evidence
-from dvrk_cmaes.hypotheses import lookat_pose
-from dvrk_cmaes.losses import project_cylinder
-from dvrk_cmaes.shaft_edges import axis_tilt_error, find_contour, shaft_axis
+from dvrk_cmaes.evidence.cylinder_view import project_cylinder
+from dvrk_cmaes.evidence.distance_field import FIELDS, distance_field
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.shaft_edges import axis_tilt_error, find_contour, shaft_axis
+from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERAS = {

@@ -23,9 +23,9 @@ from dvrk_cmaes.export.easy_handeye import calibration_file
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.tf import publisher_command
 from dvrk_cmaes.export.tracker import joint_vector, pose_vector, tracker_files
-from dvrk_cmaes.io.frame_files import read_frame
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
 NAMES = FrameNames("PSM2", "endoscope_left_optical", "PSM2_base")

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from commands import Ran, run_command
 
-from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, read_golden, write_golden
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.io.golden_file import FrameTruth, SessionTruth, read_golden, write_golden
+from dvrk_cmaes.io.bundled import bundled_path
 
 SURE, UNSURE = "0001", "0003"
 

@@ -9,15 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import LookAtRange
 from dvrk_cmaes.geometry import inverse
-from dvrk_cmaes.hypotheses import (
-    LookAtRange,
-    lookat_pose,
-    sample_joints,
-    sample_lookat,
-    sample_on_axis,
-    sample_uniform,
-)
+from dvrk_cmaes.pose.search.starts import lookat_pose, sample_joints, sample_lookat, sample_on_axis, sample_uniform
 from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(640, 480, 858.9, 934.9, 422.9, 284.2, (-0.2484, 0.2681, 0.0048, -0.0033))

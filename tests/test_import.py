@@ -34,8 +34,8 @@ from made_recordings import (
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.cli import main
-from dvrk_cmaes.io.images import read_image
-from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import Selection, write_session
 

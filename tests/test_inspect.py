@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection import Finding, Options, inspect_path
+from dvrk_cmaes.instrument.dvrk_description import read_tool
 from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.dvrk_description import read_tool
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 LND = bundled_path("instruments", "lnd")

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.instrument import load_instrument, urdf
+from dvrk_cmaes.io.bundled import bundled_path
 
 
 def plain(value: Any) -> Any:

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, write_urdf
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import Instrument, load_instrument
+from dvrk_cmaes.io.bundled import bundled_path
 
 BUNDLED = bundled_path("instruments", "lnd", "lnd.urdf")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from dvrk_cmaes.camera.files import read_camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.camera_file import read_camera
 
 CALIBRATION = """\
 image_width: 640

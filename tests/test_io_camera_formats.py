@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from dvrk_cmaes.camera.files import Side, read_camera, read_camera_file, read_intrinsics
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.camera_file import Side, read_camera, read_camera_file, read_intrinsics
 
 LEFT = np.array([[800.5, 0, 320.25], [0, 810, 240], [0, 0, 1]])
 RIGHT = np.array([[801.5, 0, 168.25], [0, 811, 241], [0, 0, 1]])

@@ -12,7 +12,7 @@ import pytest
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.images import match_size, read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
 
 TOOL = np.zeros((48, 64), bool)
 TOOL[10:20, 5:15] = True

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.joints import frame_readings, read_joint_file, read_joints
-from dvrk_cmaes.io.times import parse_time, read_image_times, time_in_name
+from dvrk_cmaes.joints.reading import frame_readings, read_joint_file, read_joints
+from dvrk_cmaes.joints.times import parse_time, read_image_times, time_in_name
 
 ARM = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 VALUES = (0.59, -0.48, 0.1697, 0.39, -0.68, -0.36)

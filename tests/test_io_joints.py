@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.joints import read_joints
-from dvrk_cmaes.io.keypoints import parse_keypoints
+from dvrk_cmaes.frames.keypoints import parse_keypoints
+from dvrk_cmaes.joints.reading import read_joints
 
 TABLE = """\
 frame,yaw,pitch,insertion,roll,wrist_pitch,wrist_yaw,jaw

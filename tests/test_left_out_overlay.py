@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.report.canvas import Colour
-from dvrk_cmaes.report.left_out_overlay import PREDICTED, SIZE, draw_left_out
-from dvrk_cmaes.report.overlay import MASK
+from dvrk_cmaes.draw.canvas import Colour
+from dvrk_cmaes.draw.left_out_overlay import PREDICTED, SIZE, draw_left_out
+from dvrk_cmaes.draw.overlay import MASK
 
 WIDTH, HEIGHT = SIZE
 

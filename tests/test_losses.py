@@ -12,17 +12,17 @@ from hypothesis.extra.numpy import arrays
 from silhouette_bodies import rigid_instrument
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import LossWeights
+from dvrk_cmaes.evidence.cylinder_view import project_cylinder
+from dvrk_cmaes.evidence.joint_prior import reading_loss
 from dvrk_cmaes.geometry import exp_rotation, transform
-from dvrk_cmaes.losses import (
-    LossWeights,
+from dvrk_cmaes.pose.search.losses import (
     Terms,
     cylinder_loss,
     keypoint_loss,
     line_distance,
     mse_loss,
     polar_lines,
-    project_cylinder,
-    reading_loss,
     scale_loss,
 )
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer

@@ -7,9 +7,9 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.distance_field import distance_within
-from dvrk_cmaes.noise import measure_noise, sampled, signed_distance
-from dvrk_cmaes.shaft_edges import find_contour
+from dvrk_cmaes.evidence.distance_field import distance_within
+from dvrk_cmaes.evidence.outline_noise import measure_noise, sampled, signed_distance
+from dvrk_cmaes.evidence.shaft_edges import find_contour
 
 CAMERA = Camera(320, 240, 400, 400, 160, 120)
 

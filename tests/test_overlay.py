@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
+from dvrk_cmaes.draw.overlay import draw_overlay
+from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.report.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
-from dvrk_cmaes.report.overlay import draw_overlay
-from dvrk_cmaes.report.panels import footer, header
-from dvrk_cmaes.report.projection import found_edges, project_visible, projected_edges, skeleton_lines
-from dvrk_cmaes.result import Quality, Result
+from dvrk_cmaes.results.result import Quality, Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 PINHOLE = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)
@@ -152,7 +152,7 @@ def test_projected_edges_lie_on_the_silhouette_s_outline(bundled_body: Body, cam
 
 
 def test_found_edges_of_a_true_mask_lie_on_the_projected_ones(bundled_body: Body) -> None:
-    from dvrk_cmaes.evidence import gather_evidence
+    from dvrk_cmaes.evidence.gather import gather_evidence
 
     evidence = gather_evidence(true_mask(bundled_body, LENS), LENS, bundled_body.instrument)
     projected = projected_edges(bundled_body.instrument, POSE, LENS)

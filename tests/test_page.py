@@ -16,11 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from page_results import doubtful, failed, overlay, page_of, result, write_results
 
+from dvrk_cmaes.draw.canvas import DARK
+from dvrk_cmaes.draw.overlay import LEGEND, MASK, SILHOUETTE
+from dvrk_cmaes.draw.panels import footer, header
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.report.canvas import DARK
-from dvrk_cmaes.report.overlay import LEGEND, MASK, SILHOUETTE
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_axes import name_axis, round_step, value_axis
 from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
@@ -32,8 +33,7 @@ from dvrk_cmaes.report.page_session import (
     reason_counts,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
-from dvrk_cmaes.report.panels import footer, header
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.result import Result
 
 JPEG = "data:image/jpeg;base64,"
 

@@ -14,11 +14,11 @@ from page_calibrations import BASE, BASE_STD, OFFSETS, SPREADS, STD, calibration
 from page_results import failed, page_of, write_results
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.results_folder import read_results
 from dvrk_cmaes.report.page import render_page, write_page
 from dvrk_cmaes.report.page_calibration import MOST_PICTURES, CalibrationView, calibration_view, left_out_views
 from dvrk_cmaes.report.page_shafts_plot import ShaftsView, shafts_plot
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.result import Result
 
 NAMES = ("a", "b", "c", "d", "e")
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.export.pose_table import pose_rows, table_text
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.result import Quality, Result
+from dvrk_cmaes.results.result import Quality, Result
 
 POSE = moved(np.eye(4), [0.01, -0.02, 0.1, 0.3, -0.2, 0.9])
 OK = Result(

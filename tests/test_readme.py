@@ -12,9 +12,9 @@ import pytest
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.config_check import check_config
-from dvrk_cmaes.config_file import updated
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.io.toml_file import updated
+from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.results.result import Result
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence import gather_evidence
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved, rotation_angle
-from dvrk_cmaes.objective import Readings
-from dvrk_cmaes.refine.outline import OutlineConfig, OutlineRefiner
+from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
@@ -18,7 +19,7 @@ SPREAD = np.deg2rad([10, 10, 15])
 
 
 def pose() -> np.ndarray:
-    from dvrk_cmaes.hypotheses import lookat_pose
+    from dvrk_cmaes.pose.search.starts import lookat_pose
 
     return lookat_pose(0.5, 1.0, 0.7, 0.11)
 

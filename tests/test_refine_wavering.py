@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence import gather_evidence
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.hypotheses import lookat_pose
-from dvrk_cmaes.noise import OutlineNoise, measure_noise, signed_distance
-from dvrk_cmaes.objective import Readings
-from dvrk_cmaes.refine.outline import OutlineConfig, OutlineRefiner
-from dvrk_cmaes.refine.wavering import fit_wavering, wavers
+from dvrk_cmaes.pose.refine.correlated_noise import fit_wavering, wavers
+from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
@@ -96,5 +97,5 @@ def test_a_large_image_needs_no_more_points_than_a_small_one(
 ) -> None:
     at = refiner(bundled_body, wavering_mask(bundled_body, 2))
     every = fit_wavering(at, POSE, JOINTS)
-    monkeypatch.setattr("dvrk_cmaes.refine.wavering._POINTS", 300)
+    monkeypatch.setattr("dvrk_cmaes.pose.refine.correlated_noise._POINTS", 300)
     assert tip_error(bundled_body, *fit_wavering(at, POSE, JOINTS)) < 2 * tip_error(bundled_body, *every) + 0.1

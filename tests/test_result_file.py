@@ -11,9 +11,9 @@ import pytest
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.io.result_file import read_result
-from dvrk_cmaes.io.results_folder import read_results
-from dvrk_cmaes.result import Alternative, Quality, Result
+from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.result import Alternative, Quality, Result
 
 POSE = moved(np.eye(4), [0.01, -0.02, 0.1, 0.3, -0.2, 0.9])
 JOINTS = {"wrist_pitch": -0.2, "wrist_yaw": 0.5, "jaw": 0.8}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.refine.direct import refine_direct
-from dvrk_cmaes.search import METHODS, minimise
+from dvrk_cmaes.pose.refine.direct import refine_direct
+from dvrk_cmaes.pose.search import METHODS, minimise
 
 GOAL = np.array([0.7, -0.4, 1.1])
 

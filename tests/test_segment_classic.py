@@ -12,9 +12,9 @@ from drawn_tools import DRAPE, TISSUE, Drawing, draw_tool
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.images import read_image, read_mask
+from dvrk_cmaes.frames.images import read_image, read_mask
+from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 

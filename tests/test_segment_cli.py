@@ -13,9 +13,9 @@ from batch_sessions import QUICK
 from commands import Ran, run_command
 from drawn_tools import draw_tool
 
-from dvrk_cmaes.bundled import bundled_path
+from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.images import read_image, read_mask
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 

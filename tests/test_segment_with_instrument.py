@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from drawn_tools import Drawing, draw_tool
 
-from dvrk_cmaes.bundled import bundled_path
-from dvrk_cmaes.comparison import compare_poses
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.frame_run import estimate_frame, run_frame
-from dvrk_cmaes.io.frame_files import FrameData, FrameFiles, read_frame
-from dvrk_cmaes.io.images import read_mask
-from dvrk_cmaes.io.session_folder import Session, read_session
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.images import read_mask
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import estimate_frame, run_frame
 from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.segment.blame import who_is_to_blame
+from dvrk_cmaes.segment.mask_or_pose import who_is_to_blame
 from dvrk_cmaes.segment.with_instrument import Segmenter
 from dvrk_cmaes.silhouette import Body
 

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.frame_files import FrameFiles, read_frame
-from dvrk_cmaes.io.golden_file import read_golden, write_golden
-from dvrk_cmaes.io.keypoints import read_keypoints
-from dvrk_cmaes.io.session_folder import read_session
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.truth import read_golden, write_golden
+from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 POSE = np.eye(4).tolist()

@@ -15,11 +15,11 @@ from batch_sessions import QUICK
 from commands import Ran, run_command
 from session_worlds import SMALL, make_frames_in_memory
 
+from dvrk_cmaes.calibration import SessionFrame
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.frame_files import FrameData
-from dvrk_cmaes.session import SessionFrame
-from dvrk_cmaes.session.calibration_file import read_calibration
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import write_camera_info
 

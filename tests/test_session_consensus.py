@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from session_worlds import EXPECTED_OFFSETS, SEEN, make_world
 
+from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.geometry import exp_rotation, moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.session.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.silhouette import Body
 
 COVARIANCE = np.diag(SEEN**2)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from session_worlds import make_world
 
+from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.session import SessionCalibration
-from dvrk_cmaes.session.calibration_file import read_calibration
-from dvrk_cmaes.session.model import BASE_AXES
 
 WORLD = make_world(4)
 OFFSETS = dict(zip(("insertion", "roll", *WORLD.model.names), WORLD.truth.offsets.tolist(), strict=True))

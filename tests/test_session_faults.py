@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from session_worlds import EXPECTED_OFFSETS, SEEN, World, make_world
 
+from dvrk_cmaes.calibration.consensus import Mode, find_consensus
+from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_lag, find_move, shifted
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
-from dvrk_cmaes.session.consensus import Mode, find_consensus
-from dvrk_cmaes.session.faults import check_arm, check_motion, find_lag, find_move, shifted
-from dvrk_cmaes.session.model import SessionModel
 
 
 def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:

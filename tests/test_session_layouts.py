@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.frame_files import read_frame
-from dvrk_cmaes.io.session_folder import Session, read_session
+from dvrk_cmaes.io.bundled import bundled_path
 
 CAMERA = bundled_path("demo") / "camera.yaml"
 MASK = np.zeros((480, 640), np.uint8)

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from session_worlds import BASE, NAMES, OFFSETS, make_world
 
-from dvrk_cmaes.arm import base_from_root
+from dvrk_cmaes.calibration.model import Calibration, SessionModel, Spreads, outer_readings
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.session.model import Calibration, SessionModel, Spreads, outer_readings
+from dvrk_cmaes.instrument.arm import base_from_root
 
 
 def test_a_frame_is_expected_where_base_readings_and_offsets_put_it() -> None:

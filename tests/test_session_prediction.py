@@ -10,12 +10,12 @@ from batch_sessions import QUICK_CONFIG
 from session_worlds import make_frames_in_memory, true_calibration
 
 from dvrk_cmaes import estimate
-from dvrk_cmaes.comparison import compare_poses
+from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between, moved
-from dvrk_cmaes.io.frame_files import FrameData
-from dvrk_cmaes.result import Result
-from dvrk_cmaes.session import SessionCalibration, SessionFrame
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 

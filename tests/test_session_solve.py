@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import chi2
 from session_worlds import NAMES, PRIOR, SEEN, World, make_world
 
+from dvrk_cmaes.calibration.model import Calibration
+from dvrk_cmaes.calibration.solve import FrameViews, Solution, deviations, marginalise, solve, without
 from dvrk_cmaes.geometry import change_between, moved, rotation_angle
-from dvrk_cmaes.session.model import Calibration
-from dvrk_cmaes.session.solve import FrameViews, Solution, deviations, marginalise, solve, without
 
 
 def a_start(world: World) -> Calibration:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from session_worlds import PRIOR, World, make_world
 
+from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.solve import FrameViews, solve
+from dvrk_cmaes.calibration.variances import learn_spreads
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.session.model import SessionModel
-from dvrk_cmaes.session.solve import FrameViews, solve
-from dvrk_cmaes.session.spreads import learn_spreads
 
 CONFIG = SessionConfig()
 

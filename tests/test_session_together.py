@@ -10,13 +10,13 @@ import pytest
 from scipy.stats import chi2
 from session_worlds import in_other_mode, make_frames_in_memory, with_result
 
-from dvrk_cmaes.comparison import compare_poses
+from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between, rotation_angle
-from dvrk_cmaes.io.frame_files import FrameData
-from dvrk_cmaes.result import Result
-from dvrk_cmaes.session import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 

@@ -15,8 +15,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.silhouette import NEAR, Body, Renderer
-from dvrk_cmaes.silhouette.lanes import LANES
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
+from dvrk_cmaes.silhouette.pose_batches import LANES
 
 CAMERAS = {
     "pinhole": Camera(160, 120, 220.7, 220.7, 110.9, 47.2),

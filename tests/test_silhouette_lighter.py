@@ -8,7 +8,7 @@ import trimesh
 from silhouette_bodies import rigid_instrument
 
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.lighter import lightened
+from dvrk_cmaes.silhouette.decimate import lightened
 
 
 @pytest.mark.shared

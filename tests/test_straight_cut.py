@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes import Camera, EstimateConfig, estimate
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.config import TrustConfig
-from dvrk_cmaes.evidence import Evidence, gather_evidence
+from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.hypotheses import lookat_pose
-from dvrk_cmaes.io.frame_files import read_frame
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.modes import HasPose
-from dvrk_cmaes.noise import sampled, signed_distance
-from dvrk_cmaes.quality import doubts_of_fit
-from dvrk_cmaes.refine.outline import OutlineFit
-from dvrk_cmaes.result import Quality
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.pose.quality import doubts_of_fit
+from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.pose.search.modes import HasPose
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.straight_cut import largest_bend, shaft_width
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
 POSE = lookat_pose(0.5, 1.0, 0.7, 0.11)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from canned_results import canned, failed
 
+from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.golden_file import FrameTruth
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.testing import assert_pose_close
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.timed_readings import TimedReadings
+from dvrk_cmaes.joints.interpolation import TimedReadings
 
 MS = 1_000_000
 

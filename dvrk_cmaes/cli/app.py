@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from cyclopts import App, CycloptsError
 
-from dvrk_cmaes import __version__
+from dvrk_cmaes._version import __version__
 from dvrk_cmaes.cli.batch import batch
 from dvrk_cmaes.cli.calibrate import calibrate
 from dvrk_cmaes.cli.consistency import consistency

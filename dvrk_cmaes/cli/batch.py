@@ -27,8 +27,8 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, counted, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.batch.run import BatchSummary
-    from dvrk_cmaes.batch.worklist import Shard
+    from dvrk_cmaes.runs.batch import BatchSummary
+    from dvrk_cmaes.runs.worklist import Shard
 
 FOLDER = Group("Folder", sort_key=0)  # before those that commands share
 WORKERS = Group("Workers", sort_key=0)
@@ -116,7 +116,7 @@ def batch(
     json
         Print summary.json, and nothing else, on stdout.
     """
-    from dvrk_cmaes.batch.worklist import Shard
+    from dvrk_cmaes.runs.worklist import Shard
 
     if merge is not None:
         if session is not None or out is not None or shard is not None:
@@ -131,7 +131,7 @@ def batch(
         raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
     if label is not None and not 0 <= label <= 255:
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
-    from dvrk_cmaes.session.calibration_file import read_calibration
+    from dvrk_cmaes.calibration.document import read_calibration
 
     part = None if shard is None else Shard.parse(shard)
     done = _run(
@@ -173,9 +173,9 @@ def _run(
     scheduler: str | None,
     **options: Any,
 ) -> BatchSummary:
-    from dvrk_cmaes.batch.cluster import dask_executor
-    from dvrk_cmaes.batch.run import run_batch
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.runs.batch import run_batch
+    from dvrk_cmaes.runs.cluster import dask_executor
 
     settings = method.resolve()
     model = instrument.load().instrument
@@ -199,7 +199,7 @@ def _run(
 
 
 def _merge(out: Path, json: bool) -> int:
-    from dvrk_cmaes.batch.merge import merge_shards
+    from dvrk_cmaes.runs.merge import merge_shards
 
     document = merge_shards(out)
     _report(document, out, json)

@@ -16,10 +16,10 @@ from typing import Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from dvrk_cmaes.batch.run import Watcher
-from dvrk_cmaes.batch.worker import FrameOutcome
 from dvrk_cmaes.cli.terminal import counted, warn
-from dvrk_cmaes.result import Status
+from dvrk_cmaes.results.result import Status
+from dvrk_cmaes.runs.batch import Watcher
+from dvrk_cmaes.runs.worker import FrameOutcome
 
 _EVERY: Final = 30.0  # seconds between lines where there is no terminal
 

@@ -23,7 +23,7 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.session import SolvedSession
+    from dvrk_cmaes.calibration import SolvedSession
 
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
@@ -82,11 +82,11 @@ def calibrate(
     """
     if workers is not None and workers < 1:
         raise InputError(f"--workers: expected a whole number of at least 1, got {workers}")
-    from dvrk_cmaes.batch.run import run_batch, usable_cores
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.results_folder import ALONE, read_results
-    from dvrk_cmaes.session.folder import calibrate_folder, image_times
+    from dvrk_cmaes.results.folder import ALONE, read_results
+    from dvrk_cmaes.runs.batch import run_batch, usable_cores
+    from dvrk_cmaes.runs.calibrate_folder import calibrate_folder, image_times
 
     target = session / "calibration" if out is None else out
     if results is not None and results.resolve() == target.resolve():

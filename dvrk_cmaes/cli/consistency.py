@@ -58,13 +58,13 @@ def consistency(
     json
         Print the measures as JSON, and nothing else, on stdout.
     """
+    from dvrk_cmaes.draw.figure import check_figure_path, write_figure
     from dvrk_cmaes.evaluate.agreement import measure_agreement
-    from dvrk_cmaes.evaluate.consistency_picture import draw_axes
     from dvrk_cmaes.evaluate.paper import TABLE_ONE
     from dvrk_cmaes.evaluate.result_set import read_result_set
+    from dvrk_cmaes.instrument.dvrk_description import read_tool
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.dvrk_description import read_tool
-    from dvrk_cmaes.report.figure import check_figure_path, write_figure
+    from dvrk_cmaes.report.consistency_picture import draw_axes
 
     if not results:
         raise InputError("RESULTS: expected at least one folder of results, got none")

@@ -13,9 +13,9 @@ from dvrk_cmaes.cli.options import DEFAULT_METHOD, OUTPUT, Flag, MethodOptions
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.comparison import PoseError, Tolerance
-    from dvrk_cmaes.io.session_folder import Session
-    from dvrk_cmaes.result import Result
+    from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance
+    from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.results.result import Result
 
 _MAY_BE_DOUBTFUL = ("0002",)  # Tissue lies before a jaw, and the masks do not say so.
 
@@ -73,10 +73,10 @@ def demo(
     method
         How to search.
     """
-    from dvrk_cmaes.bundled import bundled_path
-    from dvrk_cmaes.comparison import Tolerance
+    from dvrk_cmaes.evaluate.pose_error import Tolerance
+    from dvrk_cmaes.frames.session_folder import read_session
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.session_folder import read_session
+    from dvrk_cmaes.io.bundled import bundled_path
 
     # What a segmenter's mistakes allow; the tips lie 20 mm beyond the root, where 5 deg are nearly 2 mm more.
     tolerance = Tolerance(root_mm=2.0, tip_mm=3.5, shaft_deg=5.0, roll_deg=12.0, pitch_yaw_deg=8.0, jaw_deg=8.0)
@@ -101,10 +101,10 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     from rich.console import Console
     from rich.progress import track
 
-    from dvrk_cmaes.comparison import compare_poses
-    from dvrk_cmaes.frame_run import run_frame
-    from dvrk_cmaes.io.frame_files import read_frame
-    from dvrk_cmaes.prepared import prepare
+    from dvrk_cmaes.evaluate.pose_error import compare_poses
+    from dvrk_cmaes.frames.frame import read_frame
+    from dvrk_cmaes.runs.frame import run_frame
+    from dvrk_cmaes.silhouette.prepare import prepare
 
     config, body = method.resolve(), prepare("lnd")
     console = Console(stderr=True)

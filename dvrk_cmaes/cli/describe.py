@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.result import Result
+    from dvrk_cmaes.results.result import Result
 
 
 def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:

@@ -32,7 +32,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dvrk_cmaes.io.joints import FrameReadings
+    from dvrk_cmaes.joints.reading import FrameReadings
 
 EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
 NO_READINGS = "none"
@@ -122,11 +122,11 @@ def estimate(
         raise InputError("--label, --pick: expected a mask with them (--mask FILE), got none")
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
-    from dvrk_cmaes.frame_run import run_frame
+    from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame
+    from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.frame_files import FrameFiles, frame_size, read_frame
-    from dvrk_cmaes.io.keypoints import parse_keypoints
-    from dvrk_cmaes.session.calibration_file import read_calibration
+    from dvrk_cmaes.runs.frame import run_frame
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
@@ -157,8 +157,8 @@ def _readings(
     joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str]
 ) -> FrameReadings:
     """Read a frame's readings, of which there may be none."""
-    from dvrk_cmaes.io.joints import FrameReadings, read_frame_joints
-    from dvrk_cmaes.io.times import parse_time
+    from dvrk_cmaes.joints.reading import FrameReadings, read_frame_joints
+    from dvrk_cmaes.joints.times import parse_time
 
     if tuple(joints) == (NO_READINGS,):
         return FrameReadings()

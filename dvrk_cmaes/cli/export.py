@@ -141,6 +141,6 @@ def _warnings(exported: Exported) -> Iterator[str]:
     if exported.base is not None:
         yield from exported.base.warnings
     if exported.left_out:
-        from dvrk_cmaes.io.shown import listed
+        from dvrk_cmaes.io.short_text import listed
 
         yield f"no pose, left out ({len(exported.left_out)}): {listed(exported.left_out)}"

@@ -23,9 +23,9 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.comparison import Tolerance
-    from dvrk_cmaes.golden import FrameCheck
-    from dvrk_cmaes.io.session_folder import Session
+    from dvrk_cmaes.evaluate.pose_error import Tolerance
+    from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.runs.golden import FrameCheck
     from dvrk_cmaes.silhouette import Body
 
 T = TypeVar("T")
@@ -68,7 +68,7 @@ class ToleranceOptions:
 
     def resolve(self) -> Tolerance:
         """Check the values (`InputError`)."""
-        from dvrk_cmaes.comparison import Tolerance
+        from dvrk_cmaes.evaluate.pose_error import Tolerance
 
         values = {name: value for name, value in asdict(self).items() if name != "modulo_twin"}
         for name, value in values.items():
@@ -121,11 +121,11 @@ def record(
     json
         Print as JSON, and nothing else, on stdout what was kept.
     """
-    from dvrk_cmaes.golden import estimate_all
-    from dvrk_cmaes.golden import record as recorded
+    from dvrk_cmaes.frames.truth import write_golden
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.golden_file import write_golden
-    from dvrk_cmaes.report.files import check_writable
+    from dvrk_cmaes.results.paths import check_writable
+    from dvrk_cmaes.runs.golden import estimate_all
+    from dvrk_cmaes.runs.golden import record as recorded
 
     path = session / "golden.json" if golden is None else golden
     if path.exists() and not overwrite:
@@ -186,10 +186,10 @@ def check(
     json
         Print the comparison as JSON, and nothing else, on stdout.
     """
-    from dvrk_cmaes.golden import check as checked
-    from dvrk_cmaes.golden import estimate_all
+    from dvrk_cmaes.frames.truth import read_golden
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.golden_file import read_golden
+    from dvrk_cmaes.runs.golden import check as checked
+    from dvrk_cmaes.runs.golden import estimate_all
 
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
@@ -221,7 +221,7 @@ def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
     """Refuse golden poses of frames that are not there, and a file without any."""
-    from dvrk_cmaes.io.shown import listed
+    from dvrk_cmaes.io.short_text import listed
 
     names = list(golden)
     if not names:
@@ -243,7 +243,7 @@ def _tracked(items: Iterable[T], count: int) -> Iterable[T]:
 
 def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checked: Sequence[str]) -> Iterator[Line]:
     """One line a frame with its errors; below, each frame that is off in full."""
-    from dvrk_cmaes.pose_check import table
+    from dvrk_cmaes.evaluate.pose_check import table
 
     quantities = list(dict.fromkeys(row.measured.quantity for one in checks for row in one.check.rows))
     width = max(6, *(len(one.result.frame) for one in checks))

@@ -12,9 +12,9 @@ from cyclopts import Group, Parameter
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.io.camera_file import CameraFile
-    from dvrk_cmaes.io.session_folder import Session
+    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.segment.with_instrument import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
@@ -51,7 +51,7 @@ class CameraOptions:
 
     def read(self, size: Callable[[], tuple[int, int]] | None = None) -> CameraFile:
         """Read the file; ``size`` finds that of the images, px, for a file that does not state it."""
-        from dvrk_cmaes.io.camera_file import read_camera_file
+        from dvrk_cmaes.camera.files import read_camera_file
 
         if self.camera is None:
             raise InputError("--camera: expected a camera file, got none")
@@ -59,7 +59,7 @@ class CameraOptions:
 
     def read_session(self, folder: Path, *, known: Iterable[str], joints: Sequence[Path] = ()) -> Session:
         """Read a session folder, seen by this camera; ``known`` and ``joints`` as in `read_session` of the package."""
-        from dvrk_cmaes.io.session_folder import read_session
+        from dvrk_cmaes.frames.session_folder import read_session
 
         return read_session(
             folder, camera=self.camera, rectified=self.rectified, side=self.side, known=known, joints=joints
@@ -98,8 +98,8 @@ class InstrumentOptions:
     def load(self) -> Body:
         """Load the instrument and prepare it for rendering."""
         from dvrk_cmaes.instrument import load_instrument
+        from dvrk_cmaes.instrument.dvrk_description import read_tool
         from dvrk_cmaes.instrument.tool import with_tool
-        from dvrk_cmaes.io.dvrk_description import read_tool
         from dvrk_cmaes.silhouette import Body
 
         tool = None if self.tool is None else read_tool(self.tool)
@@ -141,10 +141,10 @@ class MethodOptions:
     def resolve(self) -> EstimateConfig:
         """Defaults, overridden by the settings file, overridden by the flags; checked."""
         from dvrk_cmaes.config import EstimateConfig
-        from dvrk_cmaes.config_check import check_config
-        from dvrk_cmaes.config_file import read_config
-        from dvrk_cmaes.refine import METHODS as REFINEMENTS
-        from dvrk_cmaes.search import METHODS as SEARCHES
+        from dvrk_cmaes.io.toml_file import read_config
+        from dvrk_cmaes.pose.config_check import check_config
+        from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
+        from dvrk_cmaes.pose.search import METHODS as SEARCHES
 
         settings = EstimateConfig()
         if self.config is not None:

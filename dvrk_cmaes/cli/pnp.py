@@ -13,9 +13,9 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.instrument import Instrument
-    from dvrk_cmaes.io.session_folder import Session
-    from dvrk_cmaes.result import Result
+    from dvrk_cmaes.results.result import Result
 
 
 def pnp(
@@ -59,7 +59,7 @@ def pnp(
         Which instrument.
     """
     from dvrk_cmaes.io.atomic import write_json
-    from dvrk_cmaes.report.files import check_output, result_path
+    from dvrk_cmaes.results.paths import check_output, result_path
 
     model = instrument.load().instrument
     read = camera.read_session(session, known=model.joint_names)
@@ -85,9 +85,9 @@ def _by_markers(
     solver: Literal["sqpnp", "ransac"],
     markers: Path | None,
 ) -> Iterator[Result]:
-    from dvrk_cmaes.bundled import bundled_path
-    from dvrk_cmaes.evaluate.pnp_frame import pose_from_markers
-    from dvrk_cmaes.io.markers import read_detections, read_marker_table
+    from dvrk_cmaes.frames.markers import read_detections, read_marker_table
+    from dvrk_cmaes.io.bundled import bundled_path
+    from dvrk_cmaes.pnp.pnp_frame import pose_from_markers
 
     table = read_marker_table(markers or bundled_path("markers", "lnd.json"))
     path = session.folder / "markers.csv"
@@ -102,8 +102,8 @@ def _by_markers(
 
 
 def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions) -> Iterator[Result]:
-    from dvrk_cmaes.evaluate.pnp_frame import pose_from_tips
-    from dvrk_cmaes.io.frame_files import read_frame
+    from dvrk_cmaes.frames.frame import read_frame
+    from dvrk_cmaes.pnp.pnp_frame import pose_from_tips
 
     for files in session.frames:
         yield pose_from_tips(files, read_frame(files, session.camera), model, arm=instrument.arm)

@@ -104,9 +104,9 @@ def segment(
         raise InputError(f"--threads: expected a whole number of at least 1, got {threads}")
     import cv2
 
+    from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.session_folder import find_images
-    from dvrk_cmaes.report.files import check_output, mask_path
+    from dvrk_cmaes.results.paths import check_output, mask_path
 
     settings, hints = model.resolve(), prompts.resolve()
     cv2.setNumThreads(threads)
@@ -138,11 +138,11 @@ def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, th
 
     import numpy as np
 
+    from dvrk_cmaes.frames.images import read_image
     from dvrk_cmaes.io.atomic import write_image
-    from dvrk_cmaes.io.images import read_image
-    from dvrk_cmaes.report.files import mask_path, overlay_path
-    from dvrk_cmaes.report.segmentation_overlay import draw_segmentation
+    from dvrk_cmaes.results.paths import mask_path, overlay_path
     from dvrk_cmaes.segment import segment as find
+    from dvrk_cmaes.segment.overlay import draw_segmentation
 
     image = read_image(path)
     started = perf_counter()

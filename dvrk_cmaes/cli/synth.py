@@ -88,8 +88,8 @@ def synth(
         raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")
     if seed < 0:
         raise InputError(f"--seed: expected a whole number of at least 0, got {seed}")
-    from dvrk_cmaes.bundled import bundled_path
-    from dvrk_cmaes.io.markers import read_marker_table
+    from dvrk_cmaes.frames.markers import read_marker_table
+    from dvrk_cmaes.io.bundled import bundled_path
     from dvrk_cmaes.synth.levels import LEVELS
     from dvrk_cmaes.synth.session import SessionPlan, default_camera, write_session
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.arm import OUTER_JOINTS, ROLL_OFFSET, Arm
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.consistency import (
     BaseSpread,
@@ -18,6 +17,7 @@ from dvrk_cmaes.evaluate.consistency import (
     rcm_spread,
 )
 from dvrk_cmaes.evaluate.result_set import ResultSet
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm
 
 
 @dataclass(frozen=True, eq=False)

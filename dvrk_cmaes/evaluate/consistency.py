@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes.arm import INSERTION_OFFSET, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import inverse, rotation_angle
+from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, Arm, base_from_root
 
 Float64 = NDArray[np.float64]
 

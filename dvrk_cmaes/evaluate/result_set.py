@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.arm import INSERTION_OFFSET, Arm
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.joints import read_joint_table
-from dvrk_cmaes.io.published_poses import read_published_poses
-from dvrk_cmaes.io.results_folder import ALONE, read_results
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.frames.published_poses import read_published_poses
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, Arm
+from dvrk_cmaes.joints.reading import read_joint_table
+from dvrk_cmaes.results.folder import ALONE, read_results
+from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 Readings = Mapping[str, Mapping[str, float]]

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.document import Fields
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import rotation_angle, transform
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.io.fields import Fields
+from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 

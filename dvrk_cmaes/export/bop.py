@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from dvrk_cmaes.export.pose_table import table_text
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.result import Result
 
 RESULTS = "dvrk-cmaes_dvrk-test.csv"
 """BOP's tools read the method, the data set and the split off a file's name."""

@@ -10,8 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.export.rotations import quaternion_xyzw
+from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
 from dvrk_cmaes.geometry import inverse
 
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.shown import shown
+from dvrk_cmaes.io.short_text import shown
 
 
 @dataclass(frozen=True)
@@ -34,3 +38,14 @@ class FrameNames:
         for option, name in (("--camera-frame", self.camera), ("--base-frame", self.base)):
             if name.startswith("/"):
                 raise InputError(f"{option}: expected a name as tf2 knows them, without a leading slash, got {name!r}")
+
+
+def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
+    """Turn the rotation of a pose (4, 4) into x, y, z, w, the order of ROS and SciPy; w is not negative."""
+    quaternion: list[float] = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True).tolist()
+    return quaternion
+
+
+def rotation_vector(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn the rotation of a pose (4, 4) into axis times angle (3,), rad; the angle is at most pi."""
+    return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(), dtype=np.float64)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.export.rotations import quaternion_xyzw
-from dvrk_cmaes.result import POSE_AXES, Result
+from dvrk_cmaes.export.frames import quaternion_xyzw
+from dvrk_cmaes.results.result import POSE_AXES, Result
 
 _PRISMATIC = ("insertion",)
 _DIGITS = 6  # a nanometre

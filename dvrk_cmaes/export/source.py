@@ -10,10 +10,10 @@ from typing import Any
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_frames, base_of_session
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.results_folder import SESSION, read_results, result_paths
-from dvrk_cmaes.io.shown import listed, shown
-from dvrk_cmaes.report.files import check_frame_name
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.results.folder import SESSION, read_results, result_paths
+from dvrk_cmaes.results.paths import check_frame_name
+from dvrk_cmaes.results.result import Result
 
 _EXPECTED = "a result or a session calibration (JSON), or a folder of them"
 

@@ -7,8 +7,7 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.export.rotations import quaternion_xyzw
+from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
 
 
 def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) -> str:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.export.rotations import rotation_vector
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.export.frames import rotation_vector
+from dvrk_cmaes.results.result import Result
 
 POSE, JOINTS = "optimized_ctr.npy", "optimized_joint_angles.npy"
 

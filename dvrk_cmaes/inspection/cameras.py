@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.files import read_intrinsics
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection.finding import Finding, Options
-from dvrk_cmaes.io.camera_file import read_intrinsics
 
 
 def inspect_camera(path: Path, options: Options) -> Finding:

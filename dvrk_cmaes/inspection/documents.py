@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.document import Fields
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.markers import read_marker_table
+from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.inspection.cameras import inspect_camera
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.instruments import inspect_kinematics, inspect_tool
-from dvrk_cmaes.io.dvrk_description import is_description
-from dvrk_cmaes.io.golden_file import read_golden
+from dvrk_cmaes.instrument.dvrk_description import is_description
+from dvrk_cmaes.io.fields import Fields
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.markers import read_marker_table
-from dvrk_cmaes.io.result_file import read_result
-from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.results.file import read_result
 
 
 def inspect_json(path: Path, options: Options) -> Finding:

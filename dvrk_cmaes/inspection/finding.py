@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dvrk_cmaes.io.camera_fields import Side
+from dvrk_cmaes.camera.fields import Side
 
 
 @dataclass(frozen=True)

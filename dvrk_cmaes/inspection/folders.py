@@ -6,11 +6,11 @@ from collections import Counter
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
-from dvrk_cmaes.io.published_layout import find_published_frames, is_published_layout
-from dvrk_cmaes.io.results_folder import read_results
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.results.folder import read_results
 
 RECORDINGS = (".bag", ".db3", ".mcap")
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov")

@@ -10,8 +10,8 @@ import numpy as np
 
 from dvrk_cmaes.inspection.finding import Finding, Options
 from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument.dvrk_description import read_kinematics, read_tool
 from dvrk_cmaes.instrument.meshes import read_mesh
-from dvrk_cmaes.io.dvrk_description import read_kinematics, read_tool
 
 MESHES = (".stl", ".obj", ".dae", ".ply")
 

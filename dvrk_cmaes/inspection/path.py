@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.config_file import leaves, read_config
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection.cameras import inspect_camera
 from dvrk_cmaes.inspection.documents import inspect_json
@@ -23,8 +22,9 @@ from dvrk_cmaes.inspection.tables import (
     inspect_tracker_array,
 )
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.joint_npy import MAGIC as NUMPY
-from dvrk_cmaes.io.joint_state import is_joint_state
+from dvrk_cmaes.io.toml_file import leaves, read_config
+from dvrk_cmaes.joints.joint_state import is_joint_state
+from dvrk_cmaes.joints.npy import MAGIC as NUMPY
 
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.inspection.finding import Finding
-from dvrk_cmaes.io.images import read_ignore, read_image, read_mask
 
 _THRESHOLD = 127
 _SOFT = 40  # a JPEG blurs the two values of a mask by about so much

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.markers import read_detections
+from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.inspection.finding import Finding, counted
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.joint_file import JointFile
-from dvrk_cmaes.io.joint_npy import read_small_array
-from dvrk_cmaes.io.joints import TIME_TOLERANCE, read_joint_file
-from dvrk_cmaes.io.keypoints import read_keypoints
-from dvrk_cmaes.io.markers import read_detections
-from dvrk_cmaes.io.published_poses import read_published_poses
-from dvrk_cmaes.io.shown import listed
-from dvrk_cmaes.io.times import read_image_times
-from dvrk_cmaes.timed_readings import NANOSECONDS
+from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.npy import read_small_array
+from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
+from dvrk_cmaes.joints.rows import JointFile
+from dvrk_cmaes.joints.times import read_image_times
 
 _LABELS = {
     "frame": "a frame's readings are found by its name",

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument.cylinder import Cylinder, find_cylinder
 from dvrk_cmaes.instrument.jaws import find_jaw_tips
 from dvrk_cmaes.instrument.model import Instrument, Shaft
@@ -77,7 +78,7 @@ def _stays(instrument: Instrument, index: int, cylinder: Cylinder) -> bool:
     zero = instrument.forward(np.zeros(len(instrument.joint_names)))[index]
     moved = instrument.forward(joints)[:, index] @ np.linalg.inv(zero)
     ends = np.stack([cylinder.point + end * cylinder.direction for end in (cylinder.low, cylinder.high)])
-    shifts = ends @ np.swapaxes(moved[:, :3, :3], -1, -2) + moved[:, None, :3, 3] - ends
+    shifts = apply(moved, ends) - ends
     return bool(np.linalg.norm(shifts, axis=-1).max() < 1e-4)
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.library_errors import one_line
-from dvrk_cmaes.instrument.mesh_claims import check_claims
+from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument.mesh_header import check_claims
 from dvrk_cmaes.io.plain_xml import parse_xml
 
 #: Kinds of mesh file that can be read.
@@ -137,5 +137,5 @@ def place(triangles: Triangles, link_from_mesh: NDArray[np.float64], scale: NDAr
     triangles : vertices (V, 3) and faces (F, 3); link_from_mesh : (4, 4); scale : (3,), negative values mirror.
     """
     vertices, faces = triangles
-    moved = (vertices * scale) @ link_from_mesh[:3, :3].T + link_from_mesh[:3, 3]
+    moved = apply(link_from_mesh, vertices * scale)
     return moved, np.ascontiguousarray(faces[:, ::-1] if np.prod(scale) < 0 else faces)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes.arm import ROLL_OFFSET
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.instrument.arm import ROLL_OFFSET
 from dvrk_cmaes.instrument.kinematics import Chain
 
 #: Joints that change sign in the mirror twin.
@@ -105,7 +105,7 @@ class Instrument:
     limits_from
         Where the limits are from: the URDF, or the name of a tool's description.
     roll_offset
-        D of the tool's roll joint, m: where the root lies along the shaft (see `dvrk_cmaes.arm`).
+        D of the tool's roll joint, m: where the root lies along the shaft (see `dvrk_cmaes.instrument.arm`).
     roll_limits
         Lower and upper of the roll joint, rad, where they are known.
     """

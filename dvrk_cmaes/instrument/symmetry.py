@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument.model import TWIN_JOINTS, Instrument
 
 _QUERIES = 10_000  # points whose distance is measured
@@ -24,7 +25,7 @@ def twin_distance(instrument: Instrument) -> float:
     joints = instrument.limits @ np.array([0.35, 0.65])
     half_turn, mirrored = instrument.twin(np.eye(4), joints)
     own = _surface(instrument, joints)
-    other = _surface(instrument, mirrored) @ half_turn[:3, :3].T + half_turn[:3, 3]
+    other = apply(half_turn, _surface(instrument, mirrored))
     there, _ = cKDTree(other).query(own[:_QUERIES])
     back, _ = cKDTree(own).query(other[:_QUERIES])
     return float(np.percentile(np.concatenate([there, back]), _PERCENTILE))
@@ -43,9 +44,9 @@ def _surface(instrument: Instrument, joints: NDArray[np.float64]) -> NDArray[np.
     for link, pose, zero in zip(instrument.links, poses, closed, strict=True):
         triangles = link.vertices[link.faces]
         if instrument.shaft is not None:
-            along = (triangles @ zero[:3, :3].T + zero[:3, 3]) @ instrument.shaft.direction
+            along = apply(zero, triangles) @ instrument.shaft.direction
             triangles = triangles[along.max(axis=1) > instrument.shaft.distal_end + 1e-6]
-        corners.append(triangles @ pose[:3, :3].T + pose[:3, 3])
+        corners.append(apply(pose, triangles))
     a, b, c = np.moveaxis(np.concatenate(corners), 1, 0)
     total = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     rng = np.random.default_rng(0)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.instrument.model import Instrument
-from dvrk_cmaes.io.dvrk_description import Tool
 
 _WRIST_TOLERANCE = 5e-4  # m; tools differ by 1 mm and more, descriptions of one tool by their rounding
 

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes.bundled import bundled_path
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument import measure
-from dvrk_cmaes.instrument.kept import keep, kept_file, read_kept
+from dvrk_cmaes.instrument.cache import keep, kept_file, read_kept
+from dvrk_cmaes.instrument.joint_tree import below, build_joints
 from dvrk_cmaes.instrument.kinematics import Chain
 from dvrk_cmaes.instrument.model import Instrument, Link
-from dvrk_cmaes.instrument.robot_xml import read_robot
-from dvrk_cmaes.instrument.tree import below, build_joints
+from dvrk_cmaes.instrument.urdf_xml import read_robot
 from dvrk_cmaes.instrument.visuals import link_triangles
-from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.short_text import listed
 
 #: The link whose pose is sought unless another one is named: the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
-from dvrk_cmaes.io.shown import shown
+from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 1_000_000_000  # bytes; an hour at 1 kHz has half of it
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
-from dvrk_cmaes.io.shown import shown
+from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 100_000_000  # bytes
 # strings, to leave alone what looks like a comment in them; both may lack their end, lest it is looked for again

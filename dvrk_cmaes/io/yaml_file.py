@@ -15,7 +15,7 @@ import yaml
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
-from dvrk_cmaes.io.shown import shown
+from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 1_000_000  # bytes
 _DEEPEST = 20  # mappings and lists within each other

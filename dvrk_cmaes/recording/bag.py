@@ -7,16 +7,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.library_errors import one_line
+from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 from dvrk_cmaes.recording.topics import TopicChoice, Topics, choose_topics
-from dvrk_cmaes.timed_readings import TimedReadings
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from dvrk_cmaes.io.camera_file import read_camera_file
+from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.io.files import read_bytes
 
 _LARGEST = 1_000_000  # bytes

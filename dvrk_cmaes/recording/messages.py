@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
-from dvrk_cmaes.io.joint_names import all_names, ordered_joints, plain_joint
-from dvrk_cmaes.io.shown import listed, shown
+from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.names import all_names, ordered_joints, plain_joint
 from dvrk_cmaes.recording.recording import ImageFile
-from dvrk_cmaes.timed_readings import NANOSECONDS
 
 # bytes a pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the first two rows' first pixels
 _ENCODINGS: dict[str, tuple[int, int | None]] = {

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.joints import read_joint_file
-from dvrk_cmaes.timed_readings import TimedReadings
+from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.reading import read_joint_file
 
 
 def read_timed_joints(path: Path) -> tuple[TimedReadings, ...]:

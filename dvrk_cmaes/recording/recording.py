@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from dvrk_cmaes.timed_readings import TimedReadings
+from dvrk_cmaes.joints.interpolation import TimedReadings
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.io.short_text import listed
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

@@ -14,11 +14,11 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.image_header import MOST_PIXELS
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import encoded
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
-from dvrk_cmaes.timed_readings import NANOSECONDS
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _QUIET = "-8"  # FFmpeg's AV_LOG_QUIET

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.atomic import write_bytes, write_text
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.io.whole_folder import whole_folder
+from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.timed_readings import NANOSECONDS, TimedReadings
 
 _DIGITS = 6  # of a frame's name
 

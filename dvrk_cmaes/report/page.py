@@ -17,8 +17,6 @@ from urllib.parse import quote
 import jinja2
 
 from dvrk_cmaes.io.atomic import write_bytes
-from dvrk_cmaes.io.results_folder import ResultsFolder, read_results, result_paths
-from dvrk_cmaes.report.files import overlay_path
 from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
 from dvrk_cmaes.report.page_frames import (
     NOTHING,
@@ -42,7 +40,9 @@ from dvrk_cmaes.report.page_session import (
     session_figures,
 )
 from dvrk_cmaes.report.page_thumbnails import thumbnail
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.folder import ResultsFolder, read_results, result_paths
+from dvrk_cmaes.results.paths import overlay_path
+from dvrk_cmaes.results.result import Result
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _THREADS = 2

@@ -13,16 +13,16 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.io.results_folder import ALONE, SESSION, ResultsFolder
-from dvrk_cmaes.report.files import left_out_path
 from dvrk_cmaes.report.page_frames import LeftOut, Row, axis_angle, fixed, signed
 from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, amounts, offset_panels
 from dvrk_cmaes.report.page_session import Figure, correction
 from dvrk_cmaes.report.page_shafts_plot import ShaftsPlot, shafts_plot
-from dvrk_cmaes.result import Result
-from dvrk_cmaes.session import SessionCalibration
-from dvrk_cmaes.session.model import outer_readings
+from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
+from dvrk_cmaes.results.paths import left_out_path
+from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 

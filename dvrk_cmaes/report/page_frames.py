@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
-from dvrk_cmaes.result import Alternative, Result
+from dvrk_cmaes.results.result import Alternative, Result
 
 Float64 = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.report.page_axes import Axis, value_axis
 from dvrk_cmaes.report.page_plots import Mark, mark_size
-from dvrk_cmaes.session import SessionCalibration
 
 _WIDTH, _LEFT = 560.0, 96.0  # of the drawing, and where its axis begins
 _ROW, _TOP = 50.0, 6.0

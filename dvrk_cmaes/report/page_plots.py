@@ -12,7 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.report.page_axes import Axis, centred_axis, name_axis, value_axis
 from dvrk_cmaes.report.page_session import SessionBase, correction
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.result import Result
 
 _OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
     "circle": ((-1.0, 0.0),),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.consistency import FEWEST, PointSpread, converge_shafts, spread_of_bases
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 

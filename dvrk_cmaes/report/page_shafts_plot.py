@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.report.page_axes import Axis, centred_axis
-from dvrk_cmaes.session import SessionCalibration
 
 Float64 = NDArray[np.float64]
 

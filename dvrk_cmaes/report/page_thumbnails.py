@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.draw.overlay import LEGEND, MASK, SILHOUETTE
+from dvrk_cmaes.draw.panels import footer, header
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.images import read_image
-from dvrk_cmaes.report.overlay import LEGEND, MASK, SILHOUETTE
-from dvrk_cmaes.report.panels import footer, header
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.results.result import Result
 
 WIDTH = 288  # px
 LARGEST = 9000  # bytes

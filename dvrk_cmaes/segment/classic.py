@@ -15,16 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence import window_around
+from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.segment.colours import Colours, ColourTable, greyness, look
 from dvrk_cmaes.segment.confidence import GUESS, trust
+from dvrk_cmaes.segment.edge_colours import halfway_odds
+from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.segment.graph_cut import cut
-from dvrk_cmaes.segment.halfway import halfway_odds
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, instrument_region, without_holes
 from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
 from dvrk_cmaes.segment.shaft_sides import shaft_odds
-from dvrk_cmaes.segment.view import outside_view
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]

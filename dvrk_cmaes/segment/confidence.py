@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.noise import sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
 from dvrk_cmaes.segment.colours import Colours
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import border_of, meets_border

@@ -165,7 +165,7 @@ def segment_sam2(
     model = load_sam2(weights, threads)
     if box is not None or points:
         return model.segment(image, box=box, points=points, not_points=not_points)
-    from dvrk_cmaes.evidence import window_around
+    from dvrk_cmaes.evidence.gather import window_around
     from dvrk_cmaes.segment.classic import segment_classic
 
     guess = segment_classic(image, not_points=not_points)

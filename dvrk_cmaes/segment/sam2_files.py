@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.instrument.library_errors import one_line
-from dvrk_cmaes.io.shown import listed
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.segment.sam2_exports import FAMILIES, Family, Tensors
 from dvrk_cmaes.segment.sam2_images import SIDE
 

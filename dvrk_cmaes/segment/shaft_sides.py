@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.shaft_edges import find_contour, find_shaft_edges
+from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]

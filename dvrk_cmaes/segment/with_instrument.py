@@ -18,12 +18,12 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.noise import signed_distance
-from dvrk_cmaes.result import Result
+from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Box, Model, Pixel, Segmentation, segment
 from dvrk_cmaes.segment.classic import refine_outline
+from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.segment.prompts import draw_prompts
-from dvrk_cmaes.segment.view import outside_view
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = NDArray[np.bool_]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.silhouette.grid import Float32
-from dvrk_cmaes.silhouette.lanes import Words, answers_of, shift_of, words_of
+from dvrk_cmaes.silhouette.pose_batches import Words, answers_of, shift_of, words_of
 from dvrk_cmaes.silhouette.scenes import NEAR
 from dvrk_cmaes.silhouette.segments import Segments
 from dvrk_cmaes.silhouette.vertices import VerticesOnLines

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.silhouette.grid import LineGrid, Projection
-from dvrk_cmaes.silhouette.lanes import answers_of, lanes_for, product, shift_of, words_of
 from dvrk_cmaes.silhouette.near_plane import cut_link
+from dvrk_cmaes.silhouette.pose_batches import answers_of, lanes_for, product, shift_of, words_of
 from dvrk_cmaes.silhouette.segments import Segments, bent
 from dvrk_cmaes.silhouette.topology import MeshTopology
 from dvrk_cmaes.silhouette.vertices import ProjectedVertices

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.silhouette.decimate import lightened
 from dvrk_cmaes.silhouette.grid import LineGrid
-from dvrk_cmaes.silhouette.lanes import groups_of
-from dvrk_cmaes.silhouette.lighter import lightened
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
+from dvrk_cmaes.silhouette.pose_batches import groups_of
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette.lanes import Words, same_in_all_lanes
+from dvrk_cmaes.silhouette.pose_batches import Words, same_in_all_lanes
 
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]

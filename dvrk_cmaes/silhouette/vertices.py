@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.silhouette.grid import Float32, LineGrid, Projection
-from dvrk_cmaes.silhouette.lanes import lanes_for, product
+from dvrk_cmaes.silhouette.pose_batches import lanes_for, product
 from dvrk_cmaes.silhouette.scenes import NEAR
 from dvrk_cmaes.silhouette.segments import Segments
 from dvrk_cmaes.silhouette.topology import MeshTopology

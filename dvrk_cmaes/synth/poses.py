@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.joints import WRIST_JOINTS
+from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
+from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth, aimed
 from dvrk_cmaes.synth.views import trace_links

@@ -15,14 +15,13 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes import __version__
-from dvrk_cmaes.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evaluate.pnp import place_markers
+from dvrk_cmaes.frames.markers import Marker, place_markers
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
-from dvrk_cmaes.io.markers import Marker
-from dvrk_cmaes.io.whole_folder import whole_folder
+from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
 from dvrk_cmaes.synth.images import draw_image

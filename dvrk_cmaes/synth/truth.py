@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import rotation_about_z, transform
+from dvrk_cmaes.geometry import apply, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -49,7 +49,7 @@ class Truth:
         return self._in_camera(shaft.point + (shaft.distal_end - distance) * shaft.direction)
 
     def _in_camera(self, points: Float64) -> Float64:
-        return np.asarray(points @ self.camera_from_root[:3, :3].T + self.camera_from_root[:3, 3])
+        return apply(self.camera_from_root, points)
 
 
 def exact_mask(body: Body, camera: Camera, truth: Truth) -> NDArray[np.bool_]:

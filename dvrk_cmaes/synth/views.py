@@ -13,6 +13,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import NEAR
 
@@ -41,7 +42,7 @@ def trace_links(
     poses = camera_from_root @ instrument.forward(joints)
     triangles, owner = [], []
     for k, (link, pose) in enumerate(zip(instrument.links, poses, strict=True)):
-        corners = link.vertices @ pose[:3, :3].T + pose[:3, 3]
+        corners = apply(pose, link.vertices)
         triangles.append(corners[link.faces])
         owner.append(np.full(len(link.faces), k, dtype=np.int32))
     corners = np.concatenate(triangles)

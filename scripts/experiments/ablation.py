@@ -15,12 +15,12 @@ import numpy as np
 from experiment import Claim, Options, progress, read_options, table, write_experiment
 from made_sessions import RIGHT_MODE_DEG, Made, by_estimate, error_of, make
 
-from dvrk_cmaes.comparison import PoseError
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.refine import METHODS as REFINEMENTS
-from dvrk_cmaes.report.figure import new_figure
-from dvrk_cmaes.search import METHODS as SEARCHES
+from dvrk_cmaes.draw.figure import new_figure
+from dvrk_cmaes.evaluate.pose_error import PoseError
+from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
+from dvrk_cmaes.pose.search import METHODS as SEARCHES
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LevelName
 
 if TYPE_CHECKING:

@@ -20,14 +20,14 @@ from made_sessions import Made, make
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence import gather_evidence
-from dvrk_cmaes.global_search import image_size
-from dvrk_cmaes.hypotheses import sample_joints, sample_lookat, sample_uniform
-from dvrk_cmaes.objective import Objective, Readings
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.report.figure import new_figure
-from dvrk_cmaes.seeds import draw_seeds
+from dvrk_cmaes.draw.figure import new_figure
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.pose.search.global_search import image_size
+from dvrk_cmaes.pose.search.objective import Objective
+from dvrk_cmaes.pose.search.starts import draw_seeds, sample_joints, sample_lookat, sample_uniform
 from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.session import MadeFrame
 
 if TYPE_CHECKING:

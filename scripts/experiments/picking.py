@@ -38,9 +38,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dvrk_cmaes.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.geometry import change_between, inverse
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 
 Float64 = NDArray[np.float64]
 

@@ -19,15 +19,15 @@ from experiment import Claim, Options, progress, read_options, table, write_expe
 from made_sessions import OURS, PNP, PNP_RANSAC, PNP_TIPS, Made, errors_of, make, result_set, results_by
 
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.agreement import Agreement, measure_agreement
 from dvrk_cmaes.evaluate.consistency import FEWEST
 from dvrk_cmaes.evaluate.paper import TABLE_ONE
 from dvrk_cmaes.evaluate.result_set import ResultSet, read_result_set
-from dvrk_cmaes.io.frame_files import read_frame
-from dvrk_cmaes.io.session_folder import read_session
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.report.figure import new_figure
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LevelName
 
 if TYPE_CHECKING:

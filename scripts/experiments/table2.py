@@ -29,9 +29,9 @@ from picking import (
 )
 
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evaluate.paper import TABLE_TWO
-from dvrk_cmaes.prepared import prepare
-from dvrk_cmaes.report.figure import new_figure
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.session import MadeFrame
 
 if TYPE_CHECKING:

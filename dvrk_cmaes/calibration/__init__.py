@@ -1,0 +1,9 @@
+"""One arm, one camera: a session's frames solved together, for one camera_from_base and the joints' offsets."""
+
+from __future__ import annotations
+
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+
+__all__ = ["SessionCalibration", "SessionFrame", "SolvedSession", "calibrate_session"]

@@ -1,0 +1,147 @@
+"""What every kind of camera file is read into, and the fields that they have in common.
+
+A reader of one kind takes a document of plain values and gives `Intrinsics`; wrong fields are named in one line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import listed, shown
+
+Side = Literal["left", "right"]
+Size = tuple[int, int]
+Distortion = tuple[str, tuple[float, ...]]
+
+_OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What a camera file states, before it is made a `Camera`.
+
+    ``kind`` says in words what the file is and which of its cameras and matrices were taken. ``size`` is width and
+    height in pixels, None where the file does not state it. ``fx, fy, cx, cy`` are in pixels; ``model`` and
+    ``distortion`` as in `Camera`. ``notes`` say what had to be decided by a rule.
+    """
+
+    kind: str
+    size: Size | None
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: str = "plumb_bob"
+    distortion: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def take_field(where: str, document: Mapping[str, Any], names: Sequence[str]) -> tuple[str, Any]:
+    """Take name and value of the first of several names that a document has; InputError where it has none of them."""
+    for name in names:
+        if document.get(name) is not None:
+            return name, document[name]
+    raise InputError(f"{where}: {names[0]}: missing (expected {' or '.join(names)})")
+
+
+def has_field(document: Mapping[str, Any], names: Sequence[str]) -> bool:
+    """Whether a document has one of several names."""
+    return any(document.get(name) is not None for name in names)
+
+
+def take_length(where: str, name: str, value: Any) -> int:
+    """Check a width or height: a positive whole number of pixels."""
+    number = as_number(value)
+    if number is None or not math.isfinite(number) or number != int(number) or number <= 0:
+        raise InputError(f"{where}: {name}: expected a positive whole number of pixels, got {shown(value)}")
+    return int(number)
+
+
+def take_numbers(where: str, name: str, entry: Any, count: int | None = None) -> list[float]:
+    """Finite numbers of a flat list, of a list of rows, or of the ``data`` of a mapping."""
+    if isinstance(entry, Mapping):
+        name, entry = f"{name}.data", entry.get("data")
+    expected = f"{count} numbers" if count else "a list of numbers"
+    if not isinstance(entry, list):
+        raise InputError(f"{where}: {name}: expected {expected}, got {shown(entry)}")
+    if entry and all(isinstance(row, list) for row in entry):
+        entry = [value for row in entry for value in row]
+    if count is not None and len(entry) != count:
+        raise InputError(f"{where}: {name}: expected {expected}, got {len(entry)}")
+    numbers = []
+    for value in entry:
+        number = as_number(value)
+        if number is None or not math.isfinite(number):
+            raise InputError(f"{where}: {name}: expected finite numbers, got {shown(value)}")
+        numbers.append(number)
+    return numbers
+
+
+def as_number(value: Any) -> float | None:
+    """Float of a number or of its text (YAML 1.1 takes 1e-05 for text), None of anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        return None
+
+
+def take_matrix(where: str, name: str, entry: Any, *, columns: int = 3) -> tuple[float, float, float, float]:
+    """Take fx, fy, cx, cy of an intrinsic matrix (3, 3), or of a projection matrix (3, 4), rows first."""
+    matrix = take_numbers(where, name, entry, count=3 * columns)
+    fx, skew, cx = matrix[:3]
+    below, fy, cy = matrix[columns : columns + 3]
+    if fx <= 0 or fy <= 0:
+        raise InputError(f"{where}: {name}: expected positive focal lengths in pixels, got fx {fx:g}, fy {fy:g}")
+    if max(abs(skew), abs(below)) > 1e-6 * fx or matrix[2 * columns : 2 * columns + 3] != [0, 0, 1]:
+        raise InputError(f"{where}: {name}: expected rows fx 0 cx, 0 fy cy, 0 0 1 (no skew), got {matrix}")
+    return fx, fy, cx, cy
+
+
+def opencv_distortion(where: str, name: str, entry: Any) -> Distortion:
+    """Model and coefficients of a vector of OpenCV's, which does not name its model: their number tells it.
+
+    0, 4 or 5 are k1 k2 p1 p2 [k3]; 8 go on with k4 k5 k6; the thin prism and tilt of 12 and 14 must be zero.
+    """
+    coefficients = take_numbers(where, name, entry)
+    if len(coefficients) not in _OPENCV_COUNTS:
+        counts = ", ".join(map(str, _OPENCV_COUNTS[:-1]))
+        raise InputError(
+            f"{where}: {name}: expected {counts} or {_OPENCV_COUNTS[-1]} coefficients, got {len(coefficients)}"
+        )
+    if any(coefficients[8:]):
+        raise InputError(f"{where}: {name}: expected no thin prism or tilt (coefficients 9 on), got {coefficients[8:]}")
+    return ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob"), tuple(coefficients[:8])
+
+
+def refuse_rectified(where: str, kind: str, distortion: Distortion) -> None:
+    """Refuse rectified images for a file without a projection matrix, unless its lens bends nothing anyway."""
+    model, coefficients = distortion
+    if model == "equidistant" or any(coefficients):
+        raise InputError(
+            f"{where}: --rectified: expected a projection matrix (ROS camera_info, or OpenCV with P1 and P2), "
+            f"got none in this {kind} file"
+        )
+
+
+def one_camera(where: str, side: Side, name: object = None) -> tuple[str, ...]:
+    """Note what a side means for a file of one camera; refuse the left one where the right was asked for."""
+    if side == "left":
+        return ()
+    if isinstance(name, str) and "left" in name.lower() and "right" not in name.lower():
+        raise InputError(f"{where}: --side right: expected the right camera, got {shown(name)}")
+    return ("the file holds one camera: it is taken for the right one",)
+
+
+def unknown_layout(where: str, document: Mapping[str, Any]) -> InputError:
+    """Error for a file that is of no known kind."""
+    return InputError(
+        f"{where}: expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
+        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0) or plain (intrinsic), "
+        f"got the fields {listed(document) or '(none)'}"
+    )

@@ -1,0 +1,114 @@
+"""Camera files: intrinsics and lens distortion as calibration tools write them, told apart by their content.
+
+ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML; each kind has its own module beside this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, unknown_layout
+from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
+from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
+from dvrk_cmaes.camera.plain import is_plain, read_plain
+from dvrk_cmaes.camera.ros import is_camera_info, read_camera_info
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.plain_xml import parse_xml
+from dvrk_cmaes.io.yaml_file import read_yaml_mapping
+
+__all__ = ["CameraFile", "Side", "Size", "read_camera", "read_camera_file", "read_intrinsics"]
+
+_EXPECTED = "a camera file (YAML or XML)"
+_LARGEST = 1_000_000  # bytes
+
+_KINDS = (
+    (is_camchain, read_camchain),
+    (is_storage, read_storage),
+    (is_plain, read_plain),
+    (is_camera_info, read_camera_info),
+)
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """A camera and where it is from: ``kind`` of file in words, and in ``notes`` what had to be decided by a rule."""
+
+    camera: Camera
+    kind: str
+    notes: tuple[str, ...] = ()
+
+
+def read_camera(
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
+) -> Camera:
+    """Read a camera file, as ``read_camera_file`` does, for the camera alone."""
+    return read_camera_file(path, rectified=rectified, side=side, size=size).camera
+
+
+def read_camera_file(
+    path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
+) -> CameraFile:
+    """Read a camera file of any kind.
+
+    Parameters
+    ----------
+    path
+        The file.
+    rectified
+        Whether the images are rectified; raw ones otherwise.
+    side
+        Which camera of a stereo pair.
+    size
+        Width and height in pixels of the images, or how to find them, for a file that does not state them.
+
+    Returns
+    -------
+    CameraFile
+        Pixels as in the file, at the size of its images.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the field and what was expected; a size that is neither stated nor given, or a principal
+        point outside of images of the size given.
+    """
+    found = read_intrinsics(path, rectified=rectified, side=side)
+    notes = found.notes
+    width, height = found.size or (0, 0)
+    if found.size is None:
+        if size is None:
+            raise InputError(f"{path}: image size: not stated in the file; expected it to be given, in pixels")
+        width, height = size() if callable(size) else size
+        if not (0 <= found.cx < width and 0 <= found.cy < height):
+            raise InputError(
+                f"{path}: principal point: expected one within images of {width} x {height}, "
+                f"got {found.cx:g}, {found.cy:g}: the calibration is of another size, which the file does not state"
+            )
+        notes = (*notes, f"the camera file states no image size: taken to be {width} x {height}, that of the frames")
+    try:
+        camera = Camera(width, height, found.fx, found.fy, found.cx, found.cy, found.distortion, found.model)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return CameraFile(camera, found.kind, notes)
+
+
+def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
+    """Read what a camera file states, as ``read_camera_file`` does, without need of the images' size."""
+    where, document = str(path), _document(path)
+    for is_kind, read_kind in _KINDS:
+        if is_kind(document):
+            return read_kind(where, document, rectified=rectified, side=side)
+    raise unknown_layout(where, document)
+
+
+def _document(path: str | Path) -> dict[str, Any]:
+    """Read the fields of a YAML or XML file as plain values."""
+    data = read_bytes(path, expected=_EXPECTED, largest=_LARGEST)
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return read_storage_xml(str(path), parse_xml(Path(path), data))
+    return read_yaml_mapping(path, expected=_EXPECTED)

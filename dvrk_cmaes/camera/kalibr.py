@@ -1,0 +1,84 @@
+"""kalibr's camchain: cam0, cam1, ... with ``camera_model``, ``intrinsics``, ``distortion_model``, ``resolution``.
+
+Only pinhole cameras can be rendered here; ``radtan`` is OpenCV's plumb_bob, ``equidistant`` its fisheye. Of a pair,
+the images' topics tell left from right; where they do not, cam0 is the left one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from dvrk_cmaes.camera.fields import (
+    Intrinsics,
+    Side,
+    Size,
+    one_camera,
+    refuse_rectified,
+    take_field,
+    take_length,
+    take_numbers,
+)
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.short_text import shown
+
+_NAME = re.compile(r"cam\d+")
+_MODELS = {"radtan": ("plumb_bob", 4), "equidistant": ("equidistant", 4), "equi": ("equidistant", 4), "none": None}
+
+
+def is_camchain(document: Mapping[str, Any]) -> bool:
+    """Whether a document has a camera named as kalibr names them."""
+    return any(_NAME.fullmatch(name) and isinstance(entry, Mapping) for name, entry in document.items())
+
+
+def read_camchain(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
+    """Intrinsics of one camera of a camchain; InputError naming the camera, the field and what was expected."""
+    cameras = {name: entry for name, entry in document.items() if _NAME.fullmatch(name) and isinstance(entry, Mapping)}
+    name, notes = _chosen(where, cameras, side)
+    entry, inside = cameras[name], f"{where}: {name}"
+    _, model = take_field(inside, entry, ("camera_model",))
+    if model != "pinhole":
+        raise InputError(f"{inside}: camera_model: expected pinhole, got {shown(model)}, which cannot be rendered")
+    fx, fy, cx, cy = take_numbers(inside, *take_field(inside, entry, ("intrinsics",)), count=4)
+    if fx <= 0 or fy <= 0:
+        raise InputError(f"{inside}: intrinsics: expected positive focal lengths in pixels, got fx {fx:g}, fy {fy:g}")
+    _, lens = take_field(inside, entry, ("distortion_model",))
+    if not isinstance(lens, str) or lens not in _MODELS:
+        names = ", ".join(nearest_first(lens[:60], _MODELS) if isinstance(lens, str) else _MODELS)
+        raise InputError(f"{inside}: distortion_model: expected one of {names}, got {shown(lens)}")
+    known = _MODELS[lens]
+    distortion: tuple[str, tuple[float, ...]] = ("plumb_bob", ())
+    if known is not None:
+        coefficients = take_numbers(inside, *take_field(inside, entry, ("distortion_coeffs",)), count=known[1])
+        distortion = known[0], tuple(coefficients)
+    kind = f"kalibr camchain, {name} of {len(cameras)}"
+    if rectified:
+        refuse_rectified(inside, "kalibr camchain", distortion)
+        distortion = ("plumb_bob", ())
+    images = "rectified images (intrinsics)" if rectified else f"raw images (intrinsics and {lens} distortion)"
+    return Intrinsics(f"{kind}, {images}", _size(inside, entry), fx, fy, cx, cy, *distortion, notes)
+
+
+def _chosen(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Side) -> tuple[str, tuple[str, ...]]:
+    """Name of the camera of one side, and how it was told."""
+    topics = {name: str(entry.get("rostopic", "")) for name, entry in cameras.items()}
+    if len(cameras) == 1:
+        ((name, topic),) = topics.items()
+        return name, one_camera(where, side, topic)
+    told = [name for name, topic in topics.items() if side in topic.lower()]
+    if len(told) == 1:
+        return told[0], ()
+    if not (set(cameras) == {"cam0", "cam1"} and not told):
+        raise InputError(
+            f"{where}: --side {side}: expected cam0 and cam1, or topics that say left and right, got {topics}"
+        )
+    name = "cam0" if side == "left" else "cam1"
+    return name, (f"the topics do not say which camera is the left one: cam0 is, so {name} is taken",)
+
+
+def _size(where: str, entry: Mapping[str, Any]) -> Size | None:
+    if entry.get("resolution") is None:
+        return None
+    width, height = take_numbers(where, "resolution", entry["resolution"], count=2)
+    return take_length(where, "resolution", width), take_length(where, "resolution", height)

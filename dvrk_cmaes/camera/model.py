@@ -1,0 +1,186 @@
+"""The camera: from points in its frame to pixels, and from pixels back to directions.
+
+OpenCV's camera frame: x right, y down, z forward, metres. Pixel (u, v) has its centre at integer coordinates, so the
+image covers [-0.5, width - 0.5] x [-0.5, height - 0.5]. The ray of a pixel is ``[normalise(pixel), 1]``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS, Lens
+from dvrk_cmaes.errors import InputError, nearest_first
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of a camera and the distortion of its lens.
+
+    Parameters
+    ----------
+    width, height
+        Size of the image in pixels.
+    fx, fy, cx, cy
+        Focal lengths and principal point in pixels.
+    distortion
+        Coefficients in OpenCV's order; none, or all zero, is a pinhole (but not for a fisheye, whose zeros mean
+        that the distorted radius equals the angle).
+    model
+        ``plumb_bob`` (0, 4 or 5 coefficients), ``rational_polynomial`` (0 or 8) or ``equidistant`` (4).
+
+    Raises
+    ------
+    InputError
+        A size or focal length that is not positive, a number that is not finite, an unknown model, a wrong number
+        of coefficients, or a distortion that is not one-to-one over the image.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    model: str = "plumb_bob"
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if not (math.isfinite(size) and size == int(size) and size > 0):
+                raise InputError(f"{name}: expected a positive whole number of pixels, got {size}")
+            object.__setattr__(self, name, int(size))
+        for name in ("fx", "fy", "cx", "cy"):
+            value = float(getattr(self, name))
+            if not math.isfinite(value):
+                raise InputError(f"{name}: expected a finite number of pixels, got {value}")
+            if name.startswith("f") and value <= 0:
+                raise InputError(f"{name}: expected a positive focal length in pixels, got {value:g}")
+            object.__setattr__(self, name, value)
+        coefficients = tuple(float(c) for c in self.distortion)
+        object.__setattr__(self, "distortion", coefficients)
+        if self.model not in COEFFICIENT_COUNTS:
+            names = ", ".join(nearest_first(self.model, COEFFICIENT_COUNTS))
+            raise InputError(f"distortion model: expected one of {names}, got {self.model!r}")
+        counts = COEFFICIENT_COUNTS[self.model]
+        if len(coefficients) not in counts:
+            expected = " or ".join(str(n) for n in counts)
+            raise InputError(f"distortion: expected {expected} coefficients for {self.model}, got {len(coefficients)}")
+        if not all(math.isfinite(c) for c in coefficients):
+            raise InputError(f"distortion: expected finite coefficients, got {list(coefficients)}")
+        _ = self._lens  # refuses a distortion that folds
+
+    @cached_property
+    def _lens(self) -> Lens | None:
+        return None if self.is_pinhole else Lens(self.model, self.distortion, self._border())
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The intrinsic matrix K, (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether straight lines stay straight: there is no distortion."""
+        return self.model != "equidistant" and not any(self.distortion)
+
+    @property
+    def lens_radius(self) -> float:
+        """Undistorted radius |x/z, y/z| up to which the distortion model is used as written; infinite for a pinhole."""
+        return float("inf") if self._lens is None else self._lens.radius
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """Return the camera of the same image resized to another size, in pixels, of the same aspect.
+
+        Pixels are areas: a corner of the image stays a corner, cx' + 0.5 = (cx + 0.5) s. The two aspects may
+        differ by 0.5 % or by the rounding of a size to whole pixels; InputError otherwise.
+        """
+        if width <= 0 or height <= 0:
+            raise InputError(f"image size: expected positive sizes in pixels, got {width} x {height}")
+        sx, sy = width / self.width, height / self.height
+        off = abs(width - self.width * sy)
+        if off > 0.005 * width and off > 0.5 and abs(height - self.height * sx) > 0.5:
+            raise InputError(
+                f"image size: expected the aspect of {self.width} x {self.height}, the camera's, got {width} x {height}"
+            )
+        return Camera(
+            width,
+            height,
+            self.fx * sx,
+            self.fy * sy,
+            (self.cx + 0.5) * sx - 0.5,
+            (self.cy + 0.5) * sy - 0.5,
+            self.distortion,
+            self.model,
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """Return the camera of a window of the image whose first pixel is (left, top), sizes in pixels."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def distort(self, xy: ArrayLike) -> NDArray[Any]:
+        """Map undistorted to distorted normalised coordinates, (..., 2) to (..., 2); float32 stays float32.
+
+        Exactly the model's inside the image and a little beyond; further out the map is continued so that it stays
+        continuous and one-to-one (see ``lens``). A pinhole hands back the very array.
+        """
+        points = _floats(xy)
+        return points if self._lens is None else self._lens.distort(points)
+
+    def project(self, points: ArrayLike) -> NDArray[Any]:
+        """Project points (..., 3) in the camera's frame, m, to pixels (..., 2); float32 stays float32.
+
+        Raises
+        ------
+        ValueError
+            A point is not before the camera (z must be positive).
+        """
+        xyz = _floats(points)
+        depth = xyz[..., 2:]
+        if np.any(depth <= 0):
+            raise ValueError("only points before the camera can be projected: z must be positive")
+        pixels = self.distort(xyz[..., :2] / depth)  # a new array, so it may be overwritten
+        pixels *= self._focal(pixels.dtype)
+        pixels += self._principal(pixels.dtype)
+        return pixels
+
+    def normalise(self, pixels: ArrayLike) -> NDArray[Any]:
+        """Map pixels (..., 2) to undistorted x/z, y/z: the inverse of projecting; float32 stays float32."""
+        given = _floats(pixels)
+        if self._lens is None:
+            return self._without_matrix(given)
+        distorted = self._without_matrix(given.astype(np.float64))
+        return self._lens.undistort(distorted).astype(given.dtype, copy=False)
+
+    def _without_matrix(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """Pixels to normalised coordinates, still distorted."""
+        out: NDArray[Any] = pixels - self._principal(pixels.dtype)
+        out /= self._focal(pixels.dtype)
+        return out
+
+    def _focal(self, dtype: np.dtype[Any]) -> NDArray[Any]:
+        return np.array([self.fx, self.fy], dtype=dtype)
+
+    def _principal(self, dtype: np.dtype[Any]) -> NDArray[Any]:
+        return np.array([self.cx, self.cy], dtype=dtype)
+
+    def _border(self, samples: int = 128) -> NDArray[np.float64]:
+        """Distorted normalised points along the outer border of the image, corners included, (4 * samples, 2)."""
+        u = np.linspace(-0.5, self.width - 0.5, samples)
+        v = np.linspace(-0.5, self.height - 0.5, samples)
+        left, right = np.full(samples, u[0]), np.full(samples, u[-1])
+        top, bottom = np.full(samples, v[0]), np.full(samples, v[-1])
+        pixels = np.stack([np.concatenate([u, u, left, right]), np.concatenate([top, bottom, v, v])], axis=-1)
+        return self._without_matrix(pixels)
+
+
+def _floats(values: ArrayLike) -> NDArray[Any]:
+    """As an array of float32 if given so, of float64 otherwise."""
+    array = np.asarray(values)
+    return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)

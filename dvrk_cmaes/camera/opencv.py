@@ -1,0 +1,145 @@
+"""OpenCV's FileStorage, YAML or XML, of one camera or a stereo pair, under the names that are in use.
+
+One camera: ``camera_matrix``, ``distortion_coefficients``. A pair: ``K1, K2, D1, D2`` (or ``M1, M2``), or
+``Left_Camera_Matrix``, ``Left_Distortion_Coefficients`` and ``Right_...``. Capitals and underscores do not matter.
+``P1`` and ``P2`` (3, 4) are for rectified images. The pose of one camera in the other (R, T) is not used.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from typing import Any
+
+from dvrk_cmaes.camera.fields import (
+    Distortion,
+    Intrinsics,
+    Side,
+    Size,
+    as_number,
+    has_field,
+    one_camera,
+    opencv_distortion,
+    refuse_rectified,
+    take_field,
+    take_length,
+    take_matrix,
+    take_numbers,
+)
+from dvrk_cmaes.errors import InputError
+
+_MATRIX = ("cameramatrix", "k")
+_DISTORTION = ("distortioncoefficients", "distcoeffs", "d")
+_NUMBERED = {"left": "1", "right": "2"}
+_SIZES = ("imagedimensions", "imagesize", "size")
+
+
+def read_storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
+    """Take the matrices and values of an XML FileStorage: ``{name: {"dt", "data"} or text}``."""
+    if root.tag != "opencv_storage":
+        raise InputError(f"{where}: expected OpenCV's XML, whose root element is <opencv_storage>, got <{root.tag}>")
+    document: dict[str, Any] = {}
+    for element in root:
+        if element.get("type_id") in ("opencv-matrix", "opencv-nd-matrix"):
+            matrix: dict[str, Any] = {child.tag: (child.text or "").strip() for child in element}
+            document[element.tag] = {**matrix, "data": (element.findtext("data") or "").split()}
+        else:
+            document[element.tag] = (element.text or "").strip()
+    return document
+
+
+def is_storage(document: Mapping[str, Any]) -> bool:
+    """Whether a document has a FileStorage's matrices (they state a type, ``dt``) or the names of a stereo pair."""
+    plain = _plain_names(document)
+    typed = any(isinstance(value, Mapping) and "dt" in value and "data" in value for value in plain.values())
+    return typed or any(has_field(plain, _names(side)[0]) for side in ("left", "right"))
+
+
+def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
+    """Intrinsics of a FileStorage document; InputError naming the field and what was expected."""
+    plain = _plain_names(document)
+    spelled = {_plain(name): name for name in document}
+    stereo = any(has_field(plain, _names(one)[0]) for one in ("left", "right"))
+    matrices, distortions, projections = _names(side) if stereo else (_MATRIX, _DISTORTION, ("projectionmatrix", "p"))
+    notes = () if stereo else one_camera(where, side)
+    found, entry = _take(where, plain, spelled, matrices)
+    _check_shape(where, found, entry)
+    focal = take_matrix(where, found, entry)
+    distortion, also, more = _distortion(where, plain, spelled, distortions)
+    kind = f"OpenCV FileStorage, {f'stereo, {side} camera' if stereo else 'one camera'}"
+    used = f"{found} and {also}" if also else found
+    images = f"raw images ({used})"
+    if rectified:
+        images = f"rectified images ({found})"
+        if has_field(plain, projections):
+            projection, entry = _take(where, plain, spelled, projections)
+            focal, images = take_matrix(where, projection, entry, columns=4), f"rectified images ({projection})"
+        else:
+            refuse_rectified(where, "OpenCV", distortion)
+        distortion, more = ("plumb_bob", ()), ()
+    return Intrinsics(f"{kind}, {images}", _size(where, plain, spelled), *focal, *distortion, (*notes, *more))
+
+
+def _names(side: str) -> tuple[tuple[str, ...], ...]:
+    """Names, in plain letters, of intrinsic matrix, distortion and projection matrix of one camera of a pair."""
+    n = _NUMBERED[side]
+    return (
+        (f"k{n}", f"m{n}", f"cameramatrix{n}", f"{side}cameramatrix"),
+        (f"d{n}", f"distcoeffs{n}", f"{side}distortioncoefficients"),
+        (f"p{n}", f"{side}projectionmatrix"),
+    )
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("_", "")
+
+
+def _plain_names(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {_plain(name): value for name, value in document.items()}
+
+
+def _take(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str], names: tuple[str, ...]) -> tuple[str, Any]:
+    """Name as the file spells it, and value, of the first of several names; missing ones are named as OpenCV does."""
+    if not has_field(plain, names):
+        known = {name: name.upper() if len(name) <= 2 else name for name in names}
+        take_field(where, {}, [spelled.get(name, known[name]) for name in names])
+    name, value = take_field(where, plain, names)
+    return spelled[name], value
+
+
+def _distortion(
+    where: str, plain: Mapping[str, Any], spelled: Mapping[str, str], names: tuple[str, ...]
+) -> tuple[Distortion, str, tuple[str, ...]]:
+    """Distortion, the name of its field, and what was decided about it."""
+    name, entry = _take(where, plain, spelled, names)
+    coefficients = take_numbers(where, name, entry)
+    if as_number(plain.get("fisheyemodel")) == 1:
+        return ("equidistant", tuple(coefficients)), name, ()
+    distortion = opencv_distortion(where, name, entry)
+    if len(coefficients) == 4 and any(coefficients):
+        return distortion, name, (f"{name} has four coefficients: taken as k1 k2 p1 p2, not as a fisheye's",)
+    return distortion, name, ()
+
+
+def _check_shape(where: str, name: str, entry: Any) -> None:
+    """Refuse a matrix that states another shape than 3 x 3."""
+    if isinstance(entry, Mapping):
+        rows, columns = as_number(entry.get("rows")), as_number(entry.get("cols"))
+        if (rows, columns) != (3, 3):
+            raise InputError(
+                f"{where}: {name}: expected 3 rows and 3 cols, got {entry.get('rows')} and {entry.get('cols')}"
+            )
+
+
+def _size(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str]) -> Size | None:
+    """Width and height, if the file states them."""
+    if has_field(plain, ("imagewidth",)) and has_field(plain, ("imageheight",)):
+        return (
+            take_length(where, spelled["imagewidth"], plain["imagewidth"]),
+            take_length(where, spelled["imageheight"], plain["imageheight"]),
+        )
+    if has_field(plain, _SIZES):
+        name, entry = _take(where, plain, spelled, _SIZES)
+        width, height = take_numbers(where, name, entry, count=2)
+        return take_length(where, name, width), take_length(where, name, height)
+    return None

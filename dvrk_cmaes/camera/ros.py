@@ -1,0 +1,85 @@
+"""ROS camera_info: a calibration file (``image_width``, ``camera_matrix: {data}``, ...) or a dump of the topic.
+
+A dump has ``width``, ``K``, ``D``, ``P`` in ROS 1 and ``k``, ``d``, ``p`` in ROS 2. A raw image goes with K and D; a
+rectified one with the left 3 x 3 part of P and no distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dvrk_cmaes.camera.fields import (
+    Distortion,
+    Intrinsics,
+    Side,
+    has_field,
+    one_camera,
+    take_field,
+    take_length,
+    take_matrix,
+    take_numbers,
+)
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.short_text import shown
+
+_MODELS = {
+    "plumb_bob": "plumb_bob",
+    "rational_polynomial": "rational_polynomial",
+    "equidistant": "equidistant",
+    "fisheye": "equidistant",
+}
+
+# what a field is called in a calibration file, in ROS 1's message and in ROS 2's
+_WIDTH = ("image_width", "width")
+_HEIGHT = ("image_height", "height")
+_RAW = ("camera_matrix", "K", "k")
+_DISTORTION = ("distortion_coefficients", "D", "d")
+_RECTIFIED = ("projection_matrix", "P", "p")
+
+
+def is_camera_info(document: Mapping[str, Any]) -> bool:
+    """Whether a document looks like a camera_info."""
+    return has_field(document, (*_RAW, *_RECTIFIED))
+
+
+def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
+    """Intrinsics of a camera_info document; InputError naming the field and what was expected."""
+    width_name, width = take_field(where, document, _WIDTH)
+    height_name, height = take_field(where, document, _HEIGHT)
+    size = take_length(where, width_name, width), take_length(where, height_name, height)
+    _refuse_region(where, document, *size)
+    name, entry = take_field(where, document, _RECTIFIED if rectified else _RAW)
+    focal = take_matrix(where, name, entry, columns=4 if rectified else 3)
+    model, distortion = ("plumb_bob", ()) if rectified else _distortion(where, document)
+    frame = document.get("camera_name")
+    if frame is None and isinstance(document.get("header"), Mapping):
+        frame = document["header"].get("frame_id")
+    form = "topic dump" if "width" in document else "calibration"
+    images = f"rectified images ({name})" if rectified else f"raw images ({name} and distortion)"
+    notes = one_camera(where, side, frame)
+    return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes)
+
+
+def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
+    """Distortion model and its coefficients; an unnamed model will do where there is no distortion."""
+    name, entry = take_field(where, document, _DISTORTION)
+    coefficients = tuple(take_numbers(where, name, entry))
+    given = document.get("distortion_model")
+    if given in (None, "") and not any(coefficients):
+        return "plumb_bob", ()
+    if not isinstance(given, str) or given not in _MODELS:
+        names = ", ".join(nearest_first(given[:60], _MODELS) if isinstance(given, str) else _MODELS)
+        raise InputError(f"{where}: distortion_model: expected one of {names}, got {shown(given)}")
+    return _MODELS[given], coefficients
+
+
+def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: int) -> None:
+    """Refuse a message whose images are a part of the sensor's: their pixels count from another corner."""
+    roi = document.get("roi")
+    if not isinstance(roi, Mapping):
+        return
+    sizes = {"x_offset": (0,), "y_offset": (0,), "width": (0, width), "height": (0, height)}
+    for key, whole in sizes.items():
+        if roi.get(key, 0) not in whole:
+            raise InputError(f"{where}: roi.{key}: expected images of the whole sensor, got {shown(roi[key])}")

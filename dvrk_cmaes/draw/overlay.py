@@ -1,0 +1,189 @@
+"""The picture of a result that shows at a glance whether it is right.
+
+On the image, or on a dark ground: the mask's contour and the silhouette's, what only one of them covers tinted, the
+shaft's edges and the jaw tips as found and as projected, the skeleton and the root's axes. Above: the verdict and its
+reasons. Below: the legend, and the joints against their readings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.draw.canvas import (
+    AXES,
+    DARK,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    WHITE,
+    YELLOW,
+    Canvas,
+)
+from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
+from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+MASK, SILHOUETTE, FOUND, PROJECTED, SKELETON = YELLOW, SKY_BLUE, ORANGE, PURPLE, WHITE
+
+LEGEND = (
+    ("mask", MASK, "line"),
+    ("silhouette", SILHOUETTE, "line"),
+    ("mask only", MASK, "area"),
+    ("silhouette only", SILHOUETTE, "area"),
+    ("shaft edges, found", FOUND, "dash"),
+    ("projected", PROJECTED, "dash"),
+    ("tips, found", FOUND, "cross"),
+    ("projected", PROJECTED, "ring"),
+    ("skeleton", SKELETON, "line"),
+    ("root axes", WHITE, "axes"),
+)
+
+_SMALLEST, _LARGEST = 1000, 2000  # px, the width of the drawing
+_AXIS = 0.006  # m
+_FAINT = 0.22  # of white, for the mask where there is no image
+
+
+def draw_overlay(
+    result: Result,
+    mask: NDArray[np.bool_],
+    camera: Camera,
+    body: Body,
+    *,
+    image: NDArray[np.uint8] | None = None,
+    ignore: NDArray[np.bool_] | None = None,
+    keypoints: Float64 | None = None,
+    evidence: Evidence | None = None,
+) -> NDArray[np.uint8]:
+    """Draw a result over its frame.
+
+    Parameters
+    ----------
+    result
+        What was estimated; without a pose only the mask is drawn.
+    mask
+        (H, W) bool, the instrument.
+    camera
+        Of the mask's size.
+    body
+        The instrument, prepared for rendering.
+    image
+        (H', W', 3) uint8 BGR of the mask's aspect, to draw on.
+    ignore
+        (H, W) bool, pixels that count neither way; hatched.
+    keypoints
+        (2, 2) px, the jaw tips where they were given.
+    evidence
+        What was found in the mask; gathered anew from mask, ``ignore`` and ``keypoints`` if not given.
+
+    Returns
+    -------
+    (h, w, 3) uint8, BGR
+        The frame between two strips of text, drawn large enough for thin lines to be told apart.
+    """
+    if evidence is None:
+        evidence = gather_evidence(mask, camera, body.instrument, ignore=ignore, keypoints=keypoints, seed=result.seed)
+    frame = _Frame.of(mask, camera, image)
+    canvas = frame.canvas
+    if ignore is not None:
+        _hatch(canvas, frame.enlarged(ignore))
+    if result.camera_from_root is None:
+        canvas.outline(frame.enlarged(mask), MASK)
+    else:
+        _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
+    width = canvas.image.shape[1]
+    return np.concatenate(
+        [header(result, width, canvas.unit), canvas.image, footer(result, LEGEND, width, canvas.unit)]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """The canvas, and how it lies over the mask's pixels."""
+
+    canvas: Canvas
+    camera: Camera
+    scale: float
+
+    @staticmethod
+    def of(mask: NDArray[np.bool_], camera: Camera, image: NDArray[np.uint8] | None) -> _Frame:
+        height, width = mask.shape
+        scale = float(np.ceil(_SMALLEST / width)) if width < _SMALLEST else min(1.0, _LARGEST / width)
+        size = (max(round(width * scale), 1), max(round(height * scale), 1))
+        if image is None:
+            drawn = np.full((size[1], size[0], 3), DARK, dtype=np.uint8)
+            drawn[cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0] = round(255 * _FAINT)
+        else:
+            way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_CUBIC
+            drawn = np.ascontiguousarray(cv2.resize(image, size, interpolation=way))
+        return _Frame(Canvas(drawn, size[0] / 1280), camera, size[0] / width)
+
+    def at(self, pixels: Float64) -> Float64:
+        """Pixels of the mask on the canvas."""
+        return np.asarray((pixels + 0.5) * self.scale - 0.5)
+
+    def enlarged(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Bring a mask to the canvas's size, its outline without stairs."""
+        height, width = self.canvas.image.shape[:2]
+        smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
+        return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
+
+
+def _draw_pose(
+    frame: _Frame, result: Result, mask: NDArray[np.bool_], body: Body, evidence: Evidence, pose: Float64
+) -> None:
+    canvas, camera, instrument = frame.canvas, frame.camera, body.instrument
+    joints = np.array([result.joints[name] for name in instrument.joint_names])
+    height, width = canvas.image.shape[:2]
+    silhouette = Renderer(body, camera.scaled(width, height), threads=1).masks(pose[None], joints[None])[0]
+    seen = frame.enlarged(mask)
+    canvas.tint(seen & ~silhouette, MASK, 0.5)
+    canvas.tint(silhouette & ~seen, SILHOUETTE, 0.5)
+    canvas.outline(seen, MASK)
+    canvas.outline(silhouette, SILHOUETTE)
+
+    for edge in projected_edges(instrument, pose, camera):
+        canvas.line(frame.at(edge), PROJECTED, width=2.0, dash=(14, 26), phase=20)
+    if evidence.shaft_edges:
+        for edge in found_edges(evidence.shaft_edges[0], camera):
+            canvas.line(frame.at(edge), FOUND, width=2.0, dash=(14, 26))
+
+    line, tips = skeleton_lines(instrument, pose, joints, camera)
+    canvas.line(frame.at(line), SKELETON, width=1.2)
+    for tip in tips:
+        canvas.line(frame.at(np.stack([line[-1], tip])), SKELETON, width=1.2)
+    for tip in tips:
+        canvas.ring(frame.at(tip), PROJECTED)
+    for tip in [] if evidence.tips is None else evidence.tips:
+        canvas.cross(frame.at(tip), FOUND)
+    _axes(frame, pose)
+
+
+def _axes(frame: _Frame, pose: Float64) -> None:
+    """Draw the root's axes, 6 mm long, and their names."""
+    ends = project_visible(frame.camera, apply(pose, np.concatenate([np.zeros((1, 3)), _AXIS * np.eye(3)])))
+    origin, *tips = frame.at(ends)
+    for (name, colour), tip in zip(AXES, tips, strict=True):
+        frame.canvas.line(np.stack([origin, tip]), colour, width=3.0)
+        away = tip - origin
+        length = float(np.linalg.norm(away))
+        if np.isfinite(length):
+            beside = tip + away / max(length, 1e-9) * 12 * frame.canvas.unit
+            frame.canvas.text(name, (beside[0] - 5 * frame.canvas.unit, beside[1]), colour, size=0.6, rim=True)
+
+
+def _hatch(canvas: Canvas, where: NDArray[np.bool_]) -> None:
+    """Hatch the pixels that count neither way."""
+    v, u = np.indices(where.shape)
+    period = max(4, round(14 * canvas.unit))
+    canvas.tint(where & ((u + v) % period < max(1, period // 6)), GREY, 0.8)

@@ -1,0 +1,123 @@
+"""The strips of text above and below an overlay: the verdict with its reasons, the legend, the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.draw.canvas import AXES, DARK, GREEN, GREY, ORANGE, VERMILLION, WHITE, Canvas, Colour
+from dvrk_cmaes.results.result import Result
+
+BADGES: dict[str, tuple[str, Colour]] = {
+    "ok": ("OK", GREEN),
+    "doubtful": ("DOUBTFUL", ORANGE),
+    "failed": ("FAILED", VERMILLION),
+}
+
+_GROUND: Colour = (52, 46, 43)
+_LINE = 26.0  # units of the canvas from line to line
+_MARGIN = 14.0
+_MOST_REASONS = 4  # lines
+
+
+def _strip(width: int, lines: float, unit: float) -> Canvas:
+    height = max(1, round((lines * _LINE + 12) * unit))
+    return Canvas(np.full((height, width, 3), _GROUND, dtype=np.uint8), unit)
+
+
+def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
+    """Draw the verdict: status, frame, overlap and outline, and the reasons to doubt it."""
+    probe = _strip(width, 1, unit)
+    margin = _MARGIN * unit
+    reasons = [line for reason in result.reasons for line in probe.wrapped(f"- {reason}", width - 2 * margin)]
+    if len(reasons) > _MOST_REASONS:
+        reasons[_MOST_REASONS - 1 :] = ["- ... (all of them are in the result's JSON)"]
+    canvas = _strip(width, 1 + len(reasons), unit)
+    middle = (6 + _LINE / 2) * unit
+    word, colour = BADGES[result.status]
+    badge = canvas.text_width(word, 0.6) + 16 * unit
+    canvas.box((margin, middle - 11 * unit), (badge, 22 * unit), colour)
+    canvas.text(word, (margin + 8 * unit, middle), DARK, size=0.6)
+    left, right = margin + badge + 14 * unit, width - margin
+    if result.quality is not None:
+        q = result.quality
+        text = f"IoU {q.iou:.3f}   contour {q.contour_px_median:.1f} px median, {q.contour_px_95:.1f} px at 95 %"
+        right -= canvas.text_width(text, 0.55)
+        canvas.text(text, (right, middle), WHITE, size=0.55)
+    name = f"{result.frame}  {result.instrument}".strip()
+    while len(name) > 8 and left + canvas.text_width(name, 0.6) > right - 14 * unit:
+        name = name[:-4] + "..."
+    canvas.text(name, (left, middle), WHITE, size=0.6)
+    for k, line in enumerate(reasons, start=1):
+        canvas.text(line, (margin, middle + k * _LINE * unit), colour)
+    return canvas.image
+
+
+def footer(result: Result, legend: Sequence[tuple[str, Colour, str]], width: int, unit: float) -> NDArray[np.uint8]:
+    """Draw the legend and the joints: found, with standard deviation, and read."""
+    probe = _strip(width, 1, unit)
+    rows = _flow([_entry_width(probe, text) for text, _, _ in legend], width, unit)
+    joints = [_joint(result, name) for name in result.joints]
+    columns = _flow([probe.text_width(text) + 28 * unit for text in joints], width, unit)
+    below = len(rows)
+    canvas = _strip(width, below + len(columns), unit)
+
+    def middle(row: int) -> float:
+        return (6 + _LINE * (row + 0.5)) * unit
+
+    for row, places in enumerate(rows):
+        for index, left in places:
+            text, colour, kind = legend[index]
+            _sample(canvas, kind, colour, left, middle(row))
+            canvas.text(text, (left + 34 * unit, middle(row)), GREY)
+    for row, places in enumerate(columns):
+        for index, left in places:
+            canvas.text(joints[index], (left, middle(below + row)), WHITE)
+    return canvas.image
+
+
+def _joint(result: Result, name: str) -> str:
+    """One joint in words: value and standard deviation, and what was read."""
+    std = (result.std_joints_deg or {}).get(name)
+    spread = "" if std is None else f" +- {std:.1f}"
+    found, read = np.degrees(result.joints[name]), result.readings.get(name)
+    told = "not read" if read is None else f"read {np.degrees(read):.1f}, {found - np.degrees(read):+.1f}"
+    return f"{name} {found:.1f}{spread} deg ({told})"
+
+
+def _entry_width(canvas: Canvas, text: str) -> float:
+    return canvas.text_width(text) + 56 * canvas.unit
+
+
+def _flow(widths: Sequence[float], width: float, unit: float) -> list[list[tuple[int, float]]]:
+    """Lay out entries of given widths from left to right, in as many rows as needed: index and left end of each."""
+    rows: list[list[tuple[int, float]]] = []
+    left = np.inf
+    for index, wide in enumerate(widths):
+        if left + wide > width:
+            rows.append([])
+            left = _MARGIN * unit
+        rows[-1].append((index, left))
+        left += wide
+    return rows
+
+
+def _sample(canvas: Canvas, kind: str, colour: Colour, left: float, middle: float) -> None:
+    """Draw what a legend's entry looks like, 26 units wide."""
+    unit = canvas.unit
+    ends = np.array([[left, middle], [left + 26 * unit, middle]])
+    centre = ends.mean(axis=0)
+    if kind == "area":
+        shaded: Colour = (colour[0] // 2 + 30, colour[1] // 2 + 30, colour[2] // 2 + 30)
+        canvas.box((left + 3 * unit, middle - 6 * unit), (20 * unit, 12 * unit), shaded)
+    elif kind == "cross":
+        canvas.cross(centre, colour, 5.0)
+    elif kind == "axes":
+        for k, (name, own) in enumerate(AXES):
+            canvas.text(name, (left + 9 * k * unit, middle), own, size=0.6)
+    elif kind == "ring":
+        canvas.ring(centre, colour, 6.0)
+    else:
+        canvas.line(ends, colour, width=2.0, dash=(10, 6) if kind == "dash" else None, rim=False)

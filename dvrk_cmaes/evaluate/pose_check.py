@@ -1,0 +1,113 @@
+"""A result held against a golden pose: a row for each quantity, and a table that says what is off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.evaluate.pose_error import Measured, PoseError, Tolerance, compare_poses
+from dvrk_cmaes.frames.truth import FrameTruth
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.results.result import Result
+
+Float64 = NDArray[np.float64]
+Pose = tuple[Float64, Mapping[str, float]]
+
+
+class Row(NamedTuple):
+    """A quantity found and expected, mm or deg (several numbers for a point or a direction), and its error."""
+
+    measured: Measured
+    found: Sequence[float]
+    expected: Sequence[float]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseCheck:
+    """A comparison: its rows, and whether it is with the golden pose's mirror twin.
+
+    ``no_pose`` says in words why there is nothing to compare; there are no rows then.
+    ``twin_would_do``: only the mirror twin is within tolerance, and it was not asked for.
+    """
+
+    frame: str
+    rows: tuple[Row, ...]
+    is_twin: bool = False
+    twin_would_do: bool = False
+    no_pose: str = ""
+
+    @property
+    def right(self) -> bool:
+        """Whether all is within its tolerance."""
+        return not self.no_pose and not any(row.measured.exceeds for row in self.rows)
+
+
+def check_pose(
+    result: Result, golden: FrameTruth, instrument: Instrument, tolerance: Tolerance, *, modulo_twin: bool = False
+) -> PoseCheck:
+    """Compare a result with a golden pose; ``modulo_twin`` lets the golden pose's mirror twin count as well."""
+    if result.camera_from_root is None:
+        return PoseCheck(result.frame, (), no_pose=f"no pose: {'; '.join(result.reasons) or result.status}")
+    names = instrument.joint_names
+    unknown = [name for name in names if name in golden.joints and name not in result.joints]
+    if unknown:
+        return PoseCheck(result.frame, (), no_pose=f"no joint {unknown[0]} in the result; is it another instrument's?")
+    expected = (golden.camera_from_root, golden.joints)
+    found = (result.camera_from_root, result.joints)
+    straight = PoseCheck(result.frame, _rows(instrument, found, expected, tolerance))
+    if straight.right or not instrument.has_twin or any(name not in golden.joints for name in names):
+        return straight
+    pose, joints = instrument.twin(golden.camera_from_root, [golden.joints[name] for name in names])
+    twin = (pose, dict(zip(names, joints.tolist(), strict=True)))
+    turned = PoseCheck(result.frame, _rows(instrument, found, twin, tolerance), is_twin=True)
+    if modulo_twin and _roll(turned) < _roll(straight):
+        return turned
+    return PoseCheck(result.frame, straight.rows, twin_would_do=turned.right)
+
+
+def table(check: PoseCheck) -> Iterator[str]:
+    """Lines of a table of what was found, expected and allowed; rows that are off are marked."""
+    if check.no_pose:
+        yield check.no_pose
+        return
+    yield f"{'':<18}{'found':>27}{'expected':>27}{'error':>9}{'at most':>9}"
+    for row in check.rows:
+        one = row.measured
+        mark = "  <- off" if one.exceeds else ""
+        yield (
+            f"{f'{one.quantity}, {one.unit}':<18}{_numbers(row.found):>27}{_numbers(row.expected):>27}"
+            f"{one.error:>9.2f}{one.at_most:>9g}{mark}"
+        )
+    if check.is_twin:
+        yield "expected is the mirror twin of the golden pose"
+    if check.twin_would_do:
+        yield "the mirror twin of the golden pose would be within tolerance (modulo_twin)"
+
+
+def _roll(check: PoseCheck) -> float:
+    return next(row.measured.error for row in check.rows if row.measured.quantity == "roll")
+
+
+def _rows(instrument: Instrument, found: Pose, expected: Pose, tolerance: Tolerance) -> tuple[Row, ...]:
+    error: PoseError = compare_poses(instrument, found, expected)
+    values = [_values(instrument, pose, joints) for pose, joints in (found, expected)]
+    return tuple(Row(one, *(value.get(one.quantity, ()) for value in values)) for one in error.measured(tolerance))
+
+
+def _values(instrument: Instrument, pose: Float64, joints: Mapping[str, float]) -> dict[str, Sequence[float]]:
+    """Show of a pose its positions in the camera, mm, the direction of the root's z axis, and its joints, deg."""
+    values: dict[str, Sequence[float]] = {"root": (1e3 * pose[:3, 3]).tolist(), "shaft": pose[:3, 2].tolist()}
+    if instrument.jaw_tips and all(name in joints for name in instrument.joint_names):
+        tips = instrument.tips([joints[name] for name in instrument.joint_names])
+        values["tip"] = (1e3 * apply(pose, tips).mean(axis=0)).tolist()
+    own = [name for name in instrument.joint_names if name in joints]
+    return values | {name: (float(np.degrees(joints[name])),) for name in own}
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(f"{value:.2f}" for value in values) or "-"

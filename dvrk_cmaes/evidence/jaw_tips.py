@@ -1,0 +1,71 @@
+"""The two jaw tips on a mask: the ends farthest from the shaft."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges
+
+Float64 = NDArray[np.float64]
+
+_APART = 8.0  # px between two tips, with background in between
+
+
+def distal_direction(mask: NDArray[np.bool_], edges: ShaftEdges) -> Float64:
+    """Find the unit vector (2,) in the ideal image along the shaft towards the jaws.
+
+    The instrument enters from the image border, so of the edges' two ends the one farther from the mask's border
+    pixels is the distal one; without any border pixel, the one towards which the mask narrows.
+    """
+    axis = edges.ends[0, 1] - edges.ends[0, 0]
+    axis = axis / np.linalg.norm(axis)
+    middle = edges.ends.mean(axis=(0, 1))
+    edge = np.zeros_like(mask)
+    edge[[0, -1], :] = mask[[0, -1], :]
+    edge[:, [0, -1]] = mask[:, [0, -1]]
+    v, u = np.nonzero(edge)
+    if len(u) < 5:
+        v, u = np.nonzero(mask)
+        along = (np.stack([u, v], axis=1) - middle) @ axis
+        return np.asarray(axis if along.max() > -along.min() else -axis)
+    entry = np.array([np.median(u), np.median(v)])
+    return np.asarray(axis if (entry - middle) @ axis < 0 else -axis)
+
+
+def find_tips(
+    mask: NDArray[np.bool_],
+    contour: Contour,
+    edges: ShaftEdges | None,
+    camera: Camera,
+    ignore: NDArray[np.bool_] | None,
+) -> Float64 | str:
+    """Locate the jaw tips, (2, 2) px, or say in words why they cannot be found.
+
+    The contour's farthest points from where the shaft ends; jaws that look closed give the same point twice.
+    """
+    if edges is None:
+        return "without the shaft's edges there is no telling which end is distal"
+    direction = distal_direction(mask, edges)
+    ends = edges.ends.reshape(-1, 2)
+    foot = ends[np.argsort(-(ends @ direction))[:2]].mean(axis=0)
+    distal = np.flatnonzero((contour.ideal - foot) @ direction > -20)
+    if len(distal) < 20:
+        return "too little of the mask lies beyond the shaft"
+    away = np.linalg.norm(contour.ideal[distal] - foot, axis=1)
+    first = distal[int(away.argmax())]
+    tip = contour.pixels[first]
+    margin = 6.0
+    if (tip < margin).any() or (tip > [camera.width - 1 - margin, camera.height - 1 - margin]).any():
+        return "the farthest point of the mask lies at the image border"
+    column, row = np.rint(tip).astype(int)
+    if ignore is not None and ignore[max(row - 7, 0) : row + 8, max(column - 7, 0) : column + 8].any():
+        return "the farthest point of the mask lies at an ignored region"
+    # A second tip: another far point, with the contour coming back towards the shaft in between.
+    far = distal[np.argsort(-away, kind="stable")][: int((away > 0.6 * away.max()).sum())]
+    others = contour.pixels[far[np.linalg.norm(contour.pixels[far] - tip, axis=1) > _APART]]
+    share = np.linspace(0.1, 0.9, 17)[:, None]
+    column, row = np.rint(tip + share * (others[:, None] - tip)).astype(int).transpose(2, 0, 1)
+    apart = np.flatnonzero(mask[row, column].mean(axis=1) < 0.5)
+    return np.stack([tip, others[apart[0]] if len(apart) else tip])

@@ -1,0 +1,1 @@
+"""Frames and session folders: which files a frame has, and what is read from them."""

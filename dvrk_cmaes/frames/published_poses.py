@@ -1,0 +1,68 @@
+"""The poses that the paper's authors published, as a table: one row a frame, published.csv.
+
+Columns ``frame, rx, ry, rz`` (axis-angle, rad), ``tx, ty, tz`` (m) of camera_from_root, then the joints
+``wrist_pitch, wrist_yaw, jaw_2, jaw_1`` (rad): the two jaws have an angle each, so that the opening is their sum and
+half their difference belongs to the wrist's yaw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
+from dvrk_cmaes.io.short_text import listed, shown
+
+_EXPECTED: Final = "published poses (published.csv)"
+_ROTATION: Final = ("rx", "ry", "rz")
+_TRANSLATION: Final = ("tx", "ty", "tz")
+_JOINTS: Final = ("wrist_pitch", "wrist_yaw", "jaw_2", "jaw_1")
+_COLUMNS: Final = ("frame", *_ROTATION, *_TRANSLATION, *_JOINTS)
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedPose:
+    """A frame's ``camera_from_root`` (4, 4), m, and ``joints`` wrist_pitch, wrist_yaw, jaw by name, rad."""
+
+    camera_from_root: NDArray[np.float64]
+    joints: dict[str, float]
+
+
+def read_published_poses(path: str | Path) -> dict[str, PublishedPose]:
+    """Read a published.csv: poses by frame, in the order of its rows.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the line and the column, and what was expected.
+    """
+    header, rows = read_csv_rows(path, expected=_EXPECTED)
+    missing = [name for name in _COLUMNS if name not in header]
+    if missing:
+        raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got no {listed(missing)}")
+    found: dict[str, PublishedPose] = {}
+    for where, cells in rows:
+        frame = cells["frame"]
+        if not frame or frame in found:
+            raise InputError(f"{where}: frame: expected a name, each once, got {shown(frame)}")
+        found[frame] = _pose({name: number_in(where, name, cells) for name in _COLUMNS[1:]})
+    if not found:
+        raise InputError(f"{path}: expected a row for each frame, got a header only")
+    return found
+
+
+def _pose(row: dict[str, float]) -> PublishedPose:
+    rotation = exp_rotation([row[name] for name in _ROTATION])
+    first, second = row["jaw_2"], row["jaw_1"]
+    joints = {
+        "wrist_pitch": row["wrist_pitch"],
+        "wrist_yaw": row["wrist_yaw"] + (second - first) / 2,
+        "jaw": first + second,
+    }
+    return PublishedPose(transform(rotation, [row[name] for name in _TRANSLATION]), joints)

@@ -1,0 +1,191 @@
+"""A session folder: frames of one camera with their masks, readings, and what else there is.
+
+camera.yaml, joints.csv, masks/<frame>.png, images/<frame>.png|jpg (one of the two)
+optional: images.csv (frame, time), ignore/<frame>.png, keypoints.csv, golden.json
+
+Or the layout of published frames (see ``published_layout``). Which of the two it is, is found by looking. Instead of
+joints.csv there may be dumps of the arm's topics, called as these are: measured_js.yaml, jaw_measured_js.csv, ...
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.files import Side, read_camera_file
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import FrameFiles, frame_size
+from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
+from dvrk_cmaes.frames.truth import SessionTruth, read_golden
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
+from dvrk_cmaes.joints.times import read_image_times, time_in_name
+
+_PICTURES = (".png", ".jpg", ".jpeg")
+_TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A session: its camera, its frames in the order of their names, and the truth where it is known.
+
+    ``notes`` say in words what the folder, its camera and its readings were taken for.
+    """
+
+    folder: Path
+    camera: Camera
+    frames: tuple[FrameFiles, ...]
+    truth: SessionTruth
+    notes: tuple[str, ...] = ()
+
+
+def read_session(
+    folder: str | Path,
+    *,
+    camera: Path | None = None,
+    rectified: bool = False,
+    side: Side = "left",
+    known: Iterable[str] = (),
+    joints: Sequence[Path] = (),
+    tolerance: int = TIME_TOLERANCE,
+) -> Session:
+    """Find the frames of a session folder and read all of it but the pictures.
+
+    A frame is a file in ``masks`` or in ``images``; one without a row in joints.csv has no readings. A frame whose
+    readings cannot be used has a ``problem``.
+
+    Parameters
+    ----------
+    folder
+        The session, of either layout.
+    camera
+        The camera file, if it is not the session's own camera.yaml.
+    rectified, side
+        Whether the images are rectified, and which camera of a stereo pair, as in ``read_camera_file``.
+    known
+        Names of the instrument's own joints, as in ``read_joints``.
+    joints
+        Files of readings, if they are not the session's own.
+    tolerance
+        How far readings may be from the time of an image, ns.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or wrong, naming it; no frames; a name twice; no frame that can be used.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
+    if _is_own_layout(root) or not is_published_layout(root):
+        frames, notes = _own_frames(root, tuple(known), joints, tolerance)
+        notes = ("a session folder", *notes)
+    else:
+        frames, notes = find_published_frames(root), ("frames in the published layout, a folder each",)
+    path = camera or root / "camera.yaml"
+    if camera is None and not path.exists() and notes[0] != "a session folder":
+        raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
+    lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
+    golden = root / "golden.json"
+    return Session(
+        folder=root,
+        camera=lens.camera,
+        frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
+        truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
+        notes=(*notes, f"camera: {lens.kind}", *lens.notes),
+    )
+
+
+def _is_own_layout(root: Path) -> bool:
+    return (root / "masks").is_dir() or (root / "images").is_dir()
+
+
+def _own_frames(
+    root: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
+) -> tuple[tuple[FrameFiles, ...], tuple[str, ...]]:
+    """Frames of our own layout, and what its readings were taken for."""
+    masks, images, ignore = (_pictures(root / name) for name in ("masks", "images", "ignore"))
+    if not masks and not images:
+        raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
+    files = [read_joint_file(path, known=known) for path in joints or _joint_files(root)]
+    # lexists: a broken link is damage, not absence
+    times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
+    tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
+    frames, farthest = [], None
+    for name in sorted({*masks, *images}):
+        frame = FrameFiles(name, masks.get(name), {}, images.get(name), ignore.get(name), tips.get(name))
+        try:
+            found = frame_readings(files, name, time=times.get(name, time_in_name(name)), tolerance=tolerance)
+        except InputError as error:
+            frames.append(replace(frame, problem=str(error)))
+            continue
+        frames.append(replace(frame, readings=found.readings, notes=found.notes))
+        farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
+    if all(frame.problem for frame in frames):
+        raise InputError(str(frames[0].problem))
+    return tuple(frames), (*_described(files), *_interpolation(farthest, tolerance))
+
+
+def _joint_files(root: Path) -> list[Path]:
+    """Files of readings of a session: its joints.csv, or else whatever is called as a topic of an arm."""
+    own = root / "joints.csv"
+    if os.path.lexists(own):
+        return [own]
+    folders = [root, *(path for path in (root / "jaw",) if path.is_dir())]
+    dumps = [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]
+    return dumps or [own]
+
+
+def _described(files: Sequence[JointFile]) -> tuple[str, ...]:
+    return tuple(text for file in files for text in (f"readings: {file.kind}", *file.notes))
+
+
+def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
+    """Note how far in time the readings were from the images."""
+    if farthest is None:
+        return ()
+    return (
+        f"readings interpolated to the images' times, from at most {farthest / NANOSECONDS:.3g} s away "
+        f"({tolerance / NANOSECONDS:g} s are allowed)",
+    )
+
+
+def find_images(folder: str | Path) -> dict[str, Path]:
+    """Images of a session of either layout, or all pictures of a folder that is none, by frame; sorted.
+
+    Needs no camera, masks or readings.
+
+    Raises
+    ------
+    InputError
+        No such folder, no image in it, or two for one frame.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{folder}: no such folder; expected images, or a session with images")
+    if not _is_own_layout(root) and is_published_layout(root):
+        found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
+    else:
+        found = dict(_pictures(root / "images" if (root / "images").is_dir() else root))
+    if not found:
+        raise InputError(f"{folder}: expected images (PNG or JPEG), got none")
+    return found
+
+
+def _pictures(folder: Path) -> Mapping[str, Path]:
+    """PNG and JPEG files of a folder by the frame that they are named after; none where there is no folder."""
+    if not folder.is_dir():
+        return {}
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in _PICTURES or path.name.startswith("."):
+            continue
+        if path.stem in found:
+            raise InputError(f"{path}: expected one file for frame {path.stem}, got {found[path.stem].name} too")
+        found[path.stem] = path
+    return found

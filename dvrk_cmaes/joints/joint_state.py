@@ -1,0 +1,86 @@
+"""JointState messages as ``rostopic echo`` and ``ros2 topic echo`` print them, one YAML document a message.
+
+``measured_js`` has the arm's six joints, ``jaw/measured_js`` the jaw; both may be in one file. Older dVRK versions
+(``state_joint_current``) put ``outer_`` before the names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.yaml_file import yaml_documents
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.names import check_joint, ordered_joints, plain_joint
+from dvrk_cmaes.joints.rows import JointFile, JointRow
+
+EXPECTED = "joint readings (JointState messages as YAML)"
+
+_POSITION = re.compile(r"^position:", re.MULTILINE)
+
+
+def is_joint_state(text: str) -> bool:
+    """Whether a text looks like printed JointState messages."""
+    return _POSITION.search(text) is not None
+
+
+def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
+    """Read all messages of a dump; ``names`` are the joints that may be read.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the message and the field, and what was expected.
+    """
+    rows: dict[str, JointRow] = {}
+    unnamed = False
+    for count, message in enumerate(yaml_documents(path, text, expected=EXPECTED)):
+        where = f"{path}: message {count + 1}"
+        values = message.get("position")
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{where}: position: expected a list of numbers, got {shown(values)}")
+        told = message.get("name") or []
+        unnamed |= not told
+        joints = _joints(where, told, len(values), names) if told else ordered_joints(f"{where}: position", len(values))
+        cells = dict(zip(joints, values, strict=True))
+        rows[f"message {count + 1}"] = JointRow(where, cells, _stamp(where, message.get("header")))
+    if not rows:
+        raise InputError(f"{path}: expected {EXPECTED}, got none")
+    rows = _merged(rows)
+    notes = ("joints are not named: taken in the dVRK's order, by their number",) if unnamed else ()
+    return JointFile(path, "JointState messages (YAML)", rows, "message", notes)
+
+
+def _joints(where: str, told: Any, count: int, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of a message's joints, without what ROS puts before them."""
+    if not isinstance(told, list) or len(told) != count or len(set(map(str, told))) != count:
+        raise InputError(f"{where}: name: expected {count} different names, one for each position, got {shown(told)}")
+    joints = tuple(plain_joint(str(name), names) for name in told)
+    for joint in joints:
+        check_joint(where, joint, names)
+    return joints
+
+
+def _stamp(where: str, header: Any) -> int | None:
+    """Time of a message in ns; None where nobody set it."""
+    stamp = header.get("stamp") if isinstance(header, Mapping) else None
+    if not isinstance(stamp, Mapping):
+        return None
+    seconds, rest = stamp.get("secs", stamp.get("sec", 0)), stamp.get("nsecs", stamp.get("nanosec", 0))
+    for value in (seconds, rest):
+        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**32:
+            raise InputError(f"{where}: header.stamp: expected whole seconds and nanoseconds, got {shown(stamp)}")
+    return (seconds * NANOSECONDS + rest) or None
+
+
+def _merged(rows: dict[str, JointRow]) -> dict[str, JointRow]:
+    """Make one row of one message of the arm and one of its jaw."""
+    if len(rows) != 2:
+        return rows
+    first, second = rows.values()
+    if set(first.cells) & set(second.cells):
+        return rows
+    return {"messages 1 and 2": JointRow(first.where, {**first.cells, **second.cells}, first.time)}

@@ -1,0 +1,1 @@
+"""Baseline for comparisons: the pose from detections of painted markers by perspective-n-point (PnP)."""

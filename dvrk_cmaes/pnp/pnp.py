@@ -1,0 +1,91 @@
+"""The baseline: the pose from points, as earlier trackers start (perspective-n-point, PnP, by OpenCV's solvers).
+
+Points of the instrument are placed by the joint readings as they are, so an error of the readings goes into the pose.
+Points in pixels are freed of the lens's distortion first, and the solvers see a pinhole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import apply, exp_rotation, transform
+
+Float64 = NDArray[np.float64]
+
+Solver = Literal["sqpnp", "ransac"]
+SOLVERS: Final[Mapping[Solver, str]] = {
+    "sqpnp": "SQPNP on all points, then Levenberg-Marquardt",
+    "ransac": "random samples of points (RANSAC), then the iterative solver on those that agree",
+}
+FEWEST: Final = 4
+"""Points that a solver needs for one answer."""
+_RANSAC_PIXELS: Final = 8.0
+_RANSAC_ROUNDS: Final = 300
+
+
+@dataclass(frozen=True, eq=False)
+class PointPose:
+    """A pose from points: ``camera_from_root`` (4, 4), and how far the points are from where it puts them, rms in px.
+
+    ``used`` is how many points the pose rests on.
+    """
+
+    camera_from_root: Float64
+    error_px: float
+    used: int
+
+
+def without_distortion(camera: Camera, pixels: Float64) -> Float64:
+    """Pixels (N, 2) as a pinhole of the same matrix would see them."""
+    return np.asarray(camera.normalise(pixels) * [camera.fx, camera.fy] + [camera.cx, camera.cy])
+
+
+def solve_points(camera: Camera, pixels: Float64, points: Float64, solver: Solver = "sqpnp") -> PointPose | str:
+    """Find the pose in which points (N, 3) of the root's frame, m, appear at pixels (N, 2), or say why not."""
+    if len(points) < FEWEST:
+        return f"{len(points)} of the points that are known were seen, at least {FEWEST} are needed"
+    seen, K, no_lens = without_distortion(camera, pixels), camera.matrix, np.zeros(4)
+    used: NDArray[np.intp] = np.arange(len(points), dtype=np.intp)
+    try:
+        if solver == "ransac":
+            solved, turn, shift, inliers = cv2.solvePnPRansac(
+                points,
+                seen,
+                K,
+                no_lens,
+                iterationsCount=_RANSAC_ROUNDS,
+                reprojectionError=_RANSAC_PIXELS,
+                flags=cv2.SOLVEPNP_ITERATIVE,
+            )
+            used = np.zeros(0, dtype=np.intp) if inliers is None else np.asarray(inliers, dtype=np.intp).ravel()
+        else:
+            solved, turn, shift = cv2.solvePnP(points, seen, K, no_lens, flags=cv2.SOLVEPNP_SQPNP)
+            if solved:
+                turn, shift = cv2.solvePnPRefineLM(points, seen, K, no_lens, turn, shift)
+    except cv2.error as error:
+        return f"OpenCV's solver refused the points ({error.err or error.code})"
+    if not solved or len(used) < FEWEST:
+        return "OpenCV's solver found no pose that the points agree on"
+    pose = transform(exp_rotation(np.ravel(turn)), np.ravel(shift))
+    if not np.isfinite(pose).all():
+        return "OpenCV's solver found no finite pose"
+    apart = reprojection_error(camera, pose, points[used], seen[used])
+    if apart is None:
+        return "the pose that OpenCV's solver found lies behind the camera"
+    return PointPose(pose, apart, len(used))
+
+
+def reprojection_error(camera: Camera, pose: Float64, points: Float64, seen: Float64) -> float | None:
+    """Root mean square distance, px, of points (N, 3) in a pose (4, 4) from pixels (N, 2); None behind the camera."""
+    placed = apply(pose, points)
+    if placed[:, 2].min() <= 0:
+        return None
+    projected = placed[:, :2] / placed[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    return float(np.sqrt(((projected - seen) ** 2).sum(axis=1).mean()))

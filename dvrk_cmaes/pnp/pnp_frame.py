@@ -1,0 +1,133 @@
+"""Frames of a session by the PnP baseline: results in the same schema as an estimate's, so that all comparisons fit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes._version import __version__
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import describe_limits
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles
+from dvrk_cmaes.frames.markers import Marker, place_markers
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.pnp.pnp import PointPose, Solver, solve_points
+from dvrk_cmaes.pnp.tip_pose import solve_tips
+from dvrk_cmaes.results.result import Result
+
+Float64 = NDArray[np.float64]
+Points = Literal["markers", "tips"]
+
+LARGEST_ERROR_PX: Final = 15.0
+"""Root mean square distance of the points beyond which a pose is called doubtful."""
+
+
+def pose_from_markers(
+    files: FrameFiles,
+    camera: Camera,
+    instrument: Instrument,
+    table: Mapping[str, Marker],
+    seen: Mapping[str, Float64],
+    *,
+    solver: Solver = "sqpnp",
+    arm: Arm = "classic",
+) -> Result:
+    """Find the pose of a frame from the markers seen in it, pixels (2,) by name; failed, with the reason, if none.
+
+    Raises
+    ------
+    InputError
+        A marker that is not in the table, or on no link of the instrument.
+    """
+    strangers = sorted(set(seen) - set(table))
+    if strangers:
+        raise InputError(f"frame {files.name}: marker {strangers[0]}: expected one of {', '.join(table)}")
+    started = time.perf_counter()
+    joints = _readings(files, instrument)
+    answer: PointPose | str
+    if isinstance(joints, str):
+        answer = joints
+    else:
+        places = place_markers(instrument, joints, {name: table[name] for name in seen})
+        pixels = np.array([seen[name] for name in places], dtype=np.float64).reshape(-1, 2)
+        points = np.array(list(places.values()), dtype=np.float64).reshape(-1, 3)
+        answer = solve_points(camera, pixels, points, solver)
+    config = {"method": "pnp", "points": "markers", "solver": solver}
+    return _result(files, instrument, answer, config, time.perf_counter() - started, arm)
+
+
+def pose_from_tips(
+    files: FrameFiles, data: FrameData, instrument: Instrument, *, arm: Arm = "classic", seed: int = 0
+) -> Result:
+    """Find the pose of a frame from its two jaw tips and the shaft's edges on its mask; failed if either is missing."""
+    started = time.perf_counter()
+    joints = _readings(files, instrument)
+    answer: PointPose | str
+    if isinstance(joints, str):
+        answer = joints
+    elif files.keypoints is None:
+        answer = "no jaw tips are given (keypoints.csv)"
+    else:
+        evidence = gather_evidence(
+            data.mask, data.camera, instrument, ignore=data.ignore, keypoints=files.keypoints, seed=seed
+        )
+        if evidence.shaft_edges:
+            answer = solve_tips(data.camera, instrument, joints, files.keypoints, evidence.shaft_edges[0])
+        else:
+            answer = next((text for text in evidence.unused if text.startswith("shaft edges")), "no shaft edges")
+    config = {"method": "pnp", "points": "tips and shaft edges", "seed": seed}
+    return _result(files, instrument, answer, config, time.perf_counter() - started, arm)
+
+
+def _readings(files: FrameFiles, instrument: Instrument) -> Float64 | str:
+    """Give the readings (J,) of the instrument's joints, or say which is missing."""
+    missing = [name for name in instrument.joint_names if name not in files.readings]
+    if missing:
+        return f"no reading of {', '.join(missing)}, and points do not tell it"
+    return np.array([files.readings[name] for name in instrument.joint_names], dtype=np.float64)
+
+
+def _result(
+    files: FrameFiles,
+    instrument: Instrument,
+    answer: PointPose | str,
+    config: Mapping[str, object],
+    seconds: float,
+    arm: Arm,
+) -> Result:
+    """Put an answer into the result's schema: the joints are those read."""
+    posed = isinstance(answer, PointPose)
+    reasons: tuple[str, ...] = () if posed else (str(answer),)
+    doubtful = isinstance(answer, PointPose) and answer.error_px > LARGEST_ERROR_PX
+    base = None
+    if isinstance(answer, PointPose):
+        if doubtful:
+            reasons = (f"points: {answer.error_px:.1f} px rms from where the pose puts them",)
+        if all(name in files.readings for name in OUTER_JOINTS):
+            base = np.asarray(
+                answer.camera_from_root
+                @ inverse(base_from_root(files.readings, arm, roll_offset=instrument.roll_offset))
+            )
+    return Result(
+        frame=files.name,
+        status="failed" if not posed else "doubtful" if doubtful else "ok",
+        reasons=reasons,
+        instrument=instrument.name,
+        root_link=instrument.root_link,
+        camera_from_root=answer.camera_from_root if isinstance(answer, PointPose) else None,
+        joints={n: files.readings[n] for n in instrument.joint_names if n in files.readings},
+        readings=dict(files.readings),
+        warnings=files.notes,
+        camera_from_base=base,
+        seconds=seconds,
+        version=__version__,
+        config={**config, "instrument": describe_limits(instrument, arm)},
+    )

@@ -1,0 +1,106 @@
+"""The pose from two jaw tips and the shaft's two edges alone: what keypoints can do, and what they cannot.
+
+The edges and the shaft's radius fix its axis in space. What is left, sliding along it and turning about it, must come
+from the two tips, which the readings place; so an error of the readings turns the instrument about its shaft.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.cylinder_view import project_cylinder
+from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
+from dvrk_cmaes.geometry import frame_along, moved, rotation_about_z, transform
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pnp.pnp import PointPose, without_distortion
+from dvrk_cmaes.pose.search.losses import keypoint_loss
+from dvrk_cmaes.pose.search.objective import project_tips
+
+Float64 = NDArray[np.float64]
+
+_TURNS: Final = 48
+_SLIDES: Final = np.linspace(-0.03, 0.03, 31)  # m along the axis, of the root from where the tips are
+_STARTS: Final = 4
+_SCALE: Final = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02])  # m, rad: of small changes
+
+
+def solve_tips(
+    camera: Camera, instrument: Instrument, joints: Float64, tips: Float64, edges: ShaftEdges
+) -> PointPose | str:
+    """Find the pose in which the jaw tips and the shaft's edges appear where they were seen, or say why there is none.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    instrument
+        One with a shaft and two jaws.
+    joints : (J,)
+        Readings, rad, taken as they are.
+    tips : (2, 2)
+        Pixels, in either order.
+    edges
+        The shaft's two edges.
+    """
+    shaft = instrument.shaft
+    if shaft is None or not instrument.jaw_tips:
+        return f"{instrument.name} has no shaft with two jaws"
+    seen = without_distortion(camera, tips)
+    pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    starts = _starts(pinhole, instrument, joints, seen, edges)
+    scores = keypoint_loss(project_tips(instrument, pinhole, starts, np.tile(joints, (len(starts), 1))), seen)
+    found: list[tuple[float, Float64]] = []
+    for index in np.argsort(scores, kind="stable")[:_STARTS]:
+        for pairing in (seen, seen[::-1]):
+            start = starts[index]
+
+            def residuals(change: Float64, start: Float64 = start, pairing: Float64 = pairing) -> Float64:
+                pose = moved(start, change * _SCALE)
+                tip = project_tips(instrument, pinhole, pose[None], joints[None])[0]
+                return np.concatenate([(tip - pairing).ravel(), _edge_distances(pinhole, instrument, pose, edges)])
+
+            done = least_squares(residuals, np.zeros(6), max_nfev=60)
+            found.append((float(done.cost), moved(start, done.x * _SCALE)))
+    cost, pose = min(found, key=lambda one: one[0])
+    if not np.isfinite(cost) or pose[2, 3] <= 0:
+        return "no pose brings tips and edges together"
+    measured = 4  # points: two tips, and two edges of two ends each, of which only the distance across counts
+    return PointPose(pose, float(np.sqrt(2 * cost / measured)), measured)
+
+
+def _starts(camera: Camera, instrument: Instrument, joints: Float64, seen: Float64, edges: ShaftEdges) -> Float64:
+    """Poses (C, 4, 4) on the axis that the edges give, towards the tips, turned and slid evenly."""
+    assert instrument.shaft is not None
+    axis, point = shaft_axis(edges.planes, instrument.shaft.radius)
+    tips, shaft = (_nearest_on_axis(camera, axis, point, p.mean(axis=0)) for p in (seen, edges.ends.reshape(-1, 2)))
+    direction = axis if tips > shaft else -axis
+    turn = rotation_about_z(np.linspace(0, 2 * np.pi, _TURNS, endpoint=False))
+    origins = point + tips * axis + _SLIDES[:, None] * direction
+    return transform((frame_along(direction) @ turn)[None], origins[:, None]).reshape(-1, 4, 4)
+
+
+def _nearest_on_axis(camera: Camera, axis: Float64, point: Float64, pixel: Float64) -> float:
+    """Coordinate along an axis, m from a point (3,) on it, of where it passes nearest to a pixel's ray."""
+    ray = np.array([*camera.normalise(pixel), 1.0])
+    away = np.cross(ray, np.cross(axis, ray))
+    return -float(away @ point) / float(away @ axis)
+
+
+def _edge_distances(camera: Camera, instrument: Instrument, pose: Float64, edges: ShaftEdges) -> Float64:
+    """Distances (4,), px, of the ends of the edges seen from the projected ones that face the same way."""
+    shaft = instrument.shaft
+    assert shaft is not None
+    rotation, translation = pose[:3, :3], pose[:3, 3]
+    planes = project_cylinder(rotation @ shaft.point + translation, rotation @ shaft.direction, shaft.radius)
+    lines = planes @ np.linalg.inv(camera.matrix)
+    lines = lines / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    distances = edges.ends @ lines[:, :2].T + lines[:, 2]  # edge, end, projected line
+    straight = distances[[0, 1], :, [0, 1]]
+    crossed = distances[[0, 1], :, [1, 0]]
+    nearer = straight if np.abs(straight).sum() <= np.abs(crossed).sum() else crossed
+    return np.asarray(np.nan_to_num(nearer.ravel(), nan=1e3))

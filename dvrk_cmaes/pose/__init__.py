@@ -1,0 +1,1 @@
+"""Pose estimation in one frame: global search, local refinement, quality and covariance."""

@@ -1,0 +1,51 @@
+"""Settings that make no sense are refused before anything is computed with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.evidence.distance_field import FIELDS
+from dvrk_cmaes.io.toml_file import leaves
+from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
+from dvrk_cmaes.pose.search import METHODS as SEARCHES
+
+_NAMES: dict[str, Collection[str]] = {
+    "search.method": SEARCHES,
+    "refine.method": REFINEMENTS,
+    "distance_field": FIELDS,
+}
+_MAY_BE_ZERO = ("seed", "weights.", "trust.", "search.free_share", "refine.outline.noise_floor")
+_SHARES = ("search.free_share", "trust.least_iou", "trust.largest_bend_share", "trust.unobservable_share")
+
+
+def check_config(config: EstimateConfig) -> None:
+    """Check the values of all settings.
+
+    Raises
+    ------
+    InputError
+        An unknown method (with the nearest known), or a number that is not finite, negative, too large, or zero where
+        that has no meaning.
+    """
+    for key, value in leaves(config):
+        where = f"config: {key}"
+        if key in _NAMES and value not in _NAMES[key]:
+            names = ", ".join(nearest_first(str(value), _NAMES[key]))
+            raise InputError(f"{where}: expected one of {names}, got {value!r}")
+        if isinstance(value, bool | str):
+            continue
+        if not math.isfinite(value):
+            raise InputError(f"{where}: expected a finite number, got {value}")
+        if value < 0 or (value == 0 and not key.startswith(_MAY_BE_ZERO)):
+            least = "a number of at least 0" if key.startswith(_MAY_BE_ZERO) else "a number above 0"
+            raise InputError(f"{where}: expected {least}, got {value:g}")
+        if key in _SHARES and value > 1:
+            raise InputError(f"{where}: expected a share, at most 1, got {value:g}")
+    look = config.lookat
+    if look.tilt >= math.pi / 2:
+        raise InputError(f"config: lookat.tilt: expected less than pi/2 (1.5708) rad, got {look.tilt:g}")
+    if look.near >= look.far:
+        raise InputError(f"config: lookat.near: expected less than lookat.far, {look.far:g} m, got {look.near:g}")

@@ -1,0 +1,181 @@
+"""From the global search's candidates to a few refined modes, coarse to fine, the mirror twin among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.evidence.outline_noise import measure_noise
+from dvrk_cmaes.geometry import moved, rotation_angle
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.parallel import batches
+from dvrk_cmaes.pose.refine.correlated_noise import SHARPER, fit_wavering, wavers
+from dvrk_cmaes.pose.refine.direct import refine_direct
+from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
+from dvrk_cmaes.pose.search.global_search import Candidate, image_size, scale_of_change
+from dvrk_cmaes.pose.search.modes import HasPose, best_of_each
+from dvrk_cmaes.pose.search.objective import Objective
+from dvrk_cmaes.silhouette import LANES, Renderer
+
+Float64 = NDArray[np.float64]
+
+_TWIN_ANGLE = np.deg2rad(40)
+_CLEARLY_WORSE = 15.0  # in negative log-likelihood
+_AS_GOOD = 3.0  # by that measure
+_TWINS = 3  # of the best candidates that are refined with them
+
+
+def is_twin(instrument: Instrument, a: HasPose, b: HasPose) -> bool:
+    """Whether two modes are each other's mirror twins."""
+    pose, _ = instrument.twin(a.camera_from_root, a.joints)
+    return bool(rotation_angle(pose, b.camera_from_root) < _TWIN_ANGLE)
+
+
+def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
+    """Poses (C, 4, 4) and joints (C, J) of modes."""
+    return np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
+
+
+class LocalSearch:
+    """Refines modes of one frame and counts what that costs."""
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        coarse: Renderer,
+        evidence: Evidence,
+        readings: Readings,
+        config: EstimateConfig,
+    ) -> None:
+        self._renderer = renderer
+        self._coarse = coarse
+        self._evidence = evidence
+        self._readings = readings
+        self._config = config
+        self.silhouettes = 0
+        self.rays = 0
+
+    def _refiner(self, shrink: int, *, correlation: float | None = None) -> OutlineRefiner:
+        outline = self._config.refine.outline
+        if correlation is not None:
+            outline = replace(outline, correlation=correlation)
+        if shrink > 1:
+            outline = replace(outline, cauchy=outline.small_cauchy)
+        renderer = self._coarse if shrink > 2 else self._renderer
+        return OutlineRefiner(renderer, self._evidence, self._readings, outline, shrink=shrink)
+
+    def _refine(
+        self,
+        refiner: OutlineRefiner,
+        modes: Sequence[HasPose],
+        *,
+        cauchy: float | None = None,
+        iterations: int | None = None,
+    ) -> list[OutlineFit]:
+        def work(part: Sequence[HasPose]) -> list[OutlineFit]:
+            return refiner.refine_all(*_stacked(part), cauchy=cauchy, iterations=iterations)
+
+        before = refiner.silhouettes, refiner.rays
+        fits = [fit for part in batches(modes, LANES) for fit in work(part)]
+        self.silhouettes += refiner.silhouettes - before[0]
+        self.rays += refiner.rays - before[1]
+        return fits
+
+    def _twin(self, mode: HasPose) -> Candidate:
+        return Candidate(*self._renderer.body.instrument.twin(mode.camera_from_root, mode.joints), mode.score)
+
+    def _missing_twin(self, best: HasPose, others: Sequence[HasPose]) -> list[Candidate]:
+        """Give the mirror twin of the best mode, where the instrument has one and it is not among the others."""
+        instrument = self._renderer.body.instrument
+        if not instrument.has_twin or any(is_twin(instrument, best, other) for other in others):
+            return []
+        return [self._twin(best)]
+
+    def refine(self, candidates: Sequence[Candidate]) -> list[OutlineFit]:
+        """Refine candidates through growing image sizes; the modes that are left, the best first.
+
+        The best mode's mirror twin, where the instrument has one, is among them.
+        """
+        config, instrument = self._config, self._renderer.body.instrument
+        full_width = self._evidence.camera.width
+        coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
+        twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if instrument.has_twin else []
+        modes = self._refine(coarse, [*candidates, *twins], iterations=config.refine.first_steps)
+        modes = best_of_each(modes, most=config.refine.small_modes)
+        modes = self._refine(coarse, modes, iterations=config.refine.small_steps)
+        modes = best_of_each(modes, most=config.refine.half_size_modes)
+        if full_width >= 320:
+            modes = self._refine(self._refiner(2), modes)
+            modes = best_of_each(modes)
+        finest = self._refiner(1)
+        final = self._finest(finest, modes[: config.refine.modes])
+        best = min(final, key=lambda m: m.score)
+        if missing := self._missing_twin(best, final):
+            final += self._finest(finest, missing)
+        return self._finish(final)
+
+    def _finish(self, modes: list[OutlineFit]) -> list[OutlineFit]:
+        """Weigh outline against readings by the noise that the best mode leaves, and refine a last time."""
+        best = min(modes, key=lambda m: m.score)
+        silhouette = self._renderer.masks(best.camera_from_root[None], best.joints[None])[0]
+        noise = measure_noise(self._evidence.contour, silhouette)
+        refiner = self._refiner(1, correlation=noise.length)
+        # A mode that is this much worse will not come to be the best by a last few steps, nor its outline the better.
+        close = [
+            mode
+            for mode in modes
+            if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
+        ]
+        rest = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes if mode not in close]
+        modes = best_of_each([*self._last(refiner, close), *rest])
+        if missing := self._missing_twin(modes[0], modes[1:]):
+            modes = best_of_each([*modes, *self._last(refiner, missing)])
+        first, *others = modes
+        inflation = noise.inflation
+        if self._config.refine.method == "gauss-newton" and wavers(noise):
+            fitted = refiner.assess(*fit_wavering(refiner, first.camera_from_root, first.joints))
+            if fitted.score < first.score + _AS_GOOD:
+                first = replace(first, camera_from_root=fitted.camera_from_root, joints=fitted.joints)
+                inflation *= SHARPER
+        return [replace(first, information=refiner.information(first, noise) / inflation), *others]
+
+    def _last(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+        """Refine by the last steps, which are Gauss-Newton's; after any other method modes stay as they are."""
+        if self._config.refine.method == "gauss-newton":
+            return self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
+        return [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
+
+    def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+        """Refine at full size by the chosen method."""
+        config = self._config
+        if config.refine.method == "gauss-newton":
+            return self._refine(refiner, modes)
+        objective = Objective(
+            self._renderer,
+            self._evidence,
+            self._readings,
+            config.weights,
+            decay=config.decay_px,
+            field=config.distance_field,
+        )
+        scale = 0.3 * scale_of_change(self._readings)
+        fits = []
+        for mode in modes:
+
+            def loss(change: Float64, mode: HasPose = mode) -> Float64:
+                step = change * scale
+                return objective(moved(mode.camera_from_root, step[:, :6]), mode.joints + step[:, 6:])
+
+            change, _, count = refine_direct(
+                config.refine.method, loss, len(scale), config.refine.evaluations, config.seed
+            )
+            step = change * scale
+            fits.append(refiner.assess(moved(mode.camera_from_root, step[:6]), mode.joints + step[6:]))
+            self.silhouettes += count
+        return fits

@@ -1,0 +1,78 @@
+"""Local refinements that need no derivatives, on the full loss: the paper's own scheme, and NLopt's.
+
+The paper alternates steps of rotation and of translation down the gradient, with Gaussian perturbation. Here the
+gradient is taken by central differences of the smooth loss, all of one step in a single population.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
+
+Float64 = NDArray[np.float64]
+Loss = Callable[[Float64], Float64]
+
+_NLOPT_LOCAL = {"bobyqa": "LN_BOBYQA", "sbplx": "LN_SBPLX"}
+
+
+def refine_direct(method: str, loss: Loss, dimension: int, evaluations: int, seed: int) -> tuple[Float64, float, int]:
+    """Minimise ``loss`` near 0; candidates are small changes [t, r, joints] in units of their expected error.
+
+    Returns the best change (D,), its loss and the number of evaluations. Raises `InputError` for an unknown method.
+    """
+    if method in _NLOPT_LOCAL:
+        return run_nlopt(
+            _NLOPT_LOCAL[method],
+            loss,
+            np.zeros(dimension),
+            3.0 * np.ones(dimension),
+            evaluations,
+            seed,
+            step=0.3,
+            tolerance=1e-4,
+        )
+    if method == "coordinate-descent":
+        return _coordinate_descent(loss, dimension, evaluations, seed)
+    known = ("gauss-newton", "coordinate-descent", *_NLOPT_LOCAL)
+    raise InputError(f"refine: expected one of {', '.join(nearest_first(method, known))}, got {method!r}")
+
+
+def _coordinate_descent(loss: Loss, dimension: int, evaluations: int, seed: int) -> tuple[Float64, float, int]:
+    """Descend blocks in turn: rotation with the joints, then translation; perturb, and keep what is better."""
+    rng = np.random.default_rng(seed)
+    blocks = [np.r_[3:dimension], np.r_[0:3]]
+    x = np.zeros(dimension)
+    best, best_loss, count = x, float(loss(x[None])[0]), 1
+    step = np.array([0.3, 0.3])
+    turn = 0
+    while True:
+        block = blocks[turn % 2]
+        probe = np.zeros((2 * len(block), dimension))
+        probe[np.arange(len(block)), block] = 0.02
+        probe[len(block) + np.arange(len(block)), block] = -0.02
+        trials = 4
+        if count + len(probe) + trials > evaluations:
+            return best, best_loss, count
+        values = loss(best + probe)
+        gradient = np.zeros(dimension)
+        gradient[block] = (values[: len(block)] - values[len(block) :]) / 0.04
+        length = float(np.linalg.norm(gradient))
+        way = -gradient / length if length > 0 else gradient
+        reach = step[turn % 2] * np.array([1.0, 0.5, 0.25, 0.125])
+        noise = np.zeros((trials, dimension))
+        noise[:, block] = 0.1 * reach[:, None] * rng.standard_normal((trials, len(block)))
+        candidates = best + reach[:, None] * way + noise
+        found = loss(candidates)
+        count += len(probe) + trials
+        lowest = int(np.argmin(found))
+        if found[lowest] < best_loss:
+            best, best_loss = candidates[lowest], float(found[lowest])
+            step[turn % 2] = min(2 * reach[lowest], 1.0)
+        else:
+            step[turn % 2] = max(step[turn % 2] / 4, 1e-4)
+        turn += 1

@@ -1,0 +1,310 @@
+"""Local refinement on the whole outline, below a pixel: damped Gauss-Newton with central differences.
+
+The residuals are the differences of antialiased coverage and mask, both slightly blurred, so that they answer smoothly
+to a step of a fraction of a pixel. Large ones count little (Cauchy), so that a wrong stretch of outline does not drag
+the pose. Readings, given jaw tips and a session's prediction are further residuals with their own spread.
+
+Moving the outline by e along its normal adds e to the coverage under it, so the sum's gradient is an integral along the
+outline: of the outline's speed, by central differences of the projection of its points on the instrument, times the
+blurred residual there. One silhouette and its outline stand in for a silhouette for every parameter and direction.
+
+What a residual of coverage is worth against a reading follows from the outline itself: shifting a stretch of outline
+of length s by e changes the sum of squares of an edge blurred with sigma by s e^2 / (2 sqrt(pi) sigma), so the sum of
+squares left over says how far the outline is off, and ``correlation`` px of outline make one independent measurement.
+Several poses are refined in step, since drawing eight costs little more than drawing one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.pose.refine.priors import PosePrior, Priors
+from dvrk_cmaes.silhouette import OutlinePoints, Renderer
+
+Float64 = NDArray[np.float64]
+
+_ANYWHERE, _ANY_TURN = 1.0, np.pi  # m and rad: nothing is less certain than this
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineFit:
+    """A refined pose and what the outline says of it.
+
+    ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints], readings included;
+    ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame, and
+    ``outline_score`` the outline's part of it.
+    """
+
+    camera_from_root: Float64
+    joints: Float64
+    score: float
+    outline_score: float
+    residual: float
+    information: Float64
+
+
+class OutlineRefiner:
+    """Refines poses against one frame's mask at one image size (1 / ``shrink`` of the full one)."""
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        evidence: Evidence,
+        readings: Readings,
+        config: OutlineConfig,
+        *,
+        shrink: int = 1,
+        expected: PosePrior | None = None,
+    ) -> None:
+        camera = evidence.camera
+        if shrink > 1:
+            camera = camera.scaled(max(camera.width // shrink, 8), max(camera.height // shrink, 8))
+        size = (camera.width, camera.height)
+        mask, weight = evidence.mask.astype(np.float32), evidence.weight
+        if shrink > 1:
+            mask, weight = shrunk(mask, *size), shrunk(weight, *size)
+        left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
+        window = np.s_[top : top + height, left : left + width]
+        self._camera: Camera = camera.cropped(left, top, width, height)
+        self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
+        self._config = config
+        self._weight = np.ascontiguousarray(weight[window])
+        self._mask = mask[window] > 0.5
+        self._target = self._blurred(np.ascontiguousarray(mask[window]))
+        self._shrink = shrink
+        self._tolerance = config.tolerance * (1 if shrink == 1 else 4)  # smaller images only tell modes apart
+        self._balance: float | None = None
+        self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
+        joints = len(readings.values)
+        c = config
+        self.steps = np.array(
+            [c.translation_step] * 3 + [c.swing_step] * 2 + [c.turn_step] + [c.joint_step] * joints
+        ) * np.array([shrink] * 3 + [shrink] * 2 + [min(shrink, 3)] + [min(shrink, 3)] * joints)
+        self.priors = Priors(
+            renderer.body.instrument,
+            evidence,
+            readings,
+            keypoint_sigma=c.keypoint_sigma,
+            steps=self.steps,
+            expected=expected,
+        )
+
+    @property
+    def silhouettes(self) -> int:
+        """Number of silhouettes drawn so far."""
+        return self._renderer.poses
+
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+        return self._renderer.rays
+
+    def _blurred(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), self._config.blur, borderType=cv2.BORDER_REPLICATE))
+
+    def _seen(self, poses: Float64, joints: Float64) -> list[tuple[NDArray[np.float32], OutlinePoints]]:
+        """Blurred coverage (H, W) and outline of C poses."""
+        lines = self._config.lines_per_pixel
+        coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines)
+        pairs = zip(coverage, outlines.of_each(len(poses)), strict=True)
+        return [(self._blurred(image), outline) for image, outline in pairs]
+
+    def _images(self, poses: Float64, joints: Float64) -> list[NDArray[np.float32]]:
+        """Blurred coverage of C poses, (H, W) each."""
+        coverage = self._renderer.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
+        return [self._blurred(image) for image in coverage]
+
+    def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
+        """Cauchy's loss of a blurred image (H, W): a sum of squares while all is small."""
+        r = (image - self._target) / np.float32(cauchy)
+        return float(cauchy**2 * (self._weight * np.log1p(r * r)).sum(dtype=np.float64))
+
+    def balance_at(self, pose: Float64, joints: Float64, *, cauchy: float | None = None) -> None:
+        """Take the outline's error from a pose (4, 4) and joints (J,) for all that follows, instead of from each fit.
+
+        So what an expectation leaves over is not taken for noise.
+        """
+        width = self._config.cauchy if cauchy is None else cauchy
+        self._balance = self._loss(self._images(pose[None], joints[None])[0], width)
+
+    def _scale(self, loss: float) -> float:
+        """Measurements per unit of loss: turns sums of squares of coverage into those of standard deviations."""
+        c = self._config
+        loss = loss if self._balance is None else self._balance
+        floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
+        return float(self._length / c.correlation * self._shrink / max(loss, floor))
+
+    def _outline_score(self, loss: float) -> float:
+        """Negative log-likelihood of the outline up to a constant, its error unknown."""
+        count = self._length * self._shrink / self._config.correlation
+        floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
+        return 0.5 * count * float(np.log(max(loss, floor)))
+
+    def _normal_equations(self, state: _State, rates: Float64, cauchy: float) -> tuple[Float64, Float64]:
+        """Outline's information (D, D) and gradient (D,) at a state, in sums of squares of coverage.
+
+        ``rates`` (N, D) are its outline points' speeds.
+        """
+        at, normals = state.outline.pixels, state.outline.normals
+        r = state.image - self._target
+        weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
+        pull, trust = sampled(self._blurred(weight * r), at), sampled(self._blurred(weight), at)
+        share = trust / (2 * np.sqrt(np.pi) * self._config.blur * np.linalg.norm(normals, axis=1))
+        return rates.T @ (rates * share[:, None]), pull @ rates
+
+    def _speeds(self, outlines: Sequence[OutlinePoints], poses: Float64, joints: Float64) -> list[Float64]:
+        """How fast the outline points of C poses move along their normals with each small change, (N, D) a pose.
+
+        Times the stretch of outline that a point stands for; by central differences of the projection of the point,
+        which stays where it is on the instrument.
+        """
+        count = len(self.steps)
+        change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
+        changed = moved(poses[:, None], change[:, :6]).reshape(-1, 4, 4)
+        bent = (joints[:, None] + change[:, 6:]).reshape(len(changed), -1)
+        links = self._renderer.body.camera_from_links(changed, bent)
+        # (C, L, 3, 4, 2 D): coordinates of points by coordinates in their link, for all changes.
+        camera_from_link = links.reshape(len(poses), 2 * count, -1, 4, 4)[..., :3, :].transpose(0, 2, 3, 4, 1)
+        camera_from_link = np.ascontiguousarray(camera_from_link, dtype=np.float32)
+        found = []
+        for outline, to_camera in zip(outlines, camera_from_link, strict=True):
+            points = np.ones((len(outline.points), 4), dtype=np.float32)
+            points[:, :3] = outline.points
+            moving = np.empty((3, len(points), 2 * count), dtype=np.float32)
+            edges = np.searchsorted(outline.link, np.arange(len(to_camera) + 1))
+            for matrix, begin, end in zip(to_camera, edges[:-1], edges[1:], strict=True):
+                np.matmul(points[begin:end], matrix, out=moving[:, begin:end])
+            np.maximum(moving[2], np.float32(1e-4), out=moving[2])
+            seen = self._camera.project(np.moveaxis(moving, 0, -1))
+            apart = (seen[:, :count] - seen[:, count:]) * outline.normals[:, None]
+            found.append(np.asarray(apart.sum(axis=-1) / (2 * self.steps)))
+        return found
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """The part of the mask that is looked at, (H, W)."""
+        return self._mask
+
+    @property
+    def weight(self) -> NDArray[np.float32]:
+        """0 where a pixel of that part counts neither way, (H, W)."""
+        return self._weight
+
+    def outline_rates(self, pose: Float64, joints: Float64) -> tuple[OutlinePoints, Float64]:
+        """Outline points (N,) of one pose (4, 4), and how fast they move along their normals, (N, 6 + J)."""
+        outline = self._renderer.outlines(pose[None], joints[None])
+        return outline, self._speeds([outline], pose[None], joints[None])[0]
+
+    def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
+        """Information (D, D) that outline and priors hold about the small changes of a fitted pose."""
+        information = self.outline_information(fit, noise)
+        self.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+        return np.asarray(information + np.diag([1 / _ANYWHERE**2] * 3 + [1 / _ANY_TURN**2] * (len(self.steps) - 3)))
+
+    def outline_information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
+        """Information (D, D) that the outline alone holds about the small changes of a fitted pose.
+
+        Each ``noise.length`` px of outline is one measurement with ``noise.sigma``; what lies more than three of these
+        away from the mask's outline, or is ignored, is none.
+        """
+        outline, rates = self.outline_rates(fit.camera_from_root, fit.joints)
+        off = sampled(signed_distance(self._mask), outline.pixels)
+        counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
+        length = np.linalg.norm(outline.normals, axis=1)
+        return np.asarray(rates.T @ (rates * (counts / length)[:, None]) / (noise.sigma**2 * noise.length))
+
+    def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
+        """Score one pose (4, 4) and its joints (J,) as they are."""
+        return self.refine_all(pose[None], joints[None], iterations=0)[0]
+
+    def refine_all(
+        self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
+    ) -> list[OutlineFit]:
+        """Refine poses (C, 4, 4) and their joints (C, J), each on its own but in step with the others.
+
+        ``cauchy`` replaces the configuration's for the refinement; scores are those of the configuration's.
+        """
+        width = self._config.cauchy if cauchy is None else cauchy
+        most = self._config.iterations if iterations is None else iterations
+        seen = zip(poses, joints, self._seen(poses, joints), strict=True)
+        states = [_State(pose, joint, *look, loss=self._loss(look[0], width)) for pose, joint, look in seen]
+        self._linearise(states, width)
+        for left in reversed(range(most)):
+            active = [state for state in states if not state.finished]
+            if not active:
+                break
+            trials = [self._step(state) for state in active]
+            at = np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials])
+            # No step follows the last one, so that its outline is not asked for.
+            looks = self._seen(*at) if left else [(image, None) for image in self._images(*at)]
+            improved = []
+            for state, (pose, joint, step), (image, outline) in zip(active, trials, looks, strict=True):
+                loss = self._loss(image, width)
+                cost = state.scale * loss + self.priors.cost(pose, joint)
+                gain = state.scale * state.loss + self.priors.cost(state.pose, state.joints) - cost
+                if gain <= 0:
+                    state.damping *= 8
+                    state.finished = state.damping > 1e4
+                    continue
+                small = step @ state.information @ step < self._tolerance**2 * len(step)
+                state.finished = bool(small or gain < 0.1 * self._tolerance)
+                state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
+                state.damping = max(state.damping / 8, 1e-4)
+                if outline is not None:
+                    state.outline = outline
+                    improved.append(state)
+            self._linearise(improved, width)
+        fits = []
+        for state in states:
+            loss = self._loss(state.image, self._config.cauchy)
+            alone = self._outline_score(loss)
+            if self._balance is not None:
+                alone = 0.5 * self._scale(loss) * loss
+            score = alone + 0.5 * self.priors.cost(state.pose, state.joints)
+            fits.append(OutlineFit(state.pose, state.joints, score, alone, loss, state.information))
+        return fits
+
+    def _linearise(self, states: list[_State], cauchy: float) -> None:
+        """Compute information and slope of states at their poses, all evidence included."""
+        if not states:
+            return
+        poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
+        speeds = self._speeds([state.outline for state in states], poses, joints)
+        for state, rates in zip(states, speeds, strict=True):
+            outline, gradient = self._normal_equations(state, rates, cauchy)
+            state.scale = self._scale(state.loss)
+            state.information, state.slope = state.scale * outline, state.scale * gradient
+            self.priors.add(state.information, state.slope, state.pose, state.joints)
+
+    def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
+        """Damped Gauss-Newton: the next pose, joints, and the step."""
+        damped = state.information + state.damping * np.diag(np.diag(state.information) + 1e-9)
+        step = np.asarray(-np.linalg.solve(damped, state.slope), dtype=np.float64)
+        return moved(state.pose, step[:6]), state.joints + step[6:], step
+
+
+@dataclass(eq=False)
+class _State:
+    """One pose on its way."""
+
+    pose: Float64
+    joints: Float64
+    image: NDArray[np.float32]
+    outline: OutlinePoints
+    loss: float
+    scale: float = 1.0
+    information: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    slope: Float64 = field(default_factory=lambda: np.zeros(0))
+    damping: float = 1e-2
+    finished: bool = False

@@ -1,0 +1,113 @@
+"""The full loss of candidate poses against the evidence, at one image size."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import LossWeights
+from dvrk_cmaes.evidence.cylinder_view import project_cylinder
+from dvrk_cmaes.evidence.distance_field import distance_field
+from dvrk_cmaes.evidence.gather import Evidence, shrunk
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypoint_loss, mse_loss, scale_loss
+from dvrk_cmaes.silhouette import PixelSums, Renderer
+
+Float64 = NDArray[np.float64]
+
+
+class Objective:
+    """Weighted sum of all losses of a population of candidates.
+
+    The mask is averaged down to the renderer's image size; ``decay`` (px of the full image) is the length over which
+    the distance field grows by one.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        evidence: Evidence,
+        readings: Readings,
+        weights: LossWeights,
+        *,
+        decay: float = 30.0,
+        field: str = "fmm",
+        lines_per_pixel: int = 1,
+    ) -> None:
+        self.renderer = renderer
+        self.evidence = evidence
+        self.readings = readings
+        self.weights = weights
+        self.lines_per_pixel = lines_per_pixel
+        camera = renderer.camera
+        size = (camera.width, camera.height)
+        mask = evidence.mask.astype(np.float32)
+        weight = evidence.weight
+        if mask.shape != (camera.height, camera.width):
+            full_weight = weight
+            weight = shrunk(full_weight, *size)
+            mask = np.asarray(shrunk(mask * full_weight, *size) / np.maximum(weight, 1e-6), dtype=np.float32)
+        scale = camera.width / evidence.mask.shape[1]
+        far = distance_field(mask > 0.5, field) / (decay * scale)
+        self._area = float((mask * weight).sum())
+        self._square = float((mask * mask * weight).sum())
+        self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of silhouettes evaluated so far."""
+        return self.renderer.poses
+
+    def terms(self, camera_from_root: Float64, joints: Float64) -> Terms:
+        """All terms of C candidates: poses (C, 4, 4) and joints (C, J)."""
+        sums = self.renderer.sums(camera_from_root, joints, self._images, lines_per_pixel=self.lines_per_pixel)
+        area, overlap, far = sums.T
+        cylinder, keypoints, readings = pose_terms(
+            self.evidence, self.renderer.body.instrument, self.readings, self.weights, camera_from_root, joints
+        )
+        return Terms(
+            mse=mse_loss(area, overlap, self._square) / self._area,
+            dist=dist_loss(far) / self._area,
+            scale=scale_loss(area, self._area) / self._area,
+            cylinder=cylinder,
+            keypoints=keypoints,
+            readings=readings,
+        )
+
+    def __call__(self, camera_from_root: Float64, joints: Float64) -> Float64:
+        """Total loss of C candidates, (C,)."""
+        return self.terms(camera_from_root, joints).total(self.weights)
+
+
+def pose_terms(
+    evidence: Evidence,
+    instrument: Instrument,
+    readings: Readings,
+    weights: LossWeights,
+    camera_from_root: Float64,
+    joints: Float64,
+) -> tuple[Float64, Float64, Float64]:
+    """Terms that need no silhouette, (C,) each: shaft edges, jaw tips, readings; zero without evidence."""
+    cylinder = keypoints = np.zeros(len(camera_from_root))
+    camera, edges, shaft, tips = evidence.camera, evidence.shaft_edges, instrument.shaft, evidence.tips
+    rotation, translation = camera_from_root[:, :3, :3], camera_from_root[:, :3, 3]
+    if edges and shaft is not None:
+        projected = project_cylinder(rotation @ shaft.point + translation, rotation @ shaft.direction, shaft.radius)
+        # The likeliest pair is not always the shaft: a candidate may fit any of them.
+        pairs = [cylinder_loss(projected, pair.planes, camera, weights.line_offset) for pair in edges]
+        cylinder = np.min(pairs, axis=0)
+    if tips is not None and instrument.jaw_tips:
+        keypoints = keypoint_loss(project_tips(instrument, camera, camera_from_root, joints), tips) * (
+            1.0 if evidence.tips_given else weights.found_tips
+        )
+    return cylinder, keypoints, readings.cost(joints)
+
+
+def project_tips(instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64) -> Float64:
+    """Jaw tips of C candidates in the image, (C, 2, 2) px; one behind the eye is taken to be just before it."""
+    points = apply(camera_from_root, instrument.tips(joints))
+    points[..., 2] = np.maximum(points[..., 2], 1e-3)
+    return np.asarray(camera.project(points))

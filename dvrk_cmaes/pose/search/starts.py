@@ -1,0 +1,169 @@
+"""Candidates to start from in one frame: on the axes that the shaft's edges suggest, and some without them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig, LookAtRange
+from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.evidence.jaw_tips import distal_direction
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
+from dvrk_cmaes.geometry import exp_rotation, frame_along, rotation_about_z, transform
+from dvrk_cmaes.instrument import Instrument
+
+Float64 = NDArray[np.float64]
+
+_TILT_RANGE = np.deg2rad([3.0, 25.0])
+
+
+def lookat_pose(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, distance: ArrayLike) -> Float64:
+    """LookAt candidates as camera_from_root (..., 4, 4): R = R_y(gamma) R_x(alpha) R_z(beta), t = [0, 0, d]."""
+    a, b, g, d = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (alpha, beta, gamma, distance)))
+    zero = np.zeros_like(a)
+    rotation = (
+        exp_rotation(np.stack([zero, g, zero], axis=-1))
+        @ exp_rotation(np.stack([a, zero, zero], axis=-1))
+        @ exp_rotation(np.stack([zero, zero, b], axis=-1))
+    )
+    return transform(rotation, np.stack([zero, zero, d], axis=-1))
+
+
+def sample_joints(
+    readings: Float64, spread: Float64, low: Float64, high: Float64, count: int, rng: np.random.Generator
+) -> Float64:
+    """Joint values (count, J): around the readings with their spread, uniform within the limits where unknown (NaN)."""
+    near = readings + spread * rng.standard_normal((count, len(readings)))
+    free = rng.uniform(low, high, (count, len(readings)))
+    return np.asarray(np.where(np.isnan(readings), free, np.clip(near, low, high)))
+
+
+def sample_lookat(
+    count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera, pixels: Float64 | None = None
+) -> Float64:
+    """LookAt candidates (count, 4, 4) drawn uniformly in the four numbers.
+
+    The paper puts the root on the optical axis. With ``pixels`` (N, 2), the optical axis is first turned to one of
+    them, drawn at random: the camera looks at the instrument wherever it is in the image.
+    """
+    pose = lookat_pose(
+        rng.uniform(-limits.tilt, limits.tilt, count),
+        rng.uniform(-np.pi, np.pi, count),
+        rng.uniform(-limits.tilt, limits.tilt, count),
+        rng.uniform(limits.near, limits.far, count),
+    )
+    if pixels is None:
+        return pose
+    ray = np.c_[camera.normalise(pixels[rng.integers(len(pixels), size=count)]), np.ones(count)]
+    towards = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    axis = np.cross([0.0, 0.0, 1.0], towards)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = axis / np.maximum(sine, 1e-12) * np.arctan2(sine, towards[:, 2:])
+    return np.asarray(transform(exp_rotation(turn), np.zeros((count, 3))) @ pose)
+
+
+def sample_on_axis(
+    count: int,
+    direction: Float64,
+    point: Float64,
+    along: tuple[float, float],
+    tilt: float,
+    rng: np.random.Generator,
+    *,
+    pivot: float,
+) -> Float64:
+    """LookAt candidates (count, 4, 4) whose shaft lies on a given axis.
+
+    ``direction`` (3,) is distal, ``point`` (3,) on the axis, m; the root slides between the coordinates ``along``, m,
+    and turns freely about the axis. Two edges tell the axis's tilt towards the eye least well: it varies by ``tilt``
+    rad (one standard deviation) about the axis's point at coordinate ``pivot``, m.
+    """
+    slide = rng.uniform(*along, count)
+    # Even turns, each in its own slot: no turn is left out by chance.
+    turn = (rng.permutation(count) + rng.uniform(size=count)) / count * 2 * np.pi
+    centre = point + pivot * direction
+    across = np.cross(centre, direction)
+    across /= np.linalg.norm(across)
+    tilted = exp_rotation(across * (tilt * rng.standard_normal(count))[:, None])
+    axis = tilted @ direction
+    origin = centre + (slide - pivot)[:, None] * axis
+    return transform(frame_along(axis) @ rotation_about_z(turn), origin)
+
+
+def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera) -> Float64:
+    """Poses (count, 4, 4) uniform in rotation and in the view, between the limits' distances: the naive alternative."""
+    quaternion = rng.standard_normal((count, 4))
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    sine = np.sqrt(np.maximum(1 - w * w, 1e-16))
+    rotation = exp_rotation((2 * np.arctan2(sine, w) / sine)[:, None] * np.stack([x, y, z], axis=1))
+    pixels = rng.uniform([0, 0], [camera.width, camera.height], (count, 2))
+    depth = rng.uniform(limits.near, limits.far, (count, 1))
+    return transform(rotation, np.c_[camera.normalise(pixels), np.ones(count)] * depth)
+
+
+def _on_edges(
+    edges: ShaftEdges, evidence: Evidence, instrument: Instrument, count: int, rng: np.random.Generator
+) -> Float64:
+    """Candidates (count, 4, 4) on the axis of a pair of edges, the wrist near where the mask ends."""
+    assert instrument.shaft is not None
+    camera = evidence.camera
+    direction, point = shaft_axis(edges.planes, instrument.shaft.radius)
+    towards = distal_direction(evidence.mask, edges)
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+
+    def coordinate(pixel: Float64) -> float:
+        """Where along the axis its point nearest to a pixel's ray lies, m."""
+        ray = np.array([*((pixel - centre) / focal), 1.0])
+        across = np.cross(direction, np.cross(ray, direction))
+        # The foot on the axis of the line of shortest distance between axis and ray.
+        away = np.cross(ray, np.cross(direction, ray))
+        return float(-(away @ point) / (away @ direction)) if abs(across @ across) > 1e-12 else 0.0
+
+    middle = coordinate(edges.ends.mean(axis=(0, 1)))
+    before, after = (point + (middle + step) * direction for step in (-1e-3, 1e-3))
+    shift = (after[:2] / after[2] - before[:2] / before[2]) * focal
+    if shift @ towards < 0:
+        direction, middle = -direction, -middle
+    contour = evidence.contour.ideal
+    end = coordinate(contour[np.argsort(contour @ towards)[-5:]].mean(axis=0))
+    corners = edges.ends.reshape(-1, 2)
+    foot = coordinate(corners[np.argsort(corners @ towards)[-2:]].mean(axis=0))
+    # The root link's origin lies between the shaft's end and the tips, in whatever way the wrist is bent.
+    nearest = min(foot, end - 0.6 * instrument.reach) - 0.005
+    farthest = max(end + 0.003, nearest + 0.01)
+    nearest = max(nearest, farthest - 3 * instrument.reach)
+    tilt = float(np.clip(axis_tilt_error(edges, camera, instrument.shaft.radius), *_TILT_RANGE))
+    return sample_on_axis(count, direction, point, (nearest, farthest), tilt, rng, pivot=middle)
+
+
+def draw_seeds(
+    evidence: Evidence,
+    instrument: Instrument,
+    readings: Readings,
+    config: EstimateConfig,
+    rng: np.random.Generator,
+) -> tuple[Float64, Float64, NDArray[np.bool_]]:
+    """Draw the search's first candidates: poses (N, 4, 4), joints (N, J), and whether these ignore the readings (N,).
+
+    Half of them lie on the likeliest pair of edges, the rest on the other pairs and anywhere in the LookAt space.
+    """
+    count = config.search.samples
+    pairs = evidence.shaft_edges if config.search.use_edges else ()
+    free = count if not pairs else round(config.search.free_share * count)
+    shares = [count - free] if len(pairs) == 1 else []
+    if len(pairs) > 1:
+        first = (count - free) * 3 // 5
+        others = (count - free - first) // (len(pairs) - 1)
+        shares = [count - free - others * (len(pairs) - 1)] + [others] * (len(pairs) - 1)
+    poses = [_on_edges(pair, evidence, instrument, n, rng) for pair, n in zip(pairs, shares, strict=True)]
+    v, u = np.nonzero(evidence.mask)
+    pixels = np.stack([u, v], axis=1).astype(np.float64)
+    poses.append(sample_lookat(free, config.lookat, rng, camera=evidence.camera, pixels=pixels))
+    joints = sample_joints(readings.values, readings.spread, readings.low, readings.high, count, rng)
+    nothing = np.full(len(readings.values), np.nan)
+    anything = sample_joints(nothing, readings.spread, readings.low, readings.high, count, rng)
+    unread = rng.uniform(size=count) < config.search.unread_share
+    joints[unread] = anything[unread]
+    return np.concatenate(poses), joints, unread

@@ -1,0 +1,83 @@
+"""A folder of results: what a batch wrote, or any folder of result JSONs."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.result import Result
+
+SUMMARY = "summary.json"
+SESSION = "session.json"
+ALONE = "alone"
+"""Folder in that of a calibrated session: the same frames, each solved by itself."""
+
+_NO_RESULTS = (SUMMARY, SESSION, "golden.json")
+
+
+@dataclass(frozen=True, eq=False)
+class ResultsFolder:
+    """Results by frame, in the order of their names, and the documents of the whole session where they are there."""
+
+    folder: Path
+    frames: dict[str, Result]
+    summary: dict[str, Any] | None
+    session: dict[str, Any] | None
+
+
+def read_results(folder: str | Path) -> ResultsFolder:
+    """Read ``frames/*.json`` of a folder, or where it has no ``frames``, its own JSON files; and the session's.
+
+    Raises
+    ------
+    InputError
+        No such folder, no results in it, or a file that is none, naming it.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{folder}: no such folder; expected results, with frames/FRAME.json")
+    try:
+        paths = result_paths(root)
+    except OSError as error:
+        raise InputError(f"{folder}: not readable ({error.strerror}); expected results") from None
+    if not paths:
+        raise InputError(f"{folder}: expected results, frames/FRAME.json or FRAME.json, got none")
+    return ResultsFolder(
+        folder=root,
+        frames=_by_name(paths),
+        summary=_document(root / SUMMARY, "the summary of a session's results (summary.json)"),
+        session=_document(root / SESSION, "a session calibration (session.json)"),
+    )
+
+
+def result_paths(root: Path) -> list[Path]:
+    """Files of the results of a folder, in the order of the frames' names."""
+    inner = root / "frames"
+    source = inner if inner.is_dir() else root
+    return sorted(
+        path
+        for path in source.iterdir()
+        if path.suffix == ".json"
+        and not path.name.startswith(".")
+        and (source is inner or path.name not in _NO_RESULTS)
+    )
+
+
+def _by_name(paths: list[Path]) -> dict[str, Result]:
+    results: dict[str, Result] = {}
+    for path in paths:
+        result = read_result(path)
+        if result.frame in results:
+            raise InputError(f"{path}: frame: expected a name of its own, got {shown(result.frame)}, as another file")
+        results[result.frame] = result
+    return dict(sorted(results.items()))
+
+
+def _document(path: Path, expected: str) -> dict[str, Any] | None:
+    return read_json_object(path, expected=expected) if os.path.lexists(path) else None

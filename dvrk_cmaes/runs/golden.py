@@ -1,0 +1,94 @@
+"""Golden poses of a lab's own frames: what is worth keeping of results, and whether later ones still agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.evaluate.pose_check import PoseCheck, check_pose
+from dvrk_cmaes.evaluate.pose_error import Tolerance
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.silhouette import Body
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Golden poses, and the frames that were left out, each with its reason."""
+
+    truth: SessionTruth
+    left_out: Mapping[str, str]
+
+
+def estimate_all(
+    frames: Iterable[FrameFiles], session: Session, body: Body, *, arm: Arm, config: EstimateConfig
+) -> Iterator[Result]:
+    """Estimate frames of a session one after the other; one that cannot be is a failed result with its reason."""
+    for files in frames:
+        try:
+            yield estimate_frame(files, read_frame(files, session.camera), body, arm=arm, config=config)
+        except DvrkCmaesError as error:
+            model = body.instrument
+            yield Result.failed(
+                files.name, str(error), files.readings, instrument=model.name, root_link=model.root_link
+            )
+
+
+def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful: bool = False) -> Recording:
+    """Keep the poses of results that are ok, and of doubtful ones only if they are allowed."""
+    kept: dict[str, FrameTruth] = {}
+    left_out: dict[str, str] = {}
+    for result in results:
+        if result.camera_from_root is None or (result.status != "ok" and not allow_doubtful):
+            left_out[result.frame] = f"{result.status}: {'; '.join(result.reasons)}"
+            continue
+        tips = None
+        if instrument.jaw_tips:
+            pose = result.camera_from_root
+            own = instrument.tips([result.joints[name] for name in instrument.joint_names])
+            tips = apply(pose, own)
+        kept[result.frame] = FrameTruth(result.camera_from_root, result.joints, tips)
+    return Recording(SessionTruth(kept), left_out)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCheck:
+    """A frame's result, and how it compares with its golden pose."""
+
+    result: Result
+    check: PoseCheck
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON; errors are named ``root_mm``, ``wrist_pitch_deg`` and so on."""
+        return {
+            "frame": self.result.frame,
+            "status": self.result.status,
+            "reasons": list(self.result.reasons),
+            "right": self.check.right,
+            "is_twin": self.check.is_twin,
+            "errors": {f"{one.quantity}_{one.unit}": one.error for one, _, _ in self.check.rows},
+            "off": [one.quantity for one, _, _ in self.check.rows if one.exceeds],
+        }
+
+
+def check(
+    results: Iterable[Result],
+    golden: SessionTruth,
+    instrument: Instrument,
+    tolerance: Tolerance,
+    *,
+    modulo_twin: bool = False,
+) -> Iterator[FrameCheck]:
+    """Compare results with their golden poses, one after the other; each must have one."""
+    for result in results:
+        found = check_pose(result, golden.frames[result.frame], instrument, tolerance, modulo_twin=modulo_twin)
+        yield FrameCheck(result, found)

@@ -1,0 +1,96 @@
+"""``summary.json``: a session's results in figures. All that may differ between runs of the same lies in ``timing``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, get_args
+
+import numpy as np
+
+from dvrk_cmaes.results.result import Result, Status
+
+_SCHEMA: Final = 1
+_DIGITS: Final = 6
+
+
+@dataclass(frozen=True)
+class RunTiming:
+    """How long a run took: frames done by it, seconds from its start to its end, frames a second."""
+
+    frames: int
+    seconds: float
+    frames_per_second: float
+
+
+def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
+    """Count frames by status; ``missing`` are those without a result yet."""
+    counted = Counter(statuses)
+    return {
+        "frames": len(statuses) + missing,
+        **{status: counted[status] for status in get_args(Status)},
+        "missing": missing,
+    }
+
+
+def summarize(
+    results: Mapping[str, Result], manifest: Mapping[str, Any], timing: RunTiming | None = None, *, whole: bool = True
+) -> dict[str, Any]:
+    """Sum up results by frame; ``manifest`` says what they were made from, and of which frames.
+
+    Of a shard, not the ``whole``, frames that another one does are not missing.
+    """
+    missing = sorted({name for name, parts in manifest["frames"].items() if whole or parts} - set(results))
+    all_of_them = list(results.values())
+    return {
+        "schema": _SCHEMA,
+        "session": manifest["session"],
+        "version": manifest["version"],
+        "instrument": manifest["instrument"]["name"],
+        "counts": count_frames([result.status for result in all_of_them], len(missing)),
+        "medians": _medians(all_of_them),
+        "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
+        "missing": missing,
+        "timing": {"frame_seconds": _seconds(all_of_them), "run": None if timing is None else asdict(timing)},
+        "config": manifest["config"],
+    }
+
+
+def _medians(results: Sequence[Result]) -> dict[str, Any]:
+    """Medians over the frames that have a pose; of joints by name, found less read where they were read."""
+    quality = [result.quality for result in results if result.quality is not None]
+    joints = list(dict.fromkeys(name for result in results for name in result.joints))
+    changes = {
+        name: [np.degrees(r.joints[name] - r.readings[name]) for r in results if {name} <= {*r.joints} & {*r.readings}]
+        for name in joints
+    }
+    spreads = {
+        name: [std[name] for r in results if (std := r.std_joints_deg) is not None and name in std] for name in joints
+    }
+    return {
+        "iou": _median([q.iou for q in quality]),
+        "contour_px_median": _median([q.contour_px_median for q in quality]),
+        "contour_px_95": _median([q.contour_px_95 for q in quality]),
+        "std_translation_mm": _median([r.std_translation_mm for r in results if r.std_translation_mm is not None]),
+        "std_rotation_deg": _median([r.std_rotation_deg for r in results if r.std_rotation_deg is not None]),
+        "std_joints_deg": {name: _median(values) for name, values in spreads.items()},
+        "found_less_read_deg": {name: _median(values) for name, values in changes.items()},
+    }
+
+
+def _median(values: Sequence[Any]) -> Any:
+    """Median over the first axis, None of nothing."""
+    return np.round(np.median(values, axis=0), _DIGITS).tolist() if len(values) else None
+
+
+def _seconds(results: Sequence[Result]) -> dict[str, float] | None:
+    seconds = [result.seconds for result in results if result.status != "failed"]
+    if not seconds:
+        return None
+    return {
+        "median": round(float(np.median(seconds)), 4),
+        "percentile_95": round(float(np.percentile(seconds, 95)), 4),
+        "slowest": max(seconds),
+        "total": round(sum(seconds), 4),
+    }
