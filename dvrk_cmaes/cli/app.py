@@ -1,4 +1,4 @@
-"""The commands, and how every ending becomes one line and an exit code."""
+"""The command line app: its commands, and the conversion of every error to one line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
 from dvrk_cmaes.cli.export import export
 from dvrk_cmaes.cli.golden import golden
+from dvrk_cmaes.cli.help import help_topic
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.inspect import inspect
 from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.segment import segment
 from dvrk_cmaes.cli.synth import synth
-from dvrk_cmaes.cli.terminal import complain, give_up_stdout, prepare_streams
+from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
-_INTERRUPTED = 130  # as shells have it: 128 + SIGINT
+_INTERRUPTED = 130  # as in shells: 128 + SIGINT
 
 app = App(
     name="dvrk-cmaes",
     help="""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
 
-Try `dvrk-cmaes demo` first. Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.""",
+Try `dvrk-cmaes demo` first; `dvrk-cmaes help` lists the reference pages.
+Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.""",
     version=__version__,
     suppress_keyboard_interrupt=False,
 )
@@ -45,6 +47,7 @@ app.command(pnp)
 app.command(synth)
 app.command(inspect)
 app.command(import_recording, name="import")
+app.command(help_topic, name="help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,23 +61,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CycloptsError as error:
         error.verbose = False
         command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
-        complain(f"{error} (see {command} --help)")
+        print_error(f"{error} (see {command} --help)")
         return InputError.exit_code
     except DvrkCmaesError as error:
-        complain(str(error))
+        print_error(str(error))
         return error.exit_code
     except MemoryError:
-        complain("out of memory: try a smaller image, or fewer --threads")
+        print_error("out of memory: try a smaller image, or fewer --threads")
         return DvrkCmaesError.exit_code
     except KeyboardInterrupt:
-        complain("interrupted")
+        print_error("interrupted")
         return _INTERRUPTED
-    except BrokenPipeError:  # Whoever read our output has had enough, as in ``| head``.
-        give_up_stdout()
+    except BrokenPipeError:  # the reader closed stdout, e.g. ``| head``
+        discard_stdout()
         return DvrkCmaesError.exit_code
-    except OSError as error:  # Reading and writing files have errors of their own: this is stdout on a full disk.
-        complain(f"{error.filename or 'stdout'}: {error.strerror}")
-        if error.filename is not None:  # or a name that the system does not take
+    except OSError as error:  # errors of files are InputError already: this is stdout on a full disk
+        print_error(f"{error.filename or 'stdout'}: {error.strerror}")
+        if error.filename is not None:  # or a file name that the system refuses
             return InputError.exit_code
-        give_up_stdout()
+        discard_stdout()
         return DvrkCmaesError.exit_code

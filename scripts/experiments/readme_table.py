@@ -1,14 +1,15 @@
-"""Put what the experiments showed into README.md, between two marked lines: every claim, and whether it holds.
+"""Write the claims of all experiments, and whether they hold, into data/reference/experiments.md.
 
     python scripts/experiments/readme_table.py
 
-Reads data/experiments/*.json. Quick runs are refused.
+Reads data/experiments/*.json, and replaces what is between two marked lines of the page. Quick runs are refused.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,10 +22,11 @@ from dvrk_cmaes.io.atomic import write_text
 BEGIN: Final = "<!-- experiments: made by scripts/experiments/readme_table.py -->"
 END: Final = "<!-- end of experiments -->"
 ORDER: Final = ("table1", "figure4", "table2", "ablation")
+PAGE: Final = ROOT / "data" / "reference" / "experiments.md"
 
 
 def claims_table(documents: Mapping[str, Mapping[str, Any]], folder: str) -> str:
-    """Lay out the claims of all experiments, and where and when each ran."""
+    """Lay out the claims of all experiments, and where and when each ran; ``folder`` is the links' folder."""
     rows = [
         (
             f"[{document['title'].split(':')[0]}]({folder}/{name}.md)" if k == 0 else "",
@@ -50,9 +52,9 @@ def claims_table(documents: Mapping[str, Mapping[str, Any]], folder: str) -> str
     )
 
 
-def with_table(readme: str, text: str) -> str | None:
-    """Replace what is between the marked lines of a README, or say by None that it has none."""
-    before, begin, rest = readme.partition(BEGIN)
+def with_table(page: str, text: str) -> str | None:
+    """Replace what is between the marked lines of a page; None if it does not have them."""
+    before, begin, rest = page.partition(BEGIN)
     _, end, after = rest.partition(END)
     return f"{before}{BEGIN}\n\n{text}\n\n{END}{after}" if begin and end else None
 
@@ -60,7 +62,7 @@ def with_table(readme: str, text: str) -> str | None:
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=OUT, metavar="DIR", help="folder of the experiments' JSON")
-    parser.add_argument("--readme", type=Path, default=ROOT / "README.md", metavar="FILE", help="file to change")
+    parser.add_argument("--page", type=Path, default=PAGE, metavar="FILE", help="file to change")
     given = parser.parse_args(arguments)
     paths = [given.results / f"{name}.json" for name in ORDER]
     missing = [path for path in paths if not path.exists()]
@@ -70,14 +72,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     quick = [name for name, document in documents.items() if document["ran"]["quick"]]
     if quick:
         return _complain(f"{given.results / quick[0]}.json: expected a full run, got a quick one")
-    try:
-        folder = given.results.resolve().relative_to(given.readme.resolve().parent).as_posix()
-    except ValueError:
-        folder = given.results.as_posix()
-    changed = with_table(given.readme.read_text(encoding="utf-8"), claims_table(documents, folder))
+    folder = Path(os.path.relpath(given.results.resolve(), given.page.resolve().parent)).as_posix()
+    changed = with_table(given.page.read_text(encoding="utf-8"), claims_table(documents, folder))
     if changed is None:
-        return _complain(f"{given.readme}: expected the lines {BEGIN} and {END}, got none; nothing changed")
-    write_text(given.readme, changed)
+        return _complain(f"{given.page}: expected the lines {BEGIN} and {END}, got none; nothing changed")
+    write_text(given.page, changed)
     return 0
 
 

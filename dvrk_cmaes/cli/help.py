@@ -1,0 +1,74 @@
+"""``dvrk-cmaes help``: print the reference pages that are shipped with the package."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from dvrk_cmaes.cli.terminal import Line, show
+from dvrk_cmaes.errors import InputError, nearest_first
+
+_LARGEST = 1_000_000  # bytes
+_RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+://)[^)]*\)")
+
+
+def help_topic(topic: str | None = None, /) -> int:
+    """Print a reference page; without a topic, list the topics.
+
+    On a terminal the page is formatted; a pipe or a file gets its Markdown text. Exit codes: 0 ok, 2 unknown topic.
+
+    Examples
+    --------
+    `dvrk-cmaes help results`
+
+    Parameters
+    ----------
+    topic
+        Name of the page.
+    """
+    pages = topic_pages()
+    if topic is None:
+        show(_listing(pages))
+        return 0
+    if topic not in pages:
+        from dvrk_cmaes.io.short_text import shown
+
+        names = ", ".join(nearest_first(topic[:60], pages))
+        raise InputError(f"help: expected one of the topics {names}, got {shown(topic)}")
+    _print_markdown(_read(pages[topic]))
+    return 0
+
+
+def topic_pages() -> dict[str, Path]:
+    """Return the paths of the reference pages by topic, sorted by name."""
+    from dvrk_cmaes.io.bundled import bundled_path
+
+    return {path.stem: path for path in sorted(bundled_path("reference").glob("*.md"))}
+
+
+def _listing(pages: Mapping[str, Path]) -> Iterator[Line]:
+    """Give one line for each topic: its name and the title of its page."""
+    yield Line("Topics of dvrk-cmaes help TOPIC", "bold")
+    width = max(map(len, pages), default=0)
+    for topic, path in pages.items():
+        title = _read(path).partition("\n")[0].removeprefix("# ")
+        yield Line(f"  {topic:<{width}s}  {title}")
+
+
+def _read(path: Path) -> str:
+    from dvrk_cmaes.io.files import read_text
+
+    return read_text(path, expected="a reference page (Markdown)", largest=_LARGEST)
+
+
+def _print_markdown(text: str) -> None:
+    """Print Markdown formatted if stdout is a terminal, unchanged otherwise; a terminal gets relative links as text."""
+    if not sys.stdout.isatty():
+        print(text, end="")
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console().print(Markdown(_RELATIVE_LINK.sub(r"\1", text)))
