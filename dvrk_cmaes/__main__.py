@@ -1,4 +1,4 @@
-"""``python -m dvrk_cmaes``: the command line where the script is not on the path."""
+"""Entry point of ``python -m dvrk_cmaes``, equivalent to the command ``dvrk-cmaes``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All settings of an estimate, one tree of frozen dataclasses; the resolved tree is written into every result."""
+"""Settings of `estimate`: a tree of frozen dataclasses, which is also written into every result."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class ReadingSpread:
-    """Standard deviations of joint readings, in degrees: how far a cable-driven joint may be off."""
+class ReadingSigmas:
+    """Standard deviations of the errors of joint readings, in degrees.
+
+    ``other_deg`` holds for joints of other instruments, whose names have no field of their own.
+    """
 
     wrist_pitch_deg: float = 10.0
     wrist_yaw_deg: float = 10.0
@@ -18,19 +21,39 @@ class ReadingSpread:
     other_deg: float = 10.0
 
     def of(self, joint: str) -> float:
-        """Return the standard deviation of one joint's reading, in degrees."""
+        """Return the standard deviation of the reading of a joint, in degrees."""
         return float(getattr(self, f"{joint}_deg", self.other_deg))
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """The global search.
+    """Settings of the global search.
 
-    ``samples`` LookAt candidates are scored on images ``width_px`` wide, of meshes without details below ``detail_m``;
-    the ``starts`` best that differ are each searched by ``method`` with ``evaluations`` of the loss; ``spares`` more go
-    on to the refinement as they are. Of the candidates, ``free_share`` ignore the shaft's edges and ``unread_share``
-    the readings; ``unread_spares`` of these go on whatever the readings say: should the readings be wrong, the outline
-    must be able to tell.
+    Attributes
+    ----------
+    method
+        Optimiser that runs from each start.
+    samples
+        Number of random candidate poses that are scored first.
+    starts
+        Number of distinct best candidates from which the optimiser runs.
+    evaluations
+        Evaluations of the loss in each run of the optimiser.
+    spares
+        Number of next best distinct candidates that are refined without a run of the optimiser.
+    width_px
+        Approximate width of the images in which losses are computed.
+    detail_m
+        Cell size of the mesh decimation for these images.
+    use_edges
+        Whether candidates are drawn from the shaft's edges in the mask, where these are found.
+    free_share
+        Fraction of the candidates that are drawn from the LookAt space without using the shaft's edges.
+    unread_share
+        Fraction of the candidates whose joints are drawn uniformly within their limits instead of around the readings.
+    unread_spares
+        Number of the latter, the best by the loss without its readings term, that are refined as well, so that the
+        outline can contradict wrong readings.
     """
 
     method: str = "cmaes"
@@ -48,10 +71,10 @@ class SearchConfig:
 
 @dataclass(frozen=True)
 class LookAtRange:
-    """Limits of LookAt samples: angles in rad, distance in m.
+    """Limits of LookAt candidates.
 
-    The shaft points away from the camera plane, so alpha and gamma stay below 90 degrees; the turn about the shaft,
-    beta, is free.
+    The root's z axis points away from the camera, so the magnitudes of the angles alpha and gamma are at most ``tilt``,
+    rad, below 90 degrees. The angle beta about the shaft is unlimited. The distance is between ``near`` and ``far``, m.
     """
 
     tilt: float = math.radians(80)
@@ -61,11 +84,25 @@ class LookAtRange:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights l1 to l5 of the paper's losses, and that of the readings.
+    """Weights of the terms of the loss: lambda 1 to 5 of the paper, and that of the readings.
 
-    Silhouette terms are per pixel of the mask. Jaw tips found on a mask are often something else: they count
-    ``found_tips`` times what given ones do. ``line_offset`` (1/px) makes an edge's shift comparable with its turn
-    in rad. Chosen by the ablation on made frames.
+    The values were chosen by the ablation on synthetic frames.
+
+    Attributes
+    ----------
+    mse, dist, scale
+        Of the silhouette terms, which are divided by the area of the mask.
+    cylinder
+        Of the shaft's edges.
+    keypoints
+        Of the jaw tips, per px.
+    found_tips
+        Factor on ``keypoints`` for jaw tips that were found in the mask instead of given, because these are less
+        reliable.
+    readings
+        Of the squared deviations from readings and joint limits, in standard deviations.
+    line_offset
+        Weight of the offset of a shaft edge relative to its angle, rad/px.
     """
 
     mse: float = 1.0
@@ -80,14 +117,31 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class OutlineConfig:
-    """How the outline is fitted.
+    """Settings of the Gauss-Newton refinement on the outline.
 
-    ``blur`` px of the level's image; ``cauchy`` is the coverage difference beyond which a residual counts less,
-    ``small_cauchy`` that on smaller images, ``last_cauchy`` that of the last steps at full size, when all but a
-    segmenter's mistakes is small; ``correlation`` px of outline make one measurement until the frame's own length is
-    known; ``noise_floor`` px, the least error an outline is given; ``keypoint_sigma`` px of given tips; ``tolerance``
-    in standard deviations, below which a step is the last. ``steps`` are those of the differences: along the root's
-    axes, m, about them, rad, and of the joints, rad.
+    Attributes
+    ----------
+    iterations
+        Largest number of iterations.
+    blur
+        Standard deviation of the Gaussian blur of coverage and mask, px of the image at the current size.
+    lines_per_pixel
+        Image lines per pixel row on which the coverage is computed.
+    cauchy, small_cauchy, last_cauchy
+        Scale of the Cauchy loss, as a difference of coverage: at full image size, at smaller sizes, and in the last
+        iterations at full size, in which only segmentation errors leave large residuals.
+    correlation
+        Length of outline, px, that counts as one independent measurement until the frame's own correlation length is
+        estimated.
+    noise_floor
+        Least standard deviation of the outline, px.
+    keypoint_sigma
+        Standard deviation of given jaw tips, px.
+    translation_step, swing_step, turn_step, joint_step
+        Steps of the central differences at full image size: along the root's axes, m; about its x and y axes, rad;
+        about its z axis, rad; of the joints, rad.
+    tolerance
+        Length of a step, in standard deviations per parameter, below which the refinement stops.
     """
 
     iterations: int = 40
@@ -108,10 +162,24 @@ class OutlineConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """The local refinement: ``method`` and, for all but Gauss-Newton, its ``evaluations`` of the loss.
+    """Settings of the local refinement, from coarse to fine.
 
-    All candidates are refined by ``first_steps`` steps on the search's small images, ``small_modes`` modes by
-    ``small_steps`` more there, ``half_size_modes`` at half the image size and ``modes`` at full size.
+    Attributes
+    ----------
+    method
+        Method at full image size. Gauss-Newton is always used at smaller sizes.
+    evaluations
+        Evaluations of the loss, for methods other than Gauss-Newton.
+    first_steps
+        Gauss-Newton iterations for all candidates, at the image size of the search.
+    small_modes, small_steps
+        Number of best modes that are kept after that, and largest number of further iterations at the same size.
+    half_size_modes
+        Number of best modes that are refined at half the image size.
+    modes
+        Number of best modes that are refined at full image size.
+    outline
+        Settings of the Gauss-Newton refinement.
     """
 
     method: str = "gauss-newton"
@@ -126,14 +194,29 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class TrustConfig:
-    """Thresholds beyond which a result is doubtful, set on made frames of all levels and on falsified ones.
+    """Thresholds beyond which a result is doubtful.
 
-    ``least_iou``: overlap of silhouette and mask. ``largest_contour_px``: what 95 % of the mask's contour must be
-    within. ``largest_bend_px`` and ``largest_bend_share`` of the shaft's width, of which the larger holds: how far the
-    silhouette may bend along a straight line that ends the mask. ``least_score_gap``: log-likelihood by which
-    another mode must be worse; ``largest_outline_gap``: by which the outline alone may prefer one.
-    ``largest_reading_sigmas``: deviation of one joint from its reading; ``largest_reading_sum``: squared deviations of
-    all. ``unobservable_share``: of a reading's spread, for a joint's standard deviation.
+    The values were set on synthetic frames of all levels and on falsified frames.
+
+    Attributes
+    ----------
+    least_iou
+        Least intersection over union of silhouette and mask.
+    largest_contour_px
+        Largest 95th percentile of the distances from the mask's contour to the silhouette's outline.
+    largest_bend_px, largest_bend_share
+        Largest deviation of the silhouette from a straight line along a straight edge that ends the mask: the larger of
+        ``largest_bend_px`` and ``largest_bend_share`` times the width of the shaft in the image.
+    least_score_gap
+        Least difference of the negative log-likelihood to every other mode.
+    largest_outline_gap
+        Largest difference of the negative log-likelihood of the outline alone by which another mode may be better.
+    largest_reading_sigmas
+        Largest deviation of a joint from its reading, in standard deviations of the reading.
+    largest_reading_sum
+        Largest sum of the squares of these deviations over all joints.
+    unobservable_share
+        Largest standard deviation of a joint, in standard deviations of its reading.
     """
 
     least_iou: float = 0.85
@@ -149,18 +232,38 @@ class TrustConfig:
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """How the frames of a session are solved together.
+    """Settings of the joint calibration of a session.
 
-    Standard deviations of a reading from frame to frame, once the session's offset is taken out: ``arm_deg`` of the
-    outer yaw and pitch, ``insertion_mm``, ``roll_deg``, ``wrist_deg``, ``jaw_deg``. They are a start, as strong as
-    ``spread_frames`` frames against what the session shows; the arm's may grow up to ``arm_growth`` times, the
-    cable-driven joints' up to ``cable_growth`` times. A joint that is farther off than ``tail`` times its spread is
-    taken for a slip of that frame. ``slack_mm`` and ``slack_deg`` are the root's own, for what joints do not explain.
-    Offsets are expected within ``insertion_offset_mm``, ``roll_offset_deg``, and those of the instrument's joints
-    within their readings' spread. Frames and session are solved in turn for ``rounds``; in the first, frames may be
-    ``loosened`` times as far off, and turned about the shaft by ``turn_deg`` either way to start with; ``cauchy`` is
-    the outline's robust loss. A frame whose squared misfit per degree of freedom is above ``largest_misfit`` is left
-    out; one that a session's prediction explains as well is not searched anew.
+    Attributes
+    ----------
+    arm_deg, insertion_mm, roll_deg, wrist_deg, jaw_deg
+        Initial standard deviations of the errors of readings within a session, after subtraction of the session's
+        offsets: of the outer yaw and pitch, of insertion, roll, the wrist's joints and the jaw.
+    spread_frames
+        Weight of these initial values in the estimated variances, as a number of frames.
+    arm_growth, cable_growth
+        Largest factors on the initial standard deviations: of the outer yaw and pitch (half of it for insertion), and
+        of roll, the wrist's joints and the jaw.
+    tail
+        Deviation of a joint in one frame, in standard deviations, beyond which its standard deviation is increased in
+        that frame.
+    slack_mm, slack_deg
+        Standard deviations of the root's position along each axis and its rotation about each axis that no joint
+        explains.
+    insertion_offset_mm, roll_offset_deg
+        Standard deviations of the offsets of insertion and roll. Those of the instrument's joints are the standard
+        deviations of their readings, ``readings``.
+    rounds
+        Number of iterations that alternate between fitting the frames and solving for the calibration.
+    loosened
+        Factor on the standard deviations of the predicted poses in the first iteration; it decreases to 1.
+    turn_deg
+        Rotation about the shaft, in both directions, of additional starting poses in the first iterations.
+    cauchy
+        Scale of the Cauchy loss of the outline, as a difference of coverage.
+    largest_misfit
+        Squared misfit per degree of freedom above which a frame disagrees with the session. A new frame below it, whose
+        mask the predicted pose explains, is not searched globally.
     """
 
     arm_deg: float = 0.1
@@ -185,16 +288,27 @@ class SessionConfig:
 
 @dataclass(frozen=True)
 class EstimateConfig:
-    """Settings of `estimate`; ``field`` is the distance field's method, ``decay`` (px) its length.
+    """All settings of `estimate`.
 
-    More than one of ``threads`` only pays where images are large: on a frame's many small ones they wait for each other
-    at the interpreter's lock. A folder's frames go to processes instead.
+    Attributes
+    ----------
+    search, refine, weights, readings, lookat, trust, session
+        Settings of the single stages.
+    distance_field
+        Method of the distance field: ``fmm``, ``exact`` or ``chamfer``.
+    decay_px
+        Distance, px, over which the distance field of the loss increases by one.
+    threads
+        Number of threads. More than one is faster only for large images; with the small images of the search, threads
+        wait for Python's global interpreter lock. To use several cores for many frames, run several processes.
+    seed
+        Seed of all random numbers.
     """
 
     search: SearchConfig = field(default_factory=SearchConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     weights: LossWeights = field(default_factory=LossWeights)
-    readings: ReadingSpread = field(default_factory=ReadingSpread)
+    readings: ReadingSigmas = field(default_factory=ReadingSigmas)
     lookat: LookAtRange = field(default_factory=LookAtRange)
     trust: TrustConfig = field(default_factory=TrustConfig)
     session: SessionConfig = field(default_factory=SessionConfig)
@@ -204,5 +318,5 @@ class EstimateConfig:
     seed: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the whole tree as plain dictionaries."""
+        """Return all settings as nested dictionaries."""
         return dataclasses.asdict(self)

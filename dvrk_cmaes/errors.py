@@ -1,7 +1,7 @@
-"""Errors a person can act on.
+"""Exceptions of the package.
 
-Every error carries the exit code that the command line ends with. Messages are one line that names the
-file, the field and what was expected.
+Each has the exit code of the command line. Its message is one line that names the file, the field and what was
+expected.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from collections.abc import Iterable
 
 
 class DvrkCmaesError(Exception):
-    """Base of all errors raised on purpose: the work could not be done (exit code 1)."""
+    """Base class of the package's exceptions: a failure other than wrong input (exit code 1)."""
 
     exit_code = 1
 
 
 class InputError(DvrkCmaesError):
-    """Wrong usage or input (exit code 2): the message says where, which field, and what was expected."""
+    """Wrong usage or input (exit code 2); the message names the file, the field and what was expected."""
 
     exit_code = 2
 
 
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:
-    """Sort the known names by likeness to a mistyped one, the most alike first."""
+    """Sort known names by their similarity to a mistyped name, most similar first."""
     return sorted(known, key=lambda k: -difflib.SequenceMatcher(None, name, k).ratio())
 
 
@@ -31,7 +31,7 @@ _LONGEST = 200
 
 
 def one_line(error: BaseException) -> str:
-    """Return what an error says on one line, at most 200 characters long; its kind if it says nothing."""
+    """Return the message of an exception as one line of at most 200 characters; the class name if it has none."""
     text = " ".join(str(error).split())
     if isinstance(error, KeyError):
         text = f"{text} is missing"

@@ -1,4 +1,4 @@
-"""The one function that wires the stages: from a mask, a camera and joint readings to a pose with its trust."""
+"""The package's main function: the pose of the instrument from a mask, a camera and joint readings."""
 
 from __future__ import annotations
 
@@ -10,23 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.prediction import SessionPose, try_session
+from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import describe_limits, reading_distance, split_readings
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.evidence.joint_prior import describe_limits, split_readings
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.quality import judge, measure_quality
-from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
-from dvrk_cmaes.pose.search.global_search import find_candidates
-from dvrk_cmaes.results.result import Alternative, Result
+from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
+from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.prepare import lightened, prepare
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.silhouette.prepare import decimated_body, prepare
 
 
 def estimate(
@@ -45,7 +40,7 @@ def estimate(
 ) -> Result:
     """Estimate the pose of the instrument in the camera and its true joint values from one mask.
 
-    Safe to call from several threads; touches no files but those of an instrument given by name.
+    May be called from several threads at once. Reads no files, except those of an instrument that is given by name.
 
     Parameters
     ----------
@@ -54,8 +49,8 @@ def estimate(
     camera
         Intrinsics and distortion.
     joints
-        Readings by name, rad (insertion in m): evidence with a spread, not the truth. Any may be missing. The outer
-        arm's yaw, pitch, insertion and roll, if all are given, yield ``camera_from_base``.
+        Readings by joint name, rad (insertion: m), used as measurements with a standard deviation. Any may be missing.
+        The outer joints yaw, pitch, insertion and roll, if all are given, yield ``camera_from_base``.
     instrument
         A bundled instrument's name, a URDF's path, a loaded `Instrument`, or a prepared `Body`.
     ignore
@@ -65,118 +60,69 @@ def estimate(
     arm
         ``classic`` or ``si``: the kinematics of the outer arm.
     session
-        The calibration of the session that the frame belongs to: what it expects is tried first, and if that explains
-        the mask, nothing else is. Its arm holds, then, and ``camera_from_base`` has the joints' offsets taken out.
+        Calibration of the session that the frame belongs to. The pose that it predicts is refined first; only if that
+        does not explain the mask is the frame searched as without a session. Where the prediction holds, the
+        calibration's arm is used instead of ``arm``, and ``camera_from_base`` is computed with the joints' offsets.
     frame, warnings
-        Written into the result.
+        The frame's name and warnings to add; both are copied into the result.
     config
-        All settings; the defaults suit a 640 x 480 endoscope.
+        All settings. The defaults are chosen for images of 640 x 480 pixels.
 
     Returns
     -------
     Result
-        Pose, joints, quality, covariance, alternatives; ``doubtful`` with reasons where the evidence does not suffice.
+        Pose, joints, quality, covariance and alternatives. Its status is ``doubtful``, with reasons, where the
+        evidence does not determine the pose.
 
     Raises
     ------
     InputError
-        Wrong sizes, an empty or full mask, an unknown joint, arm, search or refinement, values that are not finite,
-        settings that make no sense.
+        Arrays of the wrong size, an empty or full mask, an unknown joint, arm, search or refinement method, values
+        that are not finite, or settings outside their range.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    light = lightened(body, settings.search.detail_m)
+    decimated = decimated_body(body, settings.search.detail_m)
     started = time.perf_counter()
-    model = body.instrument
-    given = dict(joints or {})
+    model, given = body.instrument, dict(joints or {})
     readings, unused, outside = split_readings(model, given, settings)
-    outer = [given.get(name) for name in OUTER_JOINTS]
-    tips = None if keypoints is None else np.asarray(keypoints, dtype=np.float64)
-    mask = np.asarray(mask, dtype=np.bool_)
-    ignored = None if ignore is None else np.asarray(ignore, dtype=np.bool_)
-    evidence = gather_evidence(mask, camera, model, ignore=ignored, keypoints=tips, seed=settings.seed)
-
-    renderer = Renderer(body, camera, threads=settings.threads)
-    notes: list[str] = []
-    if session is not None:
-        known = try_session(session, renderer, evidence, readings, given, settings)
-        if isinstance(known, SessionPose):
-            return Result(
-                frame=frame,
-                status="doubtful" if known.doubts else "ok",
-                reasons=known.doubts,
-                instrument=model.name,
-                root_link=model.root_link,
-                camera_from_root=known.camera_from_root,
-                joints=dict(zip(model.joint_names, known.joints.tolist(), strict=True)),
-                readings=given,
-                warnings=(*warnings, *outside),
-                unused=(*evidence.unused, *unused),
-                camera_from_base=known.camera_from_base,
-                source="session",
-                quality=known.quality,
-                covariance=known.covariance,
-                seconds=time.perf_counter() - started,
-                evaluations=known.evaluations + renderer.poses,
-                rays=known.rays + renderer.rays,
-                seed=settings.seed,
-                version=__version__,
-                config={**settings.as_dict(), "instrument": describe_limits(model, session.arm)},
-            )
-        notes.append(known)
-    coarse = Renderer(light, camera, threads=settings.threads)
-    candidates, search = find_candidates(coarse, evidence, readings, settings)
-    local = LocalSearch(renderer, coarse, evidence, readings, settings)
-    modes = local.refine(candidates)
-    best = modes[0]
-
-    qualities, confirming = measure_quality(
-        renderer,
-        evidence,
-        readings,
-        modes,
-        settings.weights,
-        decay=settings.decay_px,
-        field=settings.distance_field,
+    evidence = gather_evidence(
+        np.asarray(mask, dtype=np.bool_),
+        camera,
+        model,
+        ignore=None if ignore is None else np.asarray(ignore, dtype=np.bool_),
+        keypoints=None if keypoints is None else np.asarray(keypoints, dtype=np.float64),
+        seed=settings.seed,
     )
-    reasons = judge(best, modes, qualities[0], evidence, readings, model, settings.trust)
-    covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
-    names = model.joint_names
-
-    def alternative(i: int) -> Alternative:
-        mode = modes[i]
-        return Alternative(
-            camera_from_root=mode.camera_from_root,
-            joints=dict(zip(names, mode.joints.tolist(), strict=True)),
-            loss=qualities[i].loss,
-            iou=qualities[i].iou,
-            relation="mirror twin" if model.has_twin and is_twin(model, best, mode) else "other mode",
-            reading_distance_deg=reading_distance(readings, mode.joints),
-        )
-
-    base = None
-    if all(value is not None for value in outer):
-        reached = base_from_root(np.array(outer, dtype=np.float64), arm, roll_offset=model.roll_offset)
-        base = np.asarray(best.camera_from_root @ inverse(reached))
+    renderer = Renderer(body, camera, threads=settings.threads)
+    predicted = None if session is None else fit_session_pose(session, renderer, evidence, readings, given, settings)
+    source: Source
+    if session is not None and isinstance(predicted, FoundPose):
+        found, source, arm = predicted, "session", session.arm
+        base = found.camera_from_base
+    else:
+        found, source = find_pose(renderer, decimated, evidence, readings, settings), "frame"
+        base = find_camera_from_base(found.camera_from_root, given, arm, roll_offset=model.roll_offset)
     return Result(
         frame=frame,
-        status="doubtful" if reasons else "ok",
-        reasons=tuple(reasons),
+        status="doubtful" if found.reasons else "ok",
+        reasons=found.reasons,
         instrument=model.name,
         root_link=model.root_link,
-        camera_from_root=best.camera_from_root,
-        joints=dict(zip(names, best.joints.tolist(), strict=True)),
+        camera_from_root=found.camera_from_root,
+        joints=dict(zip(model.joint_names, found.joints.tolist(), strict=True)),
         readings=given,
-        warnings=(*warnings, *outside, *notes),
+        warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ())),
         unused=(*evidence.unused, *unused),
         camera_from_base=base,
-        quality=qualities[0],
-        covariance=covariance,
-        alternatives=tuple(alternative(i) for i in range(1, len(modes))),
+        source=source,
+        quality=found.quality,
+        covariance=found.covariance,
+        alternatives=found.alternatives,
         seconds=time.perf_counter() - started,
-        evaluations=search.evaluations + local.silhouettes + renderer.poses,
-        rays=search.renderer.rays + local.rays + renderer.rays + confirming,
+        evaluations=found.evaluations,
+        rays=found.rays,
         seed=settings.seed,
         version=__version__,
         config={**settings.as_dict(), "instrument": describe_limits(model, arm)},

@@ -1,4 +1,4 @@
-"""Rigid transforms as 4 x 4 arrays, batched. Names say the direction: ``a_from_b`` maps points of b into a."""
+"""Rigid transforms as (..., 4, 4) arrays. A transform named ``a_from_b`` maps points in frame b to frame a."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Float64 = NDArray[np.float64]
 
 
 def _skew(v: Float64) -> Float64:
-    """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
     out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
@@ -18,7 +18,7 @@ def _skew(v: Float64) -> Float64:
 
 
 def exp_rotation(rotvec: ArrayLike) -> Float64:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
+    """Convert rotation vectors (..., 3), rad, to rotation matrices (..., 3, 3) by Rodrigues' formula."""
     v = np.asarray(rotvec, dtype=np.float64)
     squared = (v * v).sum(axis=-1)[..., None, None]
     angle = np.sqrt(squared)
@@ -31,9 +31,10 @@ def exp_rotation(rotvec: ArrayLike) -> Float64:
 
 
 def log_rotation(rotation: ArrayLike) -> Float64:
-    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); of at most half a turn."""
+    """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad, of length at most pi."""
     r = np.asarray(rotation, dtype=np.float64)
-    # Half the quaternion's terms squared; the largest of them divides, so that nothing small is divided by.
+    # Row k is the unit quaternion times four times its component k. Normalising the row of the largest component
+    # avoids division by small numbers.
     x, y, z = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     a, b, c = r[..., 2, 1], r[..., 0, 2], r[..., 1, 0]
     d, e, f = r[..., 1, 2], r[..., 2, 0], r[..., 0, 1]
@@ -57,7 +58,7 @@ def log_rotation(rotation: ArrayLike) -> Float64:
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
-    """(..., 4, 4) from rotations (..., 3, 3) and translations (..., 3), m."""
+    """Build transforms (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3), m."""
     r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     shape = np.broadcast_shapes(r.shape[:-2], t.shape[:-1])
     out = np.zeros((*shape, 4, 4))
@@ -66,19 +67,19 @@ def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
 
 
 def moved(pose: Float64, change: ArrayLike) -> Float64:
-    """Poses (..., 4, 4) after small changes (..., 6) = [tx ty tz rx ry rz] in the moved body's own axes, m and rad."""
+    """Apply small changes (..., 6) = [tx ty tz rx ry rz], m and rad, in the body's own axes, to poses (..., 4, 4)."""
     c = np.asarray(change, dtype=np.float64)
     return np.asarray(pose @ transform(exp_rotation(c[..., 3:6]), c[..., :3]))
 
 
 def change_between(pose: Float64, other: Float64) -> Float64:
-    """Small changes (..., 6) = [tx ty tz rx ry rz] that lead from one pose to another: ``moved(pose, change)``."""
-    apart = inverse(pose) @ other
-    return np.concatenate([apart[..., :3, 3], log_rotation(apart[..., :3, :3])], axis=-1)
+    """Compute the small changes (..., 6) = [tx ty tz rx ry rz] with ``moved(pose, change) == other``."""
+    relative = inverse(pose) @ other
+    return np.concatenate([relative[..., :3, 3], log_rotation(relative[..., :3, :3])], axis=-1)
 
 
-def shift_of_change(pose: Float64) -> Float64:
-    """Adjoint (..., 6, 6) of poses ``a_from_b``: a small change [t, r] in b's axes, written in a's."""
+def adjoint(pose: Float64) -> Float64:
+    """Return the adjoint (..., 6, 6) of poses ``a_from_b``: it converts small changes [t, r] in b's axes to a's."""
     r, t = pose[..., :3, :3], pose[..., :3, 3]
     out = np.zeros((*pose.shape[:-2], 6, 6))
     out[..., :3, :3] = out[..., 3:, 3:] = r
@@ -87,25 +88,30 @@ def shift_of_change(pose: Float64) -> Float64:
 
 
 def apply(target_from_source: Float64, points: Float64) -> Float64:
-    """Map points (..., N, 3), m, of the source frame into the target frame; the transform is (4, 4) or (..., 4, 4)."""
+    """Map points (..., 3), m, from the source frame into the target frame.
+
+    ``target_from_source`` is one transform (4, 4), or one (..., 4, 4) for each set of points (..., N, 3).
+    """
     rotation = np.swapaxes(target_from_source[..., :3, :3], -1, -2)
-    return np.asarray(points @ rotation + target_from_source[..., None, :3, 3])
+    single = target_from_source.ndim == 2
+    translation = target_from_source[:3, 3] if single else target_from_source[..., None, :3, 3]
+    return np.asarray(points @ rotation + translation)
 
 
 def inverse(pose: Float64) -> Float64:
-    """Inverse of rigid transforms (..., 4, 4)."""
+    """Invert rigid transforms (..., 4, 4)."""
     r = np.swapaxes(pose[..., :3, :3], -1, -2)
     return transform(r, -(r @ pose[..., :3, 3:])[..., 0])
 
 
 def rotation_angle(a: Float64, b: Float64) -> Float64:
-    """Angle in rad between the rotations of two poses or rotations, (..., 3+, 3+)."""
+    """Compute the angle, rad, (...), between two rotations (..., 3, 3) or between those of two poses (..., 4, 4)."""
     trace = np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3])
     return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
 def frame_along(direction: ArrayLike) -> Float64:
-    """Rotations (..., 3, 3) whose z axis is each unit vector (..., 3); the turn about it is arbitrary but fixed."""
+    """Return rotations (..., 3, 3) whose z axes are unit vectors (..., 3); the x axis is a fixed function of z."""
     z = np.asarray(direction, dtype=np.float64)
     helper = np.where(np.abs(z[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     x = np.cross(helper, z)
@@ -114,7 +120,7 @@ def frame_along(direction: ArrayLike) -> Float64:
 
 
 def rotation_about_z(angle: ArrayLike) -> Float64:
-    """Rotations (..., 3, 3) about z by angles (...), rad."""
+    """Return rotations (..., 3, 3) about z by angles (...), rad."""
     a = np.asarray(angle, dtype=np.float64)
     zero = np.zeros_like(a)
     return exp_rotation(np.stack([zero, zero, a], axis=-1))

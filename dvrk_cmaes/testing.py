@@ -1,11 +1,12 @@
-"""For tests of programs that use this one: that a pose is still what it was.
+"""Assertion for test suites: a result's pose and joints agree with a known pose.
 
     from dvrk_cmaes.testing import assert_pose_close, read_golden
 
     golden = read_golden("session/golden.json").frames["0001"]
     assert_pose_close(result, golden, instrument=body.instrument, tip_mm=1.0)
 
-``dvrk-cmaes golden record`` writes such a golden.json, and ``golden check`` does the same for all frames of a session.
+``dvrk-cmaes golden record`` writes such a golden.json. ``dvrk-cmaes golden check`` makes the same comparison for all
+frames of a session.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from dvrk_cmaes.results.result import Result
 
 __all__ = ["FrameTruth", "SessionTruth", "assert_pose_close", "read_golden"]
 
-_USUAL = Tolerance()
+_DEFAULT = Tolerance()
 
 
 def assert_pose_close(
@@ -28,41 +29,41 @@ def assert_pose_close(
     golden: FrameTruth | Result,
     *,
     instrument: Instrument | str | Path,
-    root_mm: float = _USUAL.root_mm,
-    tip_mm: float = _USUAL.tip_mm,
-    shaft_deg: float = _USUAL.shaft_deg,
-    roll_deg: float = _USUAL.roll_deg,
-    pitch_yaw_deg: float = _USUAL.pitch_yaw_deg,
-    jaw_deg: float = _USUAL.jaw_deg,
+    root_mm: float = _DEFAULT.root_mm,
+    tip_mm: float = _DEFAULT.tip_mm,
+    shaft_deg: float = _DEFAULT.shaft_deg,
+    roll_deg: float = _DEFAULT.roll_deg,
+    pitch_yaw_deg: float = _DEFAULT.pitch_yaw_deg,
+    jaw_deg: float = _DEFAULT.jaw_deg,
     modulo_twin: bool = False,
 ) -> None:
-    """Assert that a result's pose and joints are those expected, within tolerances.
+    """Assert that a result's pose and joints agree with the expected ones within tolerances.
 
     Parameters
     ----------
     result
-        What was found.
+        The estimated result.
     golden
-        What is expected: a frame of a golden.json, or an earlier result.
+        The expected pose: a frame of a golden.json, or an earlier result.
     instrument
-        The instrument, or as `load_instrument` takes it: a bundled one's name, or the path of a URDF.
+        The instrument, or the name of a bundled one or the path of a URDF, as for `load_instrument`.
     root_mm, tip_mm
-        Largest distances, mm, of the root's origin, and of the jaw tips (mean of both; not looked at without jaws).
+        Largest distances, mm, of the root's origin and of the jaw tips (mean of both; not compared without jaws).
     shaft_deg, roll_deg
-        Largest angles, degrees, between the shafts' directions, and of the turn about the shaft.
+        Largest angles, degrees, between the shaft directions and of the rotation about the shaft.
     pitch_yaw_deg, jaw_deg
-        Largest differences, degrees, of the jaw and of all other joints.
+        Largest differences, degrees, of all joints except the jaw, and of the jaw.
     modulo_twin
-        Take the mirror twin of the golden pose (roll half a turn further, wrist pitch and yaw negated) as right, too.
+        Accept the mirror twin of the golden pose as well.
 
     Raises
     ------
     AssertionError
-        With a table of what was found, what was expected, the error and what was allowed.
+        The pose does not agree; the message is a table of found and expected values, errors and tolerances.
     ValueError
-        The golden pose is a result without a pose.
+        ``golden`` is a result without a pose.
     """
-    __tracebackhide__ = True  # pytest then shows the test, not this function
+    __tracebackhide__ = True  # pytest hides this function in the traceback
     if isinstance(golden, Result):
         if golden.camera_from_root is None:
             raise ValueError(f"golden: expected a pose, got frame {golden.frame}, which {golden.status}")

@@ -1,4 +1,4 @@
-"""One arm, one camera: a session's frames solved together, for one camera_from_base and the joints' offsets."""
+"""Calibration of a session: one camera_from_base and the joints' offsets, estimated from all its frames."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""A session on its way to its calibration: frames and session in turn, until they have settled.
+"""Alternating estimation of a session's calibration and of its frames' poses.
 
-First the base that most frames' modes agree on, and what is wrong with the session as a whole; then rounds: each frame
-on its own outline as the session expects it, and the session from what all outlines say; then a report on each frame.
+`Alternation.initialise` finds the camera_from_base that most frames' modes agree on, and faults of the session as a
+whole. `Alternation.iterate` then alternates: each frame is fitted to its outline with the session's prediction as a
+prior, and the calibration is estimated from all fits. `Alternation.report` makes each frame's result and leave-one-out
+prediction.
 """
 
 from __future__ import annotations
@@ -14,18 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
-from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_lag, find_move, shifted
-from dvrk_cmaes.calibration.frame_fit import FrameView, PoseAndJoints
-from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, ReportTask, SessionFrame, fit_task, report_task
-from dvrk_cmaes.calibration.model import SessionModel, Spreads, outer_readings
-from dvrk_cmaes.calibration.solve import FrameViews, deviations, solve, without
-from dvrk_cmaes.calibration.variances import learn_spreads
+from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_lag, find_move, shift_readings
+from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints
+from dvrk_cmaes.calibration.frame_task import (
+    FitTask,
+    FrameReport,
+    ReportTask,
+    SessionFrame,
+    fit_task,
+    gather_task,
+    report_task,
+)
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out, solve
+from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.geometry import inverse, moved
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
@@ -34,20 +44,38 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 LEAST_FRAMES = 3
-_CHOICES = 5  # times that modes are chosen anew
-_SETTLING = 3  # solutions of the session between two of its frames
-_TURNED_ROUNDS = 2  # in which other turns about the shaft are tried
-_SLIP = 4.0  # spreads
-_LEAST_OVERLAP = 0.5  # for a frame that says anything
-_TRUSTED_SHARE = 0.5  # of the frames: fewer that agree may do so by accident
-_LESS_OVERLAP = 0.1  # than by itself, for a frame that the session still explains
+"""Smallest number of frames from which a session can be calibrated."""
+
+_MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
+_EM_ITERATIONS = 3  # estimates of calibration and variance components between two fits of the frames
+_ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
+_SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
+_LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
+_TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
+_OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
-"""Applies a function of body, settings and task to all tasks, in their order."""
+"""Applies a function of body, settings and task to all tasks, and returns the values in the tasks' order."""
 
 
-class SessionRounds:
-    """The state of a session on its way to its calibration."""
+class Alternation:
+    """State of the alternating estimation.
+
+    ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
+    the frames' current fits. ``warnings`` are texts about faults of the session as a whole; ``lag`` is that of the
+    readings in ``frames`` and, where times are known, in ``seconds``, or None.
+
+    Parameters
+    ----------
+    frames
+        Frames with a pose, its covariance and readings of all outer joints, in the order they were taken.
+    instrument, arm, config
+        The instrument, the kinematics of the outer arm and all settings.
+    run
+        Applies a function to many tasks.
+    progress
+        Called before each stage with its name and the number of frames.
+    """
 
     def __init__(
         self,
@@ -66,124 +94,150 @@ class SessionRounds:
         self._progress = progress
         self.warnings: list[str] = []
         self.lag: dict[str, float] | None = None
-        self._moved: dict[str, str] = {}
+        self._left_out: dict[str, str] = {}
         names = instrument.joint_names
         joints = np.array([[f.result.readings.get(name, np.nan) for name in names] for f in frames])
-        spreads = Spreads.of(config.session, names)
+        deviations = Deviations.of(config.session, names)
         outer = outer_readings([f.result.readings for f in frames])
-        self.model = SessionModel(outer, joints, names, spreads, arm=arm, roll_offset=instrument.roll_offset)
+        self.model = SessionModel(outer, joints, names, deviations, arm=arm, roll_offset=instrument.roll_offset)
         session = config.session
-        spread = np.deg2rad([session.roll_offset_deg, *(config.readings.of(name) for name in names)])
-        self._offset_spread = np.array([session.insertion_offset_mm * 1e-3, *spread])
+        angles = np.deg2rad([session.roll_offset_deg, *(config.readings.of(name) for name in names)])
+        self._offset_std = np.array([session.insertion_offset_mm * 1e-3, *angles])
         self._prior = np.zeros((8 + len(names),) * 2)
-        self._prior[6:, 6:] = np.diag(1 / self._offset_spread**2)
+        self._prior[6:, 6:] = np.diag(1 / self._offset_std**2)
         self._modes = [self._modes_of(frame.result) for frame in frames]
 
     def _joints(self, joints: dict[str, float]) -> Float64:
+        """Return joints by name as an array (J,) in the instrument's order."""
         return np.array([joints[name] for name in self._instrument.joint_names])
 
     def _modes_of(self, result: Result) -> list[Mode]:
+        """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
         assert result.camera_from_root is not None
         assert result.covariance is not None
-        own = [Mode(result.camera_from_root, self._joints(result.joints), result.covariance)]
+        first = Mode(result.camera_from_root, self._joints(result.joints), result.covariance)
         others = [Mode(a.camera_from_root, self._joints(a.joints), result.covariance) for a in result.alternatives]
-        return own + others
+        return [first, *others]
 
-    def choose(self) -> None:
-        """Find the base that most frames agree on, each frame's mode for it, and what is wrong with the session."""
+    def initialise(self) -> None:
+        """Find the camera_from_base that most frames agree on, each frame's mode for it, and faults of the session.
+
+        Raises
+        ------
+        InputError
+            The arm does not move, the readings only fit another arm or tool, or too few frames remain.
+        """
         check_motion(self.model)
-        lag = find_lag(self.model, self._modes, self._offset_spread)
+        lag = find_lag(self.model, self._modes, self._offset_std)
         if lag:
-            self._take_out(lag)
-        consensus = find_consensus(self.model, self._modes, self._offset_spread)
-        check_arm(self.model, self._modes, self._offset_spread, consensus)
-        move = find_move(self.model, self._modes, self._offset_spread, consensus)
+            self._correct_lag(lag)
+        consensus = find_consensus(self.model, self._modes, self._offset_std)
+        check_arm(self.model, self._modes, self._offset_std, consensus)
+        move = find_move(self.model, self._modes, self._offset_std, consensus)
         if move is not None:
             before, after = (self.frames[i].name for i in move.between)
             text = f"the arm's base or the camera moved between frames {before} and {after}"
             self.warnings.append(f"{text}: calibrated for the {move.side} of them")
-            self._moved = {self.frames[i].name: text for i in move.others}
-            kept = [i for i, frame in enumerate(self.frames) if frame.name not in self._moved]
-            self._keep(kept)
-            consensus = find_consensus(self.model, self._modes, self._offset_spread)
+            self._left_out |= {self.frames[i].name: text for i in move.others}
+            self._select([i for i, frame in enumerate(self.frames) if frame.name not in self._left_out])
+            consensus = find_consensus(self.model, self._modes, self._offset_std)
         calibration = consensus.calibration
         chosen, _ = choose_modes(self.model, self._modes, calibration)
-        for _ in range(_CHOICES):
-            self.solution = solve(self.model, _as_views(chosen), calibration, self._prior)
-            calibration, before_ = self.solution.calibration, chosen
+        for _ in range(_MODE_ITERATIONS):
+            self.solution = solve(self.model, _as_fits(chosen), calibration, self._prior)
+            calibration, previous = self.solution.calibration, chosen
             chosen, _ = choose_modes(self.model, self._modes, calibration)
-            if all(a is b for a, b in zip(chosen, before_, strict=True)):
+            if all(a is b for a, b in zip(chosen, previous, strict=True)):
                 break
 
-    def _take_out(self, lag: int) -> None:
-        """Let each frame have the readings that belong to it, ``lag`` frames later."""
+    def _correct_lag(self, lag: int) -> None:
+        """Give each frame the readings that are recorded ``lag`` frames later; leave out frames that then have none."""
         late = "late" if lag > 0 else "early"
         self.lag = {"frames": float(lag)}
         times = [frame.time for frame in self.frames]
         text = f"readings come {abs(lag)} frames {late}"
-        known = [t for t in times if t is not None]
-        if len(known) == len(times):
-            self.lag["seconds"] = round(lag * float(np.median(np.diff(known))), 6)
+        given = [t for t in times if t is not None]
+        if len(given) == len(times):
+            self.lag["seconds"] = round(lag * float(np.median(np.diff(given))), 6)
             text += f" ({abs(self.lag['seconds']):g} s)"
         self.warnings.append(f"{text}: taken out")
-        model, kept = shifted(self.model, lag)
+        model, kept = shift_readings(self.model, lag)
         for i, frame in enumerate(self.frames):
             if i not in kept:
-                self._moved[frame.name] = "no readings once the lag is taken out"
+                self._left_out[frame.name] = "no readings once the lag is taken out"
         self.frames = [self.frames[i] for i in kept]
         self._modes = [self._modes[i] for i in kept]
         self.model = model
         for i, frame in enumerate(self.frames):
-            names = ("yaw", "pitch", "insertion", "roll", *self._instrument.joint_names)
+            names = (*OUTER_JOINTS, *self._instrument.joint_names)
             values = (*model.outer[i], *model.joints[i])
             readings = {n: float(v) for n, v in zip(names, values, strict=True) if not np.isnan(v)}
             self.frames[i] = replace(frame, result=replace(frame.result, readings=readings))
         if len(kept) < LEAST_FRAMES:
             raise InputError(f"session: {text}, which leaves {len(kept)} frames; expected at least {LEAST_FRAMES}")
 
-    def _keep(self, kept: list[int]) -> None:
+    def _select(self, kept: list[int]) -> None:
+        """Keep only the frames at some indices."""
         self.frames = [self.frames[i] for i in kept]
         self._modes = [self._modes[i] for i in kept]
         self.model = self.model.subset(kept)
 
-    def settle(self) -> None:
-        """Solve frames and session in turn."""
+    def iterate(self) -> None:
+        """Gather each frame's evidence, then alternate between fitting all frames and estimating the calibration.
+
+        The standard deviations of the predictions are multiplied by a factor that decreases to 1 over the iterations.
+        """
         session = self._config.session
-        looser = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0]
+        self._progress("gathering evidence", len(self.frames))
+        self._stored = self._run(gather_task, self.frames)
+        scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0]
         calibration = self.solution.calibration
         starts: list[tuple[PoseAndJoints, ...]] = [
             tuple((mode.camera_from_root, mode.joints) for mode in modes) for modes in self._modes
         ]
-        for turn, loosened in enumerate(looser[: session.rounds]):
-            self._progress(f"round {turn + 1} of {session.rounds}", len(self.frames))
-            expected = self.model.priors(calibration, loosened=loosened)
+        for iteration, scale in enumerate(scales[: session.rounds]):
+            self._progress(f"round {iteration + 1} of {session.rounds}", len(self.frames))
+            expected = self.model.priors(calibration, scale=scale)
             tasks = []
             for i, frame in enumerate(self.frames):
-                prior, own = expected[i], self._modes[i][0]
-                more = [(prior.camera_from_root, prior.joints)]
-                if turn < _TURNED_ROUNDS:
+                prior, own_mode = expected[i], self._modes[i][0]
+                predicted = [(prior.camera_from_root, prior.joints)]
+                if iteration < _ROLLED_ITERATIONS:
                     for angle in (-session.turn_deg, session.turn_deg):
-                        more.append((_turned(prior.camera_from_root, angle), prior.joints))
-                tasks.append(FitTask(frame, prior, (*starts[i], *more), (own.camera_from_root, own.joints)))
-            self.views: list[FrameView] = self._run(fit_task, tasks)
-            starts = [((view.camera_from_root, view.joints),) for view in self.views]
-            settled = loosened == 1.0
-            stacked = _stacked(
-                [view if _explains(view) or not settled else view.without_outline() for view in self.views]
-            )
-            for _ in range(_SETTLING):
+                        predicted.append((_rolled(prior.camera_from_root, angle), prior.joints))
+                tasks.append(
+                    FitTask(
+                        self._stored[i],
+                        frame.result.readings,
+                        prior,
+                        (*starts[i], *predicted),
+                        (own_mode.camera_from_root, own_mode.joints),
+                    )
+                )
+            self.fits: list[FrameFit] = self._run(fit_task, tasks)
+            starts = [((fit.camera_from_root, fit.joints),) for fit in self.fits]
+            # Fits that do not explain the mask are only excluded once the prior is no longer widened.
+            keep_all = scale != 1.0
+            stacked = _stacked([fit if _explains(fit) or keep_all else fit.without_outline() for fit in self.fits])
+            for _ in range(_EM_ITERATIONS):
                 self.solution = solve(self.model, stacked, calibration, self._prior)
                 calibration = self.solution.calibration
-                self.model = learn_spreads(self.model, stacked, calibration, self.solution.weights, session)
+                self.model = estimate_variances(self.model, stacked, calibration, self.solution.weights, session)
         self.solution = solve(self.model, stacked, calibration, self._prior)
 
-    def report(self, draw: bool) -> tuple[list[FrameReport], dict[str, str]]:
-        """Report on each frame, and say which were left out and why."""
+    def report(self) -> tuple[list[FrameReport], dict[str, str]]:
+        """Return the reports of the frames in use, and by name the reason for each frame that is left out.
+
+        Raises
+        ------
+        InputError
+            Too few frames agree with the calibration.
+        """
         self._progress("leaving one out", len(self.frames))
         solution, session = self.solution, self._config.session
         dimension = 6 + len(self.model.names)
-        fits, explained = solution.misfit < session.largest_misfit * dimension, [_explains(v) for v in self.views]
-        agree = fits & explained
+        near = solution.misfit < session.largest_misfit * dimension
+        agree = near & np.array([_explains(fit) for fit in self.fits])
         if agree.sum() < LEAST_FRAMES:
             raise InputError(
                 f"session: expected at least {LEAST_FRAMES} frames that agree on where the arm's base is, "
@@ -194,72 +248,74 @@ class SessionRounds:
                 f"only {agree.sum()} of {len(agree)} frames agree on where the arm's base is: the others' masks or the "
                 "readings are wrong, or these few are"
             )
-        covariance = deviations(self.model, _stacked(self.views), solution)
-        reached = self.model.base_from_root(solution.calibration.offsets)
-        reasons = dict(self._moved)
+        covariance = frame_covariances(self.model, _stacked(self.fits), solution)
+        base_from_root = self.model.base_from_root(solution.calibration.offsets)
+        reasons = dict(self._left_out)
         tasks = []
-        for i, (frame, view) in enumerate(zip(self.frames, self.views, strict=True)):
-            doubts = self._slips(i)
+        for i, (frame, fit) in enumerate(zip(self.frames, self.fits, strict=True)):
+            doubts = self._describe_slips(i)
             if not agree[i]:
-                worst = np.sqrt(solution.misfit[i] / dimension)
+                deviation = np.sqrt(solution.misfit[i] / dimension)
                 text = "disagrees with the session: "
-                if fits[i]:
+                if near[i]:
                     text += (
-                        f"what it expects does not explain the mask (IoU {view.iou:.2f}, by itself {view.own_iou:.2f})"
+                        f"what it expects does not explain the mask (IoU {fit.iou:.2f}, by itself {fit.own_iou:.2f})"
                     )
                 else:
-                    text += f"{worst:.1f} times the expected error from what it expects"
+                    text += f"{deviation:.1f} times the expected error from what it expects"
                 reasons[frame.name] = text
                 doubts = [text, *doubts]
-            poses, joints = self.model.subset([i]).predict(without(solution, i))
+            poses, joints = self.model.subset([i]).predict(leave_one_out(solution, i))
             tasks.append(
                 ReportTask(
-                    frame,
-                    view,
+                    self._stored[i],
+                    frame.result,
+                    fit,
                     covariance[i],
                     (poses[0], joints[0]),
-                    np.asarray(view.camera_from_root @ inverse(reached[i])),
+                    np.asarray(fit.camera_from_root @ inverse(base_from_root[i])),
                     tuple(doubts),
                     bool(agree[i]),
-                    draw=draw,
                     config={**self._config.as_dict(), "instrument": describe_limits(self._instrument, self._arm)},
                 )
             )
         return self._run(report_task, tasks), reasons
 
-    def _slips(self, i: int) -> list[str]:
-        """Name the joints whose readings are far off in this frame alone."""
-        spread = [self.model.spreads.outer[3], *self.model.spreads.joints]
+    def _describe_slips(self, i: int) -> list[str]:
+        """Describe the joints whose readings have a large error in one frame, one text for each joint."""
+        stds = [self.model.deviations.outer[3], *self.model.deviations.joints]
         found = []
-        for name, times, one in zip(("roll", *self.model.names), self.model.stretch[i], spread, strict=True):
-            off = times * self._config.session.tail
-            if off > _SLIP:
-                found.append(
-                    f"reading of {name}: {np.degrees(off * one):.0f} deg off in this frame, beyond the session's offset"
-                )
+        for name, factor, std in zip(("roll", *self.model.names), self.model.inflation[i], stds, strict=True):
+            error = factor * self._config.session.tail  # in standard deviations
+            if error > _SLIP:
+                degrees = np.degrees(error * std)
+                found.append(f"reading of {name}: {degrees:.0f} deg off in this frame, beyond the session's offset")
         return found
 
 
-def _explains(view: FrameView) -> bool:
-    """Whether a frame's mask is explained as its session expects it, too, and not only by itself."""
-    return view.iou > max(view.own_iou - _LESS_OVERLAP, _LEAST_OVERLAP)
+def _explains(fit: FrameFit) -> bool:
+    """Return whether a fit with the session's prior overlaps the mask about as well as the frame's own estimate."""
+    return fit.iou > max(fit.own_iou - _OVERLAP_LOSS, _LEAST_OVERLAP)
 
 
-def _turned(pose: Float64, degrees: float) -> Float64:
+def _rolled(pose: Float64, degrees: float) -> Float64:
+    """Rotate a pose (4, 4) about the shaft."""
     return moved(pose, np.array([0, 0, 0, 0, 0, np.deg2rad(degrees)]))
 
 
-def _as_views(modes: Sequence[Mode]) -> FrameViews:
+def _as_fits(modes: Sequence[Mode]) -> FrameFits:
+    """Convert one mode of each frame to a fit with zero slope and the inverse of the mode's covariance."""
     information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
     poses = np.array([mode.camera_from_root for mode in modes])
     joints = np.array([mode.joints for mode in modes])
-    return FrameViews(poses, joints, information, np.zeros(information.shape[:2]))
+    return FrameFits(poses, joints, information, np.zeros(information.shape[:2]))
 
 
-def _stacked(views: Sequence[FrameView]) -> FrameViews:
-    return FrameViews(
-        np.array([view.camera_from_root for view in views]),
-        np.array([view.joints for view in views]),
-        np.array([view.information for view in views]),
-        np.array([view.slope for view in views]),
+def _stacked(fits: Sequence[FrameFit]) -> FrameFits:
+    """Stack the fits of single frames."""
+    return FrameFits(
+        np.array([fit.camera_from_root for fit in fits]),
+        np.array([fit.joints for fit in fits]),
+        np.array([fit.information for fit in fits]),
+        np.array([fit.slope for fit in fits]),
     )

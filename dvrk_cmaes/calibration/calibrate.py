@@ -1,6 +1,6 @@
-"""Solve a session's frames together: one camera_from_base and one offset a joint, and every frame again with these.
+"""Calibration of a session: one camera_from_base and joint offsets from all frames, and each frame's pose given these.
 
-What can be used is sorted out here, and what was found is put together; the work itself is `dvrk_cmaes.calibration.alternation`.
+`calibrate_session` selects the usable frames, runs the alternating estimation and assembles the results.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Run, SessionRounds
+from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation, Run
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -24,8 +24,7 @@ from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.parallel import each
-from dvrk_cmaes.results.paths import FramePictures
+from dvrk_cmaes.pose.parallel import map_threaded
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -37,14 +36,15 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, eq=False)
 class SolvedSession:
-    """A session's calibration, and all its frames' results by name: solved again, or as they were.
+    """A session's calibration and, by frame name, results and leave-one-out predictions.
 
-    ``pictures`` by name, where they were asked for.
+    ``results`` has all frames: the results with the session's prior, and the own results of frames that are left out.
+    ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session.
     """
 
     calibration: SessionCalibration
     results: dict[str, Result]
-    pictures: dict[str, FramePictures]
+    leave_one_out: dict[str, LeaveOneOutPrediction]
 
 
 def calibrate_session(
@@ -54,33 +54,30 @@ def calibrate_session(
     arm: Arm = "classic",
     config: EstimateConfig | None = None,
     run: Run[Any, Any] | None = None,
-    draw: bool = False,
     progress: Callable[[str, int], None] = lambda stage, count: None,
 ) -> SolvedSession:
-    """Calibrate a session: camera_from_base, and the offsets of its joint readings.
+    """Estimate a session's camera_from_base, the offsets of its joint readings, and its frames' poses given these.
 
     Parameters
     ----------
     frames
         Frames in the order they were taken, each with its own result (of `estimate`), whose readings must have the
-        outer joints yaw, pitch, insertion and roll. Frames without, and failed ones, are left out.
+        outer joints yaw, pitch, insertion and roll. Frames without these readings and failed frames are left out.
     instrument
         As in `estimate`.
     arm
         The kinematics of the outer arm.
     config
-        All settings; ``config.session`` says how frames hang together.
+        All settings; those of the calibration are in ``config.session``.
     run
-        How to apply a function to many tasks; unless given, on the configuration's threads.
-    draw
-        Draw each frame, too: its result, and what the other frames predict.
+        Applies a function to many tasks; by default in ``config.threads`` threads.
     progress
-        Told the stage and the number of frames that it is about to solve.
+        Called before each stage with its name and the number of frames.
 
     Raises
     ------
     InputError
-        Fewer than three usable frames; an arm that does not move; readings that only fit another arm or tool.
+        Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -89,47 +86,51 @@ def calibrate_session(
     if run is None:
         run = partial(_in_threads, body, settings)
     usable, left_out = _usable(frames, body.instrument)
-    work = SessionRounds(usable, body.instrument, arm, settings, run, progress)
-    work.choose()
-    work.settle()
-    reports, reasons = work.report(draw)
+    alternation = Alternation(usable, body.instrument, arm, settings, run, progress)
+    alternation.initialise()
+    alternation.iterate()
+    reports, reasons = alternation.report()
     results = {frame.name: frame.result for frame in frames}
-    results |= {frame.name: one.result for frame, one in zip(work.frames, reports, strict=True)}
+    results |= {frame.name: one.result for frame, one in zip(alternation.frames, reports, strict=True)}
     left_out |= reasons
-    used = [results[frame.name].quality for frame in work.frames if frame.name not in left_out]
-    known = [quality for quality in used if quality is not None]
-    described = describe_solution(work.model, work.solution, settings)
+    used = [results[frame.name].quality for frame in alternation.frames if frame.name not in left_out]
+    qualities = [quality for quality in used if quality is not None]
+    described = describe_solution(alternation.model, alternation.solution, settings)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
         roll_offset=body.instrument.roll_offset,
-        frames=tuple(frame.name for frame in work.frames if frame.name not in left_out),
+        frames=tuple(frame.name for frame in alternation.frames if frame.name not in left_out),
         left_out=dict(sorted(left_out.items())),
         leave_one_out={
-            frame.name: (one.left_out_iou, one.left_out_px)
-            for frame, one in zip(work.frames, reports, strict=True)
+            frame.name: (one.leave_one_out.iou, one.leave_one_out.contour_px)
+            for frame, one in zip(alternation.frames, reports, strict=True)
             if frame.name not in left_out
         },
-        iou=float(np.median([quality.iou for quality in known])) if known else 0.0,
-        contour_px_95=float(np.median([quality.contour_px_95 for quality in known])) if known else 0.0,
-        lag=work.lag,
-        warnings=tuple(work.warnings),
+        iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
+        contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
+        lag=alternation.lag,
+        warnings=tuple(alternation.warnings),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": describe_limits(body.instrument, arm)},
         **described,
     )
-    pictures = {one.result.frame: one.pictures for one in reports if one.pictures is not None}
-    return SolvedSession(calibration, results, pictures)
+    predicted = {frame.name: one.leave_one_out for frame, one in zip(alternation.frames, reports, strict=True)}
+    return SolvedSession(calibration, results, predicted)
 
 
 def _in_threads(
     body: Body, config: EstimateConfig, function: Callable[[Body, EstimateConfig, T], R], tasks: Sequence[T]
 ) -> list[R]:
-    return each(lambda task: function(body, config, task), tasks, config.threads)
+    """Apply a function to all tasks in threads."""
+    return map_threaded(lambda task: function(body, config, task), tasks, config.threads)
 
 
 def _usable(frames: Sequence[SessionFrame], instrument: Instrument) -> tuple[list[SessionFrame], dict[str, str]]:
-    """Sort out frames that say nothing about the base, with the reason."""
+    """Select the frames with a pose and the outer joints' readings, and give the reasons for the others by name.
+
+    Raises `InputError` if there are too few.
+    """
     left_out = {}
     for frame in frames:
         if frame.result.camera_from_root is None or frame.result.covariance is None:

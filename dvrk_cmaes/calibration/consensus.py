@@ -1,8 +1,8 @@
-"""Which mode of which frame the session is to believe: the base that most frames can agree on.
+"""Consensus of the frames on one camera_from_base, with the mode of each frame's pose that it selects.
 
-Every frame brings its modes, each with a base of its own: a wrong one lies far off, each time elsewhere.
-Each mode in turn is taken for right and predicts all frames; what counts is how many of these have a mode within what
-the covariances allow. A third of the frames may be wrong in whatever way.
+The method resembles RANSAC. A hypothesis is the calibration that follows from one mode of one frame and this frame's
+readings. It predicts the other frames, and its score is the sum over these of a likelihood in which modes far from the
+prediction are outliers. The hypothesis with the best score is chosen. Up to a third of the frames may be outliers.
 """
 
 from __future__ import annotations
@@ -14,22 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import change_between, inverse, shift_of_change
+from dvrk_cmaes.geometry import adjoint, change_between, inverse
 
 Float64 = NDArray[np.float64]
 
-_MOST_PROPOSERS = 60  # frames whose modes propose a base
-_MOST_VOTERS = 240  # frames that each proposal is tried on
-CAP = 4.0
-"""Squared misfit per degree of freedom beyond which a mode is another one."""
+_MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
+_MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
+INLIER_MISFIT = 4.0
+"""Squared Mahalanobis distance per degree of freedom below which a mode agrees with a prediction."""
 
-_ANY_ANGLE = np.deg2rad(30.0)
-_ANYWHERE = np.array([0.02, 0.02, 0.02, _ANY_ANGLE, _ANY_ANGLE, 2 * _ANY_ANGLE])  # where wrong modes lie: m, rad
+_OUTLIER_ANGLE = np.deg2rad(30.0)
+_OUTLIER_STD = np.array([0.02, 0.02, 0.02, _OUTLIER_ANGLE, _OUTLIER_ANGLE, 2 * _OUTLIER_ANGLE])
+"""Standard deviations of an outlier's pose from the prediction, in the root's axes, m and rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A pose (4, 4), joints (J,) and their covariance (D, D) in the root's axes; D = 6 + J."""
+    """A mode of a frame's pose: camera_from_root (4, 4), joints (J,), rad, and their covariance (D, D), D = 6 + J.
+
+    The covariance is that of small changes in the root's axes, m and rad.
+    """
 
     camera_from_root: Float64
     joints: Float64
@@ -38,9 +42,10 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """A base that frames agree on: its calibration, each frame's chosen mode (N,), and its squared misfit (N,) over D.
+    """The calibration on which most frames agree.
 
-    ``agree`` (N,) says which frames have a mode that fits.
+    ``chosen`` (N,) is the index of each frame's mode that fits it best, ``misfit`` (N,) that mode's squared Mahalanobis
+    distance from the prediction divided by D.
     """
 
     calibration: Calibration
@@ -49,58 +54,77 @@ class Consensus:
 
     @property
     def agree(self) -> NDArray[np.bool_]:
-        """Frames with a mode that fits."""
-        return np.asarray(self.misfit < CAP)
+        """Whether each frame has a mode that agrees with the calibration, (N,)."""
+        return np.asarray(self.misfit < INLIER_MISFIT)
 
 
-def _evenly(count: int, most: int) -> NDArray[np.intp]:
+def _evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most ``most`` evenly spaced indices below ``count``, in increasing order."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
 
-def find_consensus(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_spread: Float64) -> Consensus:
-    """Find the base that most frames agree on.
+def find_consensus(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> Consensus:
+    """Find the calibration on which most frames agree.
 
-    ``modes`` are each frame's, the likeliest first; ``offset_spread`` (2 + J,) is how far offsets may be from zero.
+    Parameters
+    ----------
+    model
+        The model of N frames.
+    modes
+        The modes of each frame, at least one, the most likely first.
+    offset_std : (2 + J,)
+        Standard deviations of the offsets about zero, m and rad.
     """
-    flat = [(frame, k) for frame, own in enumerate(modes) for k in range(len(own))]
-    voters = _evenly(len(modes), _MOST_VOTERS)
-    proposers = set(_evenly(len(modes), _MOST_PROPOSERS).tolist())
-    ballot = _Ballot(model, modes, offset_spread)
+    candidates = [(frame, k) for frame, of_frame in enumerate(modes) for k in range(len(of_frame))]
+    test_frames = _evenly_spaced(len(modes), _MAX_TEST_FRAMES)
+    hypothesis_frames = set(_evenly_spaced(len(modes), _MAX_HYPOTHESIS_FRAMES).tolist())
+    scorer = _HypothesisScorer(model, modes, offset_std)
     best: Calibration | None = None
     least = np.inf
-    for frame, k in flat:
-        if frame not in proposers:
+    for frame, k in candidates:
+        if frame not in hypothesis_frames:
             continue
-        proposal = ballot.proposal(frame, k)
-        cost = float(ballot.vote(proposal, frame, k, voters).cost.sum())
+        hypothesis = scorer.hypothesis(frame, k)
+        cost = float(scorer.score(hypothesis, frame, k, test_frames).cost.sum())
         if cost < least:
-            best, least, source = proposal, cost, (frame, k)
+            best, least, source = hypothesis, cost, (frame, k)
     assert best is not None
-    votes = ballot.vote(best, *source, np.arange(len(modes)))
-    return Consensus(best, votes.chosen, votes.misfit)
+    scores = scorer.score(best, *source, np.arange(len(modes)))
+    return Consensus(best, scores.chosen, scores.misfit)
 
 
 def choose_modes(
     model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration
 ) -> tuple[list[Mode], Float64]:
-    """Return each frame's mode nearest to what a calibration expects, and its squared misfit over D, (N,)."""
+    """Choose the mode of each frame that is nearest to a calibration's prediction.
+
+    Returns the N modes, and their squared Mahalanobis distances from the prediction divided by D, (N,).
+    """
     poses, joints = model.predict(calibration)
-    spread = model.covariance(calibration)
+    predicted = model.covariance(calibration)
     chosen, misfit = [], []
-    for own, pose, joint, expected in zip(modes, poses, joints, spread, strict=True):
-        apart = [np.concatenate([change_between(pose, mode.camera_from_root), mode.joints - joint]) for mode in own]
-        squares = [a @ np.linalg.solve(expected + mode.covariance, a) for a, mode in zip(apart, own, strict=True)]
+    for of_frame, pose, joint, covariance in zip(modes, poses, joints, predicted, strict=True):
+        changes = [
+            np.concatenate([change_between(pose, mode.camera_from_root), mode.joints - joint]) for mode in of_frame
+        ]
+        squares = [
+            change @ np.linalg.solve(covariance + mode.covariance, change)
+            for change, mode in zip(changes, of_frame, strict=True)
+        ]
         best = int(np.argmin(squares))
-        chosen.append(own[best])
-        misfit.append(squares[best] / len(apart[best]))
+        chosen.append(of_frame[best])
+        misfit.append(squares[best] / len(changes[best]))
     return chosen, np.array(misfit)
 
 
 @dataclass(frozen=True, eq=False)
-class _Votes:
-    """What V voters say of a proposal, by their best modes: ``cost`` (V,) is half a log-likelihood a degree of freedom.
+class _Scores:
+    """Scores of a hypothesis on V test frames, each by the frame's most likely mode.
 
-    A proposer who hardly knows its own pose agrees with everybody, which its likelihood does not reward.
+    ``cost`` (V,) is twice the negative log-likelihood per degree of freedom, up to a constant, and at most that of an
+    outlier. It includes the determinant of the covariance, since a hypothesis from an uncertain mode has a small misfit
+    in every frame. ``misfit`` (V,) is the squared Mahalanobis distance per degree of freedom, ``chosen`` (V,) the index
+    of the mode.
     """
 
     cost: Float64
@@ -108,52 +132,62 @@ class _Votes:
     chosen: NDArray[np.intp]
 
 
-class _Ballot:
-    """Tries a calibration that one frame proposes on the others."""
+class _HypothesisScorer:
+    """Makes calibrations from single modes, and scores them on other frames.
 
-    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_spread: Float64) -> None:
+    ``offset_std`` (2 + J,) are the standard deviations of the offsets about zero, m and rad.
+    """
+
+    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> None:
         self._model = model
         self._modes = modes
-        self._offsets = offset_spread
-        most = max(len(own) for own in modes)
-        padded = [list(own) + [own[-1]] * (most - len(own)) for own in modes]
-        self._poses = np.array([[m.camera_from_root for m in own] for own in padded])
-        self._joints = np.array([[m.joints for m in own] for own in padded])
-        self._covariance = np.array([[m.covariance for m in own] for own in padded])
+        self._offset_std = offset_std
+        most = max(len(of_frame) for of_frame in modes)
+        # Repeated modes do not change the minimum over a frame's modes, nor the first index at which it is reached.
+        padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
+        self._poses = np.array([[m.camera_from_root for m in of_frame] for of_frame in padded])
+        self._joints = np.array([[m.joints for m in of_frame] for of_frame in padded])
+        self._covariance = np.array([[m.covariance for m in of_frame] for of_frame in padded])
 
-    def proposal(self, frame: int, k: int) -> Calibration:
-        """Calibration under which one mode is just as its readings say, up to the instrument's joints' offsets."""
-        mode, own = self._modes[frame][k], self._model.subset([frame])
-        none = np.zeros(2 + len(mode.joints))
-        none[2:] = np.nan_to_num(mode.joints - own.joints[0])
-        return Calibration(mode.camera_from_root @ inverse(own.base_from_root(none)[0]), none)
+    def hypothesis(self, frame: int, k: int) -> Calibration:
+        """Return the calibration that predicts mode ``k`` of a frame, with zero offsets of insertion and roll.
 
-    def vote(self, proposal: Calibration, frame: int, k: int, voters: NDArray[np.intp]) -> _Votes:
-        """Ask the voters (V,) how well a proposal explains the best of their modes."""
-        model = self._model.subset(voters)
-        poses, joints = model.predict(proposal)
+        Joints without a reading have an offset of zero, too.
+        """
+        mode, model = self._modes[frame][k], self._model.subset([frame])
+        offsets = np.zeros(2 + len(mode.joints))
+        offsets[2:] = np.nan_to_num(mode.joints - model.joints[0])
+        return Calibration(mode.camera_from_root @ inverse(model.base_from_root(offsets)[0]), offsets)
+
+    def score(self, hypothesis: Calibration, frame: int, k: int, test_frames: NDArray[np.intp]) -> _Scores:
+        """Score a hypothesis that was made from mode ``k`` of a frame on test frames (V,)."""
+        model = self._model.subset(test_frames)
+        poses, joints = model.predict(hypothesis)
         dimension = 6 + joints.shape[1]
-        # How wrong the proposer's own pose and readings may be, seen from each voter.
-        proposer = self._model.subset([frame])
-        own = self._covariance[frame, k] + proposer.covariance(proposal)[0]
-        own[5, 5] += self._offsets[1] ** 2
-        shift = np.tile(np.eye(dimension), (len(voters), 1, 1))
-        there = inverse(model.base_from_root(proposal.offsets)) @ proposer.base_from_root(proposal.offsets)
-        shift[:, :6, :6] = shift_of_change(there)
-        spread = shift @ own @ np.swapaxes(shift, 1, 2) + model.covariance(proposal)
-        spread[:, 5, 5] += self._offsets[1] ** 2
-        apart = np.concatenate(
+        # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
+        source_model = self._model.subset([frame])
+        source = self._covariance[frame, k] + source_model.covariance(hypothesis)[0]
+        source[5, 5] += self._offset_std[1] ** 2
+        transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
+        test_from_source = inverse(model.base_from_root(hypothesis.offsets)) @ source_model.base_from_root(
+            hypothesis.offsets
+        )
+        transport[:, :6, :6] = adjoint(test_from_source)
+        predicted = transport @ source @ np.swapaxes(transport, 1, 2) + model.covariance(hypothesis)
+        predicted[:, 5, 5] += self._offset_std[1] ** 2
+        changes = np.concatenate(
             [
-                change_between(poses[:, None], self._poses[voters]),
-                self._joints[voters] - joints[:, None],
+                change_between(poses[:, None], self._poses[test_frames]),
+                self._joints[test_frames] - joints[:, None],
             ],
             axis=-1,
         )
-        total = spread[:, None] + self._covariance[voters]
-        squared = np.einsum("vmi,vmi->vm", apart, np.linalg.solve(total, apart[..., None])[..., 0]) / dimension
-        width = np.linalg.slogdet(total)[1] / dimension
-        elsewhere = 2 * np.log(np.concatenate([_ANYWHERE, np.full(dimension - 6, _ANY_ANGLE)])).sum() / dimension + 1
-        cost = np.minimum(squared + width, elsewhere)
-        best = (squared + width).argmin(axis=1)
-        mine = np.arange(len(voters)), best
-        return _Votes(cost[mine], squared[mine], best)
+        total = predicted[:, None] + self._covariance[test_frames]
+        misfit = np.einsum("vmi,vmi->vm", changes, np.linalg.solve(total, changes[..., None])[..., 0]) / dimension
+        log_determinant = np.linalg.slogdet(total)[1] / dimension
+        outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
+        outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1
+        cost = np.minimum(misfit + log_determinant, outlier_cost)
+        chosen = (misfit + log_determinant).argmin(axis=1)
+        of_chosen = np.arange(len(test_frames)), chosen
+        return _Scores(cost[of_chosen], misfit[of_chosen], chosen)

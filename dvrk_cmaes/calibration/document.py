@@ -1,4 +1,4 @@
-"""A session's calibration, and its document, ``session.json``."""
+"""The calibration of a session, and its document, ``session.json``."""
 
 from __future__ import annotations
 
@@ -8,59 +8,97 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes._version import __version__
-from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, SessionModel, Spreads
+from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.fields import Fields, rounded, rounded_array
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, rounded_values
+from dvrk_cmaes.io.typed_document import (
+    Count,
+    Number,
+    PositiveNumber,
+    Texts,
+    Transform,
+    check_schema,
+    convert_document,
+    present_fields,
+    read_covariance,
+)
 
 Float64 = NDArray[np.float64]
 
 SCHEMA = 1
-_UNTOLD = 0.9  # of what was expected beforehand: an offset whose standard deviation is as wide was not found
-_UNTOLD_TURN = np.deg2rad(5.0)
-_UNTOLD_SHIFT = 5e-3  # m
+# standard deviations above which a part of the calibration is reported as not determined
+_UNTOLD_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
+_UNTOLD_ROTATION = np.deg2rad(5.0)  # of the base
+_UNTOLD_POSITION = 5e-3  # of the base, m
+
+
+class _LeftOut(Struct):
+    frame: str = ""
+    reason: str = ""
+
+
+class _LeaveOneOut(Struct):
+    iou: Number
+    contour_px: Number
+
+
+class _Quality(Struct):
+    iou: Number
+    contour_px_95: Number
+
+
+class _Parts(Struct):
+    """Fields of the document whose layout differs from that of `SessionCalibration`."""
+
+    offsets: dict[str, Number]
+    quality: _Quality
+    left_out: tuple[_LeftOut, ...] = ()
+    leave_one_out: dict[str, _LeaveOneOut] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class SessionCalibration:
-    """What a session's frames say together.
+    """Base pose and joint offsets estimated from all frames of a session.
 
     camera_from_base : (4, 4) m; its translation is the remote centre of motion in the camera.
     offsets : by joint, rad or m: true = reading + offset.
-    covariance : (K, K) in the order of ``axes``: small changes of camera_from_base along and about the base's own
-    axes, then the offsets.
+    covariance : (K, K) in the order of ``axes``: small changes of camera_from_base along and about the base's axes,
+    then the offsets.
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
-    frames, left_out : names of those used; the others with the reason. leave_one_out : by frame, overlap and median
-    contour distance, px, of what the other frames predict with the frame's mask.
-    iou, contour_px_95 : medians over the frames used, solved together.
-    untold : what the session cannot tell, in words. lag : of the readings, in frames, and where times are known, in
-    seconds.
+    frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
+    leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
+    the other frames predict.
+    iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
+    lag : delay of the readings, in frames and, if times are known, in seconds.
+    untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
     instrument: str
-    camera_from_base: Float64
-    offsets: dict[str, float]
-    axes: tuple[str, ...]
+    camera_from_base: Transform
+    offsets: dict[str, Number]
+    axes: Texts
     covariance: Float64
-    spreads: dict[str, float]
-    frames: tuple[str, ...] = ()
+    spreads: dict[str, PositiveNumber]
+    frames: Texts = ()
     left_out: dict[str, str] = field(default_factory=dict)
     leave_one_out: dict[str, tuple[float, float]] = field(default_factory=dict)
-    iou: float = 0.0
-    contour_px_95: float = 0.0
-    lag: dict[str, float] | None = None
-    untold: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    iou: Number = 0.0
+    contour_px_95: Number = 0.0
+    lag: dict[str, Number] | None = None
+    untold: Texts = ()
+    warnings: Texts = ()
     arm: Arm = "classic"
-    roll_offset: float = 0.0
-    seconds: float = 0.0
-    seed: int = 0
+    roll_offset: Number = 0.0
+    seconds: Number = 0.0
+    seed: Count = 0
     version: str = __version__
     config: dict[str, Any] = field(default_factory=dict)
 
@@ -71,7 +109,7 @@ class SessionCalibration:
 
     @property
     def status(self) -> str:
-        """Whether something about the session as a whole is in doubt: ``ok`` or ``doubtful``."""
+        """``doubtful`` if there are warnings about the session as a whole, ``ok`` otherwise."""
         return "doubtful" if self.warnings else "ok"
 
     def to_dict(self) -> dict[str, Any]:
@@ -83,17 +121,14 @@ class SessionCalibration:
             "instrument": self.instrument,
             "camera_from_base": rounded_array(self.camera_from_base),
             "rcm": rounded_array(self.rcm),
-            "offsets": {name: rounded(value) for name, value in self.offsets.items()},
+            "offsets": rounded_values(self.offsets),
             "std": {
                 "base_translation_mm": rounded_array(std[:3] * 1e3),
                 "base_rotation_deg": rounded_array(np.degrees(std[3:6])),
                 "offsets": {name: rounded(value) for name, value in zip(self.offsets, std[6:], strict=True)},
             },
-            "covariance": {
-                "axes": list(self.axes),
-                "matrix": [[float(f"{v:.6e}") for v in row] for row in self.covariance],
-            },
-            "spreads": {name: rounded(value) for name, value in self.spreads.items()},
+            "covariance": {"axes": list(self.axes), "matrix": rounded_matrix(self.covariance)},
+            "spreads": rounded_values(self.spreads),
             "untold": list(self.untold),
             "warnings": list(self.warnings),
             "frames": list(self.frames),
@@ -113,54 +148,34 @@ class SessionCalibration:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], *, where: str = "session") -> SessionCalibration:
-        """Take a calibration from its document.
+        """Read a calibration from its document.
 
         Raises
         ------
         InputError
             A field that is missing or wrong; the message begins with ``where``.
         """
-        fields = Fields.of(where, document)
-        if fields.count("schema", SCHEMA) != SCHEMA:
-            raise fields.refuse("schema", f"{SCHEMA}, the only one known to this version")
-        base = fields.pose("camera_from_base", required=True)
-        assert base is not None
-        offsets = fields.numbers("offsets", required=True)
-        axes = (*BASE_AXES, *offsets)
-        arm = fields.choice("arm", ("classic", "si"), "classic")
-        lone, quality, config = (fields.inner(name) for name in ("leave_one_out", "quality", "config"))
-        if quality is None:
-            raise fields.refuse("quality", "an object")
-        return cls(
-            instrument=fields.text("instrument"),
-            camera_from_base=base,
-            offsets=offsets,
-            axes=axes,
-            covariance=_covariance(fields, axes),
-            spreads=_spreads(fields),
-            frames=fields.texts("frames"),
-            left_out={one.text("frame"): one.text("reason") for one in fields.inners("left_out")},
-            leave_one_out={} if lone is None else _leave_one_out(lone),
-            iou=quality.number("iou"),
-            contour_px_95=quality.number("contour_px_95"),
-            lag=fields.numbers("lag") if fields.has("lag") else None,
-            untold=fields.texts("untold"),
-            warnings=fields.texts("warnings"),
-            arm="si" if arm == "si" else "classic",
-            roll_offset=fields.number("roll_offset", 0.0),
-            seconds=fields.number("seconds", 0.0),
-            seed=fields.count("seed"),
-            version=fields.text("version"),
-            config={} if config is None else dict(config.values),
-        )
+        fields = {"instrument": "", "version": "", **present_fields(where, document)}
+        check_schema(where, fields, SCHEMA)
+        parts = convert_document(where, fields, _Parts)
+        axes = (*BASE_AXES, *parts.offsets)
+        fields |= {
+            "axes": axes,
+            "covariance": read_covariance(where, fields.get("covariance"), axes),
+            "left_out": {one.frame: one.reason for one in parts.left_out},
+            "leave_one_out": {name: (one.iou, one.contour_px) for name, one in parts.leave_one_out.items()},
+            "iou": parts.quality.iou,
+            "contour_px_95": parts.quality.contour_px_95,
+        }
+        return convert_document(where, fields, cls)
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
-        """Return the model of other frames of the session, readings (N, 4) and (N, J), and its calibration.
+        """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 
         Raises
         ------
         InputError
-            The session is of an instrument with other joints.
+            The calibration was made with an instrument with other joints.
         """
         names = (*OUTER_OFFSETS, *joint_names)
         if tuple(self.offsets) != names:
@@ -173,15 +188,15 @@ class SessionCalibration:
             raise InputError(f"session: spreads: expected those of {', '.join(needed)}, got no {', '.join(missing)}")
         values = [self.spreads[name] for name in needed]
         slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
-        spreads = Spreads(np.array(values[:4]), np.array(values[4:-2]), slack)
-        model = SessionModel(outer, joints, joint_names, spreads, arm=self.arm, roll_offset=self.roll_offset)
+        deviations = Deviations(np.array(values[:4]), np.array(values[4:-2]), slack)
+        model = SessionModel(outer, joints, joint_names, deviations, arm=self.arm, roll_offset=self.roll_offset)
         return model, Calibration(self.camera_from_base, np.array(list(self.offsets.values())))
 
 
 def describe_solution(model: SessionModel, solution: Solution, config: EstimateConfig) -> dict[str, Any]:
-    """Name the parts of a solution, as fields of a `SessionCalibration`."""
+    """Return the parts of a solution as fields of a `SessionCalibration`."""
     names = (*OUTER_OFFSETS, *model.names)
-    spreads = model.spreads
+    deviations = model.deviations
     std = np.sqrt(np.diag(solution.covariance))
     return {
         "camera_from_base": solution.calibration.camera_from_base,
@@ -189,10 +204,10 @@ def describe_solution(model: SessionModel, solution: Solution, config: EstimateC
         "axes": (*BASE_AXES, *names),
         "covariance": solution.covariance,
         "spreads": {
-            **dict(zip(("yaw", "pitch", "insertion", "roll"), spreads.outer.tolist(), strict=True)),
-            **dict(zip(model.names, spreads.joints.tolist(), strict=True)),
-            "slack_translation": float(spreads.slack[0]),
-            "slack_rotation": float(spreads.slack[3]),
+            **dict(zip(("yaw", "pitch", "insertion", "roll"), deviations.outer.tolist(), strict=True)),
+            **dict(zip(model.names, deviations.joints.tolist(), strict=True)),
+            "slack_translation": float(deviations.slack[0]),
+            "slack_rotation": float(deviations.slack[3]),
         },
         "untold": tuple(_untold(std, names, config)),
         "seed": config.seed,
@@ -200,12 +215,12 @@ def describe_solution(model: SessionModel, solution: Solution, config: EstimateC
 
 
 def _untold(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> list[str]:
-    """Say what the session cannot tell: where its standard deviation is as wide as what was expected beforehand."""
+    """Describe the parts of the calibration whose standard deviations exceed their thresholds."""
     session = config.session
     found = []
-    if std[:3].max() > _UNTOLD_SHIFT:
+    if std[:3].max() > _UNTOLD_POSITION:
         found.append(f"place of the base: standard deviation {std[:3].max() * 1e3:.1f} mm")
-    if std[3:6].max() > _UNTOLD_TURN:
+    if std[3:6].max() > _UNTOLD_ROTATION:
         found.append(
             f"rotation of the base: standard deviation {np.degrees(std[3:6].max()):.1f} deg; the arm hardly turns, and "
             "its rotation cannot be told from the offset of roll"
@@ -213,39 +228,9 @@ def _untold(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> lis
     expected = [session.insertion_offset_mm * 1e-3, np.deg2rad(session.roll_offset_deg)]
     expected += [float(np.deg2rad(config.readings.of(name))) for name in names[2:]]
     for name, deviation, before in zip(names, std[6:], expected, strict=True):
-        if deviation > _UNTOLD * before:
+        if deviation > _UNTOLD_SHARE * before:
             amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
             found.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
-    return found
-
-
-def _covariance(fields: Fields, axes: tuple[str, ...]) -> Float64:
-    """Matrix (K, K) of the covariance, whose axes must be the calibration's own."""
-    covariance = fields.inner("covariance", required=True)
-    assert covariance is not None
-    if covariance.texts("axes") != axes:
-        raise covariance.refuse("axes", ", ".join(axes))
-    matrix = covariance.array("matrix", (len(axes), len(axes)))
-    if matrix is None or (np.diag(matrix) < 0).any():
-        raise covariance.refuse("matrix", f"{len(axes)} rows of {len(axes)} finite numbers, no negative variance")
-    return matrix
-
-
-def _spreads(fields: Fields) -> dict[str, float]:
-    inner = fields.inner("spreads", required=True)
-    assert inner is not None
-    for name in inner.values:
-        if inner.number(name) <= 0:
-            raise inner.refuse(name, "a number above 0")
-    return fields.numbers("spreads")
-
-
-def _leave_one_out(fields: Fields) -> dict[str, tuple[float, float]]:
-    found = {}
-    for name in fields.values:
-        one = fields.inner(name, required=True)
-        assert one is not None
-        found[name] = one.number("iou"), one.number("contour_px")
     return found
 
 

@@ -1,7 +1,7 @@
-"""What can be wrong with a whole session, found from its frames' modes before their images are looked at again.
+"""Detection of faults that concern a session as a whole, from its frames' modes.
 
-A lag between readings and images, a base or camera that moved half way, the wrong arm or tool, an arm that stood still:
-each is named, and never averaged over.
+Faults are: an arm that does not move, a constant lag between readings and images, a base or camera that moved during
+the session, and readings of another arm or tool.
 """
 
 from __future__ import annotations
@@ -12,68 +12,96 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import CAP, Consensus, Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, ROLL_OFFSET_LONG
 
 Float64 = NDArray[np.float64]
 
-_STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # spread below which readings are constant
+_STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant
 _LAGS = (-3, -2, -1, 1, 2, 3)  # frames
-_LAG_FRAMES = 6  # below which a lag cannot be told from bad frames
-_CLEARLY = 0.5  # of the misfit as it is: what another explanation may leave
-_LEAST_GROUP = 3  # frames that agree on another base
+_LEAST_LAG_FRAMES = 6  # with fewer, a lag cannot be distinguished from outliers
+_IMPROVEMENT = 0.5  # largest ratio of mean misfits at which another explanation replaces the first
+_GOOD_MISFIT = 0.5  # mean misfit at which no other explanation is needed
+_LEAST_GROUP = 3  # frames that must agree on another base
+_AGREEING_SHARE = 0.6  # of the frames off the consensus that must agree on another base
 
 
 def check_motion(model: SessionModel) -> None:
-    """Refuse an arm that stood still: readings that are all the same say nothing about its base."""
-    spread = model.outer.std(axis=0)
-    if (spread[[0, 1, 3]] < _STILL_RAD).all() and spread[2] < _STILL_M:
+    """Refuse the readings of an arm that does not move, from which its base cannot be estimated.
+
+    Raises
+    ------
+    InputError
+        The readings of all outer joints are constant.
+    """
+    std = model.outer.std(axis=0)
+    if (std[[0, 1, 3]] < _STILL_RAD).all() and std[2] < _STILL_M:
         raise InputError(
             "session: yaw, pitch, insertion, roll: expected readings of an arm that moves, got the same in all frames"
         )
 
 
-def shifted(model: SessionModel, lag: int) -> tuple[SessionModel, list[int]]:
-    """Return the model of readings that came ``lag`` frames late, and the frames that still have some."""
+def shift_readings(model: SessionModel, lag: int) -> tuple[SessionModel, list[int]]:
+    """Correct readings that are ``lag`` frames late: give frame i those of frame i + ``lag``.
+
+    Returns the model of the frames that still have readings, and their indices.
+    """
     count = len(model.outer)
     kept = [i for i in range(count) if 0 <= i + lag < count]
-    later = [i + lag for i in kept]
-    return model.of_readings(model.outer[later], model.joints[later]), kept
+    sources = [i + lag for i in kept]
+    return model.of_readings(model.outer[sources], model.joints[sources]), kept
 
 
-def _left_over(consensus: Consensus) -> float:
-    """Mean misfit of a consensus, other modes capped."""
-    return float(np.minimum(consensus.misfit, CAP).mean())
+def _mean_misfit(consensus: Consensus) -> float:
+    """Return the mean of the frames' misfits, each at most `INLIER_MISFIT`."""
+    return float(np.minimum(consensus.misfit, INLIER_MISFIT).mean())
 
 
-def find_lag(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_spread: Float64) -> int:
-    """Find by how many frames readings are late: 0 unless that explains the frames clearly better.
+def find_lag(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> int:
+    """Find the number of frames by which readings are late; negative if they are early.
 
-    Clearly: it leaves half of the misfit, or twice as large a share of the frames agree. Frames that were estimated
-    with the readings of others may well be in wrong modes, so that not all of them will agree whatever the lag.
+    A lag is accepted if it halves the mean misfit, or doubles the share of frames that agree with the consensus. The
+    share matters because frames estimated with a lag's wrong readings may be in wrong modes, which agree at no lag.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`.
+
+    Returns
+    -------
+    int
+        The lag; 0 if there is none, or if there are too few frames to find one.
     """
-    if len(modes) < _LAG_FRAMES:
+    if len(modes) < _LEAST_LAG_FRAMES:
         return 0
-    consensus = find_consensus(model, modes, offset_spread)
-    now, share = _left_over(consensus), float(consensus.agree.mean())
-    best, least = 0, now
+    consensus = find_consensus(model, modes, offset_std)
+    without_lag, share = _mean_misfit(consensus), float(consensus.agree.mean())
+    best, least = 0, without_lag
     for lag in _LAGS:
-        other, kept = shifted(model, lag)
+        shifted, kept = shift_readings(model, lag)
         if len(kept) < _LEAST_GROUP + 1:
             continue
-        consensus = find_consensus(other, [modes[i] for i in kept], offset_spread)
-        found, agree = _left_over(consensus), consensus.agree
-        better = found < _CLEARLY * now or (agree.sum() >= _LEAST_GROUP and agree.mean() * _CLEARLY >= share)
-        if better and found < least:
-            best, least = lag, found
-    return best if now > _CLEARLY else 0
+        consensus = find_consensus(shifted, [modes[i] for i in kept], offset_std)
+        misfit, agree = _mean_misfit(consensus), consensus.agree
+        better = misfit < _IMPROVEMENT * without_lag or (
+            agree.sum() >= _LEAST_GROUP and agree.mean() * _IMPROVEMENT >= share
+        )
+        if better and misfit < least:
+            best, least = lag, misfit
+    return best if without_lag > _GOOD_MISFIT else 0
 
 
 @dataclass(frozen=True)
 class Move:
-    """Two bases: the frames between which it moved, the side that is kept, and the ``others``, by their place."""
+    """A move of the base or camera during the session.
+
+    ``between`` are the indices of the last frame that agrees on one base and the first that agrees on the other;
+    ``side`` is the part of the session to calibrate, ``first`` or ``last``; ``others`` are the indices of the frames in
+    the other part.
+    """
 
     between: tuple[int, int]
     side: str
@@ -81,39 +109,58 @@ class Move:
 
 
 def find_move(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_spread: Float64, consensus: Consensus
+    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, consensus: Consensus
 ) -> Move | None:
-    """Find out whether the frames that disagree are all before or all after the others, and agree among themselves."""
-    away = np.flatnonzero(~consensus.agree).tolist()
-    if len(away) < _LEAST_GROUP:
+    """Find a move of the base: frames off the consensus that agree on another base, all before or all after the others.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`.
+    consensus
+        The consensus of all frames.
+    """
+    disagreeing = np.flatnonzero(~consensus.agree).tolist()
+    if len(disagreeing) < _LEAST_GROUP:
         return None
-    second = find_consensus(model.subset(away), [modes[i] for i in away], offset_spread)
-    theirs = np.array(away)[second.agree]
-    if len(theirs) < max(_LEAST_GROUP, 0.6 * len(away)):
+    second = find_consensus(model.subset(disagreeing), [modes[i] for i in disagreeing], offset_std)
+    second_group = np.array(disagreeing)[second.agree]
+    if len(second_group) < max(_LEAST_GROUP, _AGREEING_SHARE * len(disagreeing)):
         return None
-    ours = np.flatnonzero(consensus.agree)
-    for first, last, side in ((ours, theirs, "first"), (theirs, ours, "last")):
-        if first.max() < last.min():
-            gone = tuple(int(i) for i in range(len(modes)) if (i >= last.min()) == (side == "first"))
-            return Move((int(first.max()), int(last.min())), side, gone)
+    first_group = np.flatnonzero(consensus.agree)
+    for earlier, later, side in ((first_group, second_group, "first"), (second_group, first_group, "last")):
+        if earlier.max() < later.min():
+            others = tuple(int(i) for i in range(len(modes)) if (i >= later.min()) == (side == "first"))
+            return Move((int(earlier.max()), int(later.min())), side, others)
     return None
 
 
-def check_arm(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_spread: Float64, consensus: Consensus
-) -> None:
-    """Refuse readings that only fit an arm or tool of another length."""
-    longer = ROLL_OFFSET_LONG - ROLL_OFFSET, INSERTION_OFFSET["si"] - INSERTION_OFFSET["classic"]
-    now = _left_over(consensus)
-    if now < _CLEARLY:
+def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, consensus: Consensus) -> None:
+    """Refuse readings that only fit with the length of another arm or tool.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`.
+    consensus
+        The consensus of all frames.
+
+    Raises
+    ------
+    InputError
+        The consensus is clearly better with another length; the message states the difference, mm.
+    """
+    differences = ROLL_OFFSET_LONG - ROLL_OFFSET, INSERTION_OFFSET["si"] - INSERTION_OFFSET["classic"]
+    misfit = _mean_misfit(consensus)
+    if misfit < _GOOD_MISFIT:
         return
-    for shift in longer:
+    for difference in differences:
         outer = model.outer.copy()
-        outer[:, 2] += shift
-        other = find_consensus(model.of_readings(outer, model.joints), modes, offset_spread)
-        if _left_over(other) < _CLEARLY * now:
-            than = "longer" if shift > 0 else "shorter"
+        outer[:, 2] += difference
+        other = find_consensus(model.of_readings(outer, model.joints), modes, offset_std)
+        if _mean_misfit(other) < _IMPROVEMENT * misfit:
+            than = "longer" if difference > 0 else "shorter"
             raise InputError(
-                f"session: the readings fit an arm or tool {abs(shift) * 1e3:.0f} mm {than}"
+                f"session: the readings fit an arm or tool {abs(difference) * 1e3:.0f} mm {than}"
                 ": expected --arm, or the tool's own roll joint (--tool), to be the recorded one's"
             )

@@ -1,4 +1,4 @@
-"""What is done with one frame of a session, in whatever process: fit it as the session expects, and report on it."""
+"""Tasks on one frame of a session, which can run in any process: gather evidence, fit, and report."""
 
 from __future__ import annotations
 
@@ -10,19 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameView, PoseAndJoints, fit_frame
+from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints, fit_frame
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.left_out_overlay import draw_left_out
-from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.pose.quality import doubts_of_fit, measure_quality
 from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.pose.search.modes import HasPose, apart
-from dvrk_cmaes.results.paths import FramePictures
+from dvrk_cmaes.pose.search.modes import HasPose, are_distinct
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -31,9 +27,11 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SessionFrame:
-    """A frame of a session: its data or what reads them, its result on its own, and when it was taken, s.
+    """A frame of a session.
 
-    ``data`` must be able to travel between processes where several are used.
+    ``data`` are its data or a function that reads them, picklable where several processes are used. ``result`` is its
+    own result, estimated without the session. ``keypoints`` (2, 2), px, are the jaw tips; ``time``, s, is that of its
+    image.
     """
 
     name: str
@@ -44,166 +42,214 @@ class SessionFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class FitTask:
-    """Fit a frame from several starts as the session expects it; ``own`` is its pose without the session."""
+class StoredEvidence:
+    """Evidence of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
 
-    frame: SessionFrame
+    ``evidence`` has all parts but the images ``mask`` and ``weight``, which are (0, 0); ``mask`` and ``counts`` are
+    those images (H, W) as packed bits. ``counts`` tells which pixels have weight 1, None where all have.
+    """
+
+    evidence: Evidence
+    mask: NDArray[np.uint8]
+    counts: NDArray[np.uint8] | None
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> StoredEvidence:
+        """Pack evidence whose weights are 0 or 1."""
+        counts = None if evidence.weight.all() else np.packbits(evidence.weight > 0)
+        empty = np.empty((0, 0), np.float32)
+        return cls(replace(evidence, mask=empty > 0, weight=empty), np.packbits(evidence.mask), counts)
+
+    def restored(self) -> Evidence:
+        """Return the evidence with its images."""
+        camera = self.evidence.camera
+        shape = camera.height, camera.width
+        mask = np.unpackbits(self.mask, count=shape[0] * shape[1]).reshape(shape)
+        if self.counts is None:
+            weight = np.ones(shape, np.float32)
+        else:
+            weight = np.unpackbits(self.counts, count=mask.size).reshape(shape).astype(np.float32)
+        return replace(self.evidence, mask=mask.astype(np.bool_), weight=weight)
+
+
+@dataclass(frozen=True, eq=False)
+class FitTask:
+    """Arguments of `fit_task`: the frame's stored evidence and readings by name; the others as in `fit_frame`."""
+
+    stored: StoredEvidence
+    readings: Mapping[str, float]
     expected: PosePrior
     starts: tuple[PoseAndJoints, ...]
-    own: PoseAndJoints | None
+    own_estimate: PoseAndJoints | None
 
 
 @dataclass(frozen=True, eq=False)
 class ReportTask:
-    """Report on a frame once the session is solved.
+    """Arguments of `report_task`.
 
-    ``view`` is its solution, of ``covariance``; ``left_out`` the pose and joints that the other frames predict;
-    ``base`` its own camera_from_base, offsets taken out; ``doubts`` what the session has against it. Where it does
-    ``agree``, it gets the solution, else it keeps its own result. ``draw`` asks for pictures.
+    ``result`` is the frame's own result, ``fit`` its fit with the session's prior and ``covariance`` (D, D) that of the
+    fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, ``base``
+    (4, 4) the camera_from_base of the fit and the corrected readings, ``doubts`` the texts of reasons to doubt the
+    frame. If ``agree`` is true, the frame's new result is the fit, otherwise its own result. ``config`` is stored with
+    the result.
     """
 
-    frame: SessionFrame
-    view: FrameView
+    stored: StoredEvidence
+    result: Result
+    fit: FrameFit
     covariance: Float64
-    left_out: PoseAndJoints
+    predicted: PoseAndJoints
     base: Float64
     doubts: tuple[str, ...]
     agree: bool
     config: Mapping[str, Any]
-    draw: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LeaveOneOutPrediction:
+    """Prediction of a frame by the session's other frames: camera_from_root (4, 4) and joints (J,), rad.
+
+    ``iou`` is the intersection over union of the predicted silhouette and the mask, ``contour_px`` the median distance
+    of their contours, px.
+    """
+
+    camera_from_root: Float64
+    joints: Float64
+    iou: float
+    contour_px: float
 
 
 @dataclass(frozen=True, eq=False)
 class FrameReport:
-    """A frame's result, and how well the other frames predict it: overlap, and median distance of the contours, px.
-
-    ``pictures`` where they were asked for.
-    """
+    """A frame's result with the session's prior, and its leave-one-out prediction."""
 
     result: Result
-    left_out_iou: float
-    left_out_px: float
-    pictures: FramePictures | None
+    leave_one_out: LeaveOneOutPrediction
+
+
+def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredEvidence:
+    """Read a frame and gather its evidence."""
+    data = frame.data if isinstance(frame.data, FrameData) else frame.data()
+    evidence = gather_evidence(
+        data.mask, data.camera, body.instrument, ignore=data.ignore, keypoints=frame.keypoints, seed=config.seed
+    )
+    return StoredEvidence.of(evidence)
 
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    data: FrameData
+    """A frame's renderer and evidence, and the readings and limits of the instrument's joints."""
+
     renderer: Renderer
     evidence: Evidence
     readings: Readings
 
 
-def _scene(body: Body, config: EstimateConfig, frame: SessionFrame) -> _Scene:
-    data = frame.data if isinstance(frame.data, FrameData) else frame.data()
-    readings, _, _ = split_readings(body.instrument, frame.result.readings, config)
-    evidence = gather_evidence(
-        data.mask, data.camera, body.instrument, ignore=data.ignore, keypoints=frame.keypoints, seed=config.seed
+def _scene(body: Body, config: EstimateConfig, stored: StoredEvidence, readings: Mapping[str, float]) -> _Scene:
+    """Restore a frame's evidence and make its renderer."""
+    evidence = stored.restored()
+    of_instrument, _, _ = split_readings(body.instrument, readings, config)
+    return _Scene(Renderer(body, evidence.camera, threads=1), evidence, of_instrument)
+
+
+def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
+    """Fit a frame to its outline, with the session's prediction as a prior."""
+    scene = _scene(body, config, task.stored, task.readings)
+    return fit_frame(
+        scene.renderer, scene.evidence, scene.readings, config, task.expected, task.starts, task.own_estimate
     )
-    return _Scene(data, Renderer(body, data.camera, threads=1), evidence, readings)
-
-
-def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameView:
-    """Fit one frame."""
-    scene = _scene(body, config, task.frame)
-    return fit_frame(scene.renderer, scene.evidence, scene.readings, config, task.expected, task.starts, task.own)
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
-    """Report on one frame."""
+    """Make a frame's result, and measure the quality of its leave-one-out prediction."""
     started = time.perf_counter()
-    scene = _scene(body, config, task.frame)
-    seen: list[HasPose] = [_Posed(*task.left_out), task.view]
+    scene = _scene(body, config, task.stored, task.result.readings)
+    poses: list[HasPose] = [_Posed(*task.predicted), task.fit]
     qualities, rays = measure_quality(
         scene.renderer,
         scene.evidence,
         scene.readings,
-        seen,
+        poses,
         config.weights,
         decay=config.decay_px,
         field=config.distance_field,
     )
-    own = task.frame.result
+    own_result = task.result
     if task.agree:
-        result = _solved(body, config, task, scene, qualities[1])
+        result = _result_of_fit(body, config, task, scene, qualities[1])
         result = replace(
             result,
-            evaluations=own.evaluations + scene.renderer.poses,
-            rays=own.rays + rays,
-            seconds=own.seconds + time.perf_counter() - started,
+            evaluations=own_result.evaluations + scene.renderer.poses,
+            rays=own_result.rays + rays,
+            seconds=own_result.seconds + time.perf_counter() - started,
         )
     else:
-        result = replace(own, status="doubtful", reasons=(*own.reasons, *task.doubts))
-    pictures = _pictures(body, task, scene, result, qualities[0]) if task.draw else None
-    return FrameReport(result, qualities[0].iou, qualities[0].contour_px_median, pictures)
+        result = replace(own_result, status="doubtful", reasons=(*own_result.reasons, *task.doubts))
+    leave_one_out = LeaveOneOutPrediction(*task.predicted, qualities[0].iou, qualities[0].contour_px_median)
+    return FrameReport(result, leave_one_out)
 
 
-def _pictures(body: Body, task: ReportTask, scene: _Scene, result: Result, left_out: Quality) -> FramePictures:
-    data, tips = scene.data, task.frame.keypoints
-    overlay = draw_overlay(result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=tips)
-    pose, joints = task.left_out
-    predicted = scene.renderer.masks(pose[None], joints[None])[0]
-    second = draw_left_out(data.mask, predicted, left_out.iou, left_out.contour_px_median, image=data.image)
-    return FramePictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second))
-
-
-def _solved(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
-    """Give the result of a frame that agrees with its session."""
-    own = task.frame.result
-    doubts = doubts_of_fit(task.view, quality, scene.evidence, body.instrument, config.trust) + list(task.doubts)
+def _result_of_fit(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
+    """Return the result of a frame that agrees with the session; ``quality`` is that of its fit."""
+    own_result = task.result
+    doubts = doubts_of_fit(task.fit, quality, scene.evidence, body.instrument, config.trust) + list(task.doubts)
     names = body.instrument.joint_names
     return replace(
-        own,
+        own_result,
         status="doubtful" if doubts else "ok",
         reasons=tuple(doubts),
-        camera_from_root=task.view.camera_from_root,
-        joints=dict(zip(names, task.view.joints.tolist(), strict=True)),
+        camera_from_root=task.fit.camera_from_root,
+        joints=dict(zip(names, task.fit.joints.tolist(), strict=True)),
         camera_from_base=task.base,
         source="session",
-        change=_change(own, task.view, names),
+        change=_change(own_result, task.fit, names),
         quality=quality,
         covariance=task.covariance,
-        alternatives=_others(own, task.view, names, scene.readings),
+        alternatives=_alternatives(own_result, task.fit, names, scene.readings),
         config=dict(task.config),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Posed:
+    """A pose and joints without a score, as `HasPose`."""
+
     camera_from_root: Float64
     joints: Float64
     score: float = 0.0
 
 
-def _change(own: Result, view: FrameView, names: tuple[str, ...]) -> dict[str, Any] | None:
-    """Say what the session moved: mm, degrees."""
-    if own.camera_from_root is None:
+def _change(own_result: Result, fit: FrameFit, names: tuple[str, ...]) -> dict[str, Any] | None:
+    """Describe the change from the frame's own result to the fit, mm and degrees; None if it had no pose."""
+    if own_result.camera_from_root is None:
         return None
-    moved = change_between(own.camera_from_root, view.camera_from_root)
+    moved = change_between(own_result.camera_from_root, fit.camera_from_root)
     return {
         "translation_mm": round(1e3 * float(np.linalg.norm(moved[:3])), 6),
         "rotation_deg": round(float(np.degrees(np.linalg.norm(moved[3:]))), 6),
         "joints_deg": {
-            name: round(float(np.degrees(value - own.joints[name])), 6)
-            for name, value in zip(names, view.joints, strict=True)
+            name: round(float(np.degrees(value - own_result.joints[name])), 6)
+            for name, value in zip(names, fit.joints, strict=True)
         },
     }
 
 
-def _others(own: Result, view: FrameView, names: tuple[str, ...], readings: Readings) -> tuple[Alternative, ...]:
-    """List the frame's own pose and its alternatives, without the mode that the session chose."""
-    modes = list(own.alternatives)
-    if own.camera_from_root is not None and own.quality is not None:
-        joints = np.array([own.joints[name] for name in names])
+def _alternatives(
+    own_result: Result, fit: FrameFit, names: tuple[str, ...], readings: Readings
+) -> tuple[Alternative, ...]:
+    """List the frame's own pose and its alternatives, without those in the mode of the fit."""
+    modes = list(own_result.alternatives)
+    if own_result.camera_from_root is not None and own_result.quality is not None:
+        joints = np.array([own_result.joints[name] for name in names])
         distance = reading_distance(readings, joints)
-        loss, iou = own.quality.loss, own.quality.iou
-        modes.insert(0, Alternative(own.camera_from_root, own.joints, loss, iou, "other mode", distance))
+        loss, iou = own_result.quality.loss, own_result.quality.iou
+        modes.insert(0, Alternative(own_result.camera_from_root, own_result.joints, loss, iou, "other mode", distance))
     return tuple(
         mode
         for mode in modes
-        if apart(
+        if are_distinct(
             _Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
-            view,
+            fit,
             np.deg2rad(15),
             np.deg2rad(25),
         )

@@ -1,7 +1,8 @@
-"""What a session says of each of its frames before one looks at it, and how sure that is.
+"""Prediction of each frame's pose and joints from a session's calibration and the frame's readings, with covariance.
 
-One ``camera_from_base`` and one offset a joint hold for the whole session (true = reading + offset). What is left from
-frame to frame is a small deviation of each joint, of stated spread, and a little slack of the whole (lens, flexing).
+One ``camera_from_base`` and one offset per joint hold for the whole session (true = reading + offset). The errors that
+vary from frame to frame are independent and normal: an error of each joint's reading, and a small additional change of
+the root's pose, the slack, for errors that no joint explains (lens distortion, flexing of the arm).
 """
 
 from __future__ import annotations
@@ -13,27 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import change_between, inverse, moved, shift_of_change
+from dvrk_cmaes.geometry import adjoint, change_between, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.pose.refine.priors import PosePrior
 
 Float64 = NDArray[np.float64]
 
 BASE_AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
-"""Small changes of camera_from_base, in the base's own axes."""
+"""Components of a small change of camera_from_base, along and about the base's axes, m and rad."""
 
 OUTER_OFFSETS = ("insertion", "roll")
-"""Joints of the arm whose readings may be off by a constant; yaw's and pitch's are the base's rotation's to explain."""
+"""Outer joints that have an offset; constant offsets of yaw and pitch are equivalent to a rotation of the base."""
 
-_UNKNOWN = np.pi  # rad: the spread of a joint that was not read
-_STEP = 1e-5
+_UNREAD_STD = np.pi  # rad, standard deviation of a joint that has no reading
+_STEP = 1e-5  # rad or m, of the forward differences
 
 
 @dataclass(frozen=True, eq=False)
-class Spreads:
-    """Standard deviations from frame to frame: of the outer joints (4,), rad and m, and of the instrument's (J,), rad.
+class Deviations:
+    """Standard deviations of the errors that vary from frame to frame (the square roots of the variance components).
 
-    ``slack`` (6,) is that of the root's pose along and about its own axes, m and rad, beside what the joints explain.
+    ``outer`` (4,) is for the readings of the outer joints, rad and m; ``joints`` (J,) for those of the instrument's
+    joints, rad; ``slack`` (6,) for the root's pose along and about its axes, m and rad.
     """
 
     outer: Float64
@@ -41,8 +43,8 @@ class Spreads:
     slack: Float64
 
     @classmethod
-    def of(cls, config: SessionConfig, joint_names: Sequence[str]) -> Spreads:
-        """Spreads as configured, before a session has shown its own."""
+    def of(cls, config: SessionConfig, joint_names: Sequence[str]) -> Deviations:
+        """Return the configured initial values for an instrument's joints."""
         outer = [np.deg2rad(config.arm_deg)] * 2 + [config.insertion_mm * 1e-3, np.deg2rad(config.roll_deg)]
         joints = np.deg2rad([config.jaw_deg if name == "jaw" else config.wrist_deg for name in joint_names])
         slack = [config.slack_mm * 1e-3] * 3 + [np.deg2rad(config.slack_deg)] * 3
@@ -51,20 +53,36 @@ class Spreads:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """One session's constants: ``camera_from_base`` (4, 4) and offsets (2 + J,) in the order of `SessionModel.axes`."""
+    """Constants of a session: ``camera_from_base`` (4, 4) and ``offsets`` (2 + J,), m and rad.
+
+    The offsets are those of insertion, roll and the instrument's joints.
+    """
 
     camera_from_base: Float64
     offsets: Float64
 
     def changed(self, step: Float64) -> Calibration:
-        """Return the calibration after a step (6 + 2 + J,): the base's in its own axes, then the offsets'."""
+        """Return the calibration after a step (6 + 2 + J,), in the order of `SessionModel.axes`."""
         return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:])
 
 
 class SessionModel:
-    """Predicts N frames from their readings.
+    """Model that predicts the poses and joints of N frames from their readings and a calibration.
 
-    ``outer`` (N, 4) and ``joints`` (N, J) are readings, rad and m; those of the instrument's joints may be NaN.
+    Parameters
+    ----------
+    outer : (N, 4)
+        Readings of the outer joints, rad and m.
+    joints : (N, J)
+        Readings of the instrument's joints, rad; NaN where there is none.
+    joint_names
+        Names of the instrument's joints.
+    deviations
+        Standard deviations of the errors that vary from frame to frame.
+    arm, roll_offset
+        Kinematics of the outer arm, as in `base_from_root`.
+    inflation : (N, 1 + J)
+        Factors on the standard deviations of roll and of the instrument's joints in each frame; 1 by default.
     """
 
     def __init__(
@@ -72,99 +90,114 @@ class SessionModel:
         outer: Float64,
         joints: Float64,
         joint_names: Sequence[str],
-        spreads: Spreads,
+        deviations: Deviations,
         *,
         arm: Arm = "classic",
         roll_offset: float = ROLL_OFFSET,
-        stretch: Float64 | None = None,
+        inflation: Float64 | None = None,
     ) -> None:
-        self.stretch = np.ones((len(outer), 1 + len(joint_names))) if stretch is None else stretch
+        self.inflation = np.ones((len(outer), 1 + len(joint_names))) if inflation is None else inflation
         self.outer = outer
         self.joints = joints
         self.names = tuple(joint_names)
-        self.spreads = spreads
+        self.deviations = deviations
         self._arm: Arm = arm
         self._roll_offset = roll_offset
-        self._known = ~np.isnan(joints)
+        self._has_reading = ~np.isnan(joints)
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of a step's components."""
+        """Names of the 8 + J components of a step of the calibration."""
         return (*BASE_AXES, *OUTER_OFFSETS, *self.names)
 
-    def with_spreads(self, spreads: Spreads) -> SessionModel:
-        """Return the same readings with other spreads."""
-        return self.of_readings(self.outer, self.joints, spreads, self.stretch)
+    def with_deviations(self, deviations: Deviations) -> SessionModel:
+        """Return a model of the same readings with other standard deviations."""
+        return self.of_readings(self.outer, self.joints, deviations, self.inflation)
 
-    def with_stretch(self, stretch: Float64) -> SessionModel:
-        """Return the same frames, the spreads of whose roll and joints are so many times as wide, (N, 1 + J)."""
-        return self.of_readings(self.outer, self.joints, stretch=stretch)
+    def with_inflation(self, inflation: Float64) -> SessionModel:
+        """Return a model of the same readings with other factors (N, 1 + J) on the standard deviations."""
+        return self.of_readings(self.outer, self.joints, inflation=inflation)
 
     def of_readings(
-        self, outer: Float64, joints: Float64, spreads: Spreads | None = None, stretch: Float64 | None = None
+        self, outer: Float64, joints: Float64, deviations: Deviations | None = None, inflation: Float64 | None = None
     ) -> SessionModel:
-        """Return a model of other frames on the same arm."""
-        used = self.spreads if spreads is None else spreads
+        """Return a model of other readings, (N, 4) and (N, J), of the same arm and instrument.
+
+        ``deviations`` are by default those of this model, ``inflation`` (N, 1 + J) is by default 1.
+        """
+        used = self.deviations if deviations is None else deviations
         return SessionModel(
-            outer, joints, self.names, used, arm=self._arm, roll_offset=self._roll_offset, stretch=stretch
+            outer, joints, self.names, used, arm=self._arm, roll_offset=self._roll_offset, inflation=inflation
         )
 
     def base_from_root(self, offsets: Float64) -> Float64:
-        """Forward kinematics with offsets taken out of the readings, (N, 4, 4)."""
+        """Compute the forward kinematics (N, 4, 4) of the readings corrected by offsets (2 + J,)."""
         outer = self.outer.copy()
         outer[:, 2] += offsets[0]
         outer[:, 3] += offsets[1]
         return base_from_root(outer, self._arm, roll_offset=self._roll_offset)
 
     def predict(self, calibration: Calibration) -> tuple[Float64, Float64]:
-        """Poses (N, 4, 4) and joints (N, J) that are expected; a joint that was not read is expected at its offset."""
-        read = np.where(self._known, self.joints, 0.0)
+        """Predict the root's poses in the camera (N, 4, 4) and the joints (N, J), rad.
+
+        A joint without a reading is predicted at its offset.
+        """
+        read = np.where(self._has_reading, self.joints, 0.0)
         poses = calibration.camera_from_base @ self.base_from_root(calibration.offsets)
         return np.asarray(poses), read + calibration.offsets[2:]
 
     def jacobian(self, calibration: Calibration) -> Float64:
-        """Change of what is expected, in each root's axes, with a step of the calibration, (N, 6 + J, 6 + 2 + J)."""
+        """Compute the Jacobian (N, 6 + J, 8 + J) of the predictions with respect to a step of the calibration.
+
+        Changes of the predictions are in each root's axes, m and rad.
+        """
         count = len(self.names)
         out = np.zeros((len(self.outer), 6 + count, 8 + count))
-        out[:, :6, :6] = shift_of_change(inverse(self.base_from_root(calibration.offsets)))
-        out[:, 2, 6] = 1.0  # insertion slides the root along its z axis, roll turns it about that
+        out[:, :6, :6] = adjoint(inverse(self.base_from_root(calibration.offsets)))
+        out[:, 2, 6] = 1.0  # insertion translates the root along its z axis, roll rotates it about this axis
         out[:, 5, 7] = 1.0
         out[:, 6:, 8:] = np.eye(count)
         return out
 
     def outer_loadings(self, calibration: Calibration) -> Float64:
-        """Give the changes (4, N, 6 + J) of frames with one standard deviation of each outer joint."""
+        """Compute the change (4, N, 6 + J) of each frame for one standard deviation of each outer joint's error.
+
+        Changes are in the root's axes, m and rad.
+        """
         here = self.base_from_root(calibration.offsets)
         out = np.zeros((len(OUTER_JOINTS), len(here), 6 + len(self.names)))
         for k in range(len(OUTER_JOINTS)):
             outer = self.outer.copy()
             outer[:, k] += _STEP
             there = self.of_readings(outer, self.joints).base_from_root(calibration.offsets)
-            out[k, :, :6] = change_between(here, there) * self.spreads.outer[k] / _STEP
-        out[3] *= self.stretch[:, :1]
+            out[k, :, :6] = change_between(here, there) * self.deviations.outer[k] / _STEP
+        out[3] *= self.inflation[:, :1]
         return out
 
     def covariance(self, calibration: Calibration) -> Float64:
-        """Covariance of a frame's pose and joints about what is expected, (N, 6 + J, 6 + J), in the root's axes."""
+        """Compute the covariance (N, 6 + J, 6 + J) of each frame's pose and joints, given a calibration.
+
+        Axes are the changes of the root's pose in its own axes and the joints, m and rad.
+        """
         count = len(self.names)
         loadings = self.outer_loadings(calibration)
         out = np.einsum("kni,knj->nij", loadings, loadings)
-        out[:, :6, :6] += np.diag(self.spreads.slack**2)
-        joint = np.where(self._known, (self.spreads.joints * self.stretch[:, 1:]) ** 2, _UNKNOWN**2)
+        out[:, :6, :6] += np.diag(self.deviations.slack**2)
+        joint = np.where(self._has_reading, (self.deviations.joints * self.inflation[:, 1:]) ** 2, _UNREAD_STD**2)
         out[:, 6:, 6:] += joint[:, :, None] * np.eye(count)
         return np.asarray(out)
 
-    def priors(self, calibration: Calibration, *, loosened: float = 1.0) -> list[PosePrior]:
-        """Return what is expected of each frame, with the spreads ``loosened`` times as wide."""
+    def priors(self, calibration: Calibration, *, scale: float = 1.0) -> list[PosePrior]:
+        """Return the prior of each frame's pose and joints; ``scale`` is a factor on its standard deviations."""
         poses, joints = self.predict(calibration)
-        information = np.linalg.inv(self.covariance(calibration) * loosened**2)
+        information = np.linalg.inv(self.covariance(calibration) * scale**2)
         return [PosePrior(p, q, i) for p, q, i in zip(poses, joints, information, strict=True)]
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> SessionModel:
-        """Return the model of some of the frames."""
-        return self.of_readings(self.outer[index], self.joints[index], stretch=self.stretch[index])
+        """Return the model of the frames at some indices."""
+        return self.of_readings(self.outer[index], self.joints[index], inflation=self.inflation[index])
 
 
 def outer_readings(readings: Sequence[Mapping[str, float]]) -> Float64:
-    """Return readings of the outer joints of N frames, (N, 4), NaN where there are none."""
+    """Return the outer joints' readings of N frames as an array (N, 4), rad and m; NaN where there is none."""
     return np.array([[r.get(name, np.nan) for name in OUTER_JOINTS] for r in readings]).reshape(-1, len(OUTER_JOINTS))

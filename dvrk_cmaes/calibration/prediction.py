@@ -1,9 +1,8 @@
-"""A new frame of a calibrated session: what the session expects of it, held against its mask."""
+"""Pose of a new frame of a calibrated session, by refinement of the pose that the calibration predicts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,45 +15,43 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.quality import doubts_of_fit, measure_quality
 from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
-_LESS_OVERLAP = 0.03  # than the session's frames have, for a pose that still explains its mask
-_FARTHER = 1.5  # times as far off as the session's own contours
+_OVERLAP_LOSS = 0.03  # below the session's median intersection over union, from which on a pose is rejected
+_CONTOUR_FACTOR = 1.5  # on the session's median of contour_px_95, beyond which a pose is rejected
 
 
-@dataclass(frozen=True, eq=False)
-class SessionPose:
-    """A frame's pose (4, 4), joints (J,) and covariance (D, D) as its session and its mask have them.
-
-    ``camera_from_base`` is of this frame alone, the joints' offsets taken out. ``doubts`` say what is wrong, in words.
-    """
-
-    camera_from_root: Float64
-    joints: Float64
-    covariance: Float64
-    camera_from_base: Float64
-    quality: Quality
-    doubts: tuple[str, ...]
-    evaluations: int
-    rays: int
-
-
-def try_session(
+def fit_session_pose(
     session: SessionCalibration,
     renderer: Renderer,
     evidence: Evidence,
     readings: Readings,
     given: Mapping[str, float],
     config: EstimateConfig,
-) -> SessionPose | str:
-    """Fit a frame from where its session expects it; in words why not, where that does not explain the mask.
+) -> FoundPose | str:
+    """Refine the pose that a session's calibration predicts for a frame to fit the frame's mask.
 
-    ``readings`` are those of the instrument's joints, ``given`` all by name.
+    Parameters
+    ----------
+    session
+        The calibration.
+    renderer, evidence, config
+        The renderer at full detail, the frame's evidence and all settings.
+    readings
+        Readings and limits of the instrument's joints.
+    given
+        All readings of the frame by joint name, rad and m.
+
+    Returns
+    -------
+    FoundPose or str
+        The pose; or the text of a warning, if an outer joint has no reading, the refined pose does not explain the
+        mask, or it is too far from the prediction.
 
     Raises
     ------
@@ -68,35 +65,35 @@ def try_session(
     if missing:
         return f"session: no reading of {', '.join(missing)}: searched without it"
     poses, joints = model.predict(calibration)
-    rate = model.jacobian(calibration)[0]
-    spread = model.covariance(calibration)[0] + rate @ session.covariance @ rate.T
-    expected = PosePrior(poses[0], joints[0], np.asarray(np.linalg.inv(spread), dtype=np.float64))
+    jacobian = model.jacobian(calibration)[0]
+    covariance = model.covariance(calibration)[0] + jacobian @ session.covariance @ jacobian.T
+    expected = PosePrior(poses[0], joints[0], np.asarray(np.linalg.inv(covariance), dtype=np.float64))
     start = (poses[0], joints[0])
     first = fit_frame(renderer, evidence, readings, config, expected, (start,), None)
-    fitted = (first.camera_from_root, first.joints)
-    view = fit_frame(renderer, evidence, readings, config, expected, (fitted,), fitted)
+    first_estimate = (first.camera_from_root, first.joints)
+    fit = fit_frame(renderer, evidence, readings, config, expected, (first_estimate,), first_estimate)
     (quality,), rays = measure_quality(
-        renderer, evidence, readings, [view], config.weights, decay=config.decay_px, field=config.distance_field
+        renderer, evidence, readings, [fit], config.weights, decay=config.decay_px, field=config.distance_field
     )
-    off = expected.deviation(view.camera_from_root, view.joints)
-    misfit = float(off @ expected.information @ off) / len(off)
-    farthest = max(config.trust.largest_contour_px, _FARTHER * session.contour_px_95)
-    if quality.iou < session.iou - _LESS_OVERLAP or quality.contour_px_95 > farthest:
+    deviation = expected.deviation(fit.camera_from_root, fit.joints)
+    misfit = float(deviation @ expected.information @ deviation) / len(deviation)
+    largest_px = max(config.trust.largest_contour_px, _CONTOUR_FACTOR * session.contour_px_95)
+    if quality.iou < session.iou - _OVERLAP_LOSS or quality.contour_px_95 > largest_px:
         return (
             f"session: what it expects does not explain the mask (IoU {quality.iou:.3f}, "
             f"{quality.contour_px_95:.1f} px at 95 % of the contour): searched anew"
         )
     if misfit > config.session.largest_misfit:
         return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
-    doubts = doubts_of_fit(view, quality, evidence, instrument, config.trust)
-    reached = model.base_from_root(calibration.offsets)[0]
-    return SessionPose(
-        view.camera_from_root,
-        view.joints,
-        np.asarray(np.linalg.inv(view.information + expected.information), dtype=np.float64),
-        np.asarray(view.camera_from_root @ inverse(reached)),
-        quality,
-        tuple(doubts),
-        first.evaluations + view.evaluations,
-        rays,
+    doubts = doubts_of_fit(fit, quality, evidence, instrument, config.trust)
+    base_from_root = model.base_from_root(calibration.offsets)[0]
+    return FoundPose(
+        camera_from_root=fit.camera_from_root,
+        joints=fit.joints,
+        covariance=np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64),
+        quality=quality,
+        reasons=tuple(doubts),
+        evaluations=first.evaluations + fit.evaluations + renderer.poses,
+        rays=rays + renderer.rays,
+        camera_from_base=np.asarray(fit.camera_from_root @ inverse(base_from_root)),
     )

@@ -1,8 +1,9 @@
-"""One calibration from what all frames say: Gauss-Newton over the session's constants, robust over frames.
+"""Robust Gauss-Newton estimation of a session's calibration from the outline fits of its frames.
 
-A frame's own unknowns (pose and joints, 6 + J) are eliminated: with the outline's information H about its solution and
-the session's information W = P^-1 about what it expects, the frame pulls at the session with W - W (H + W)^-1 W (the
-Schur complement), so that the cost grows linearly with the number of frames.
+The unknowns of the N frames (D = 6 + J each, pose and joints) are eliminated. Let H be the information matrix of a
+frame's outline about its pose and joints, and W = P^-1 that of the model's prediction with covariance P. The
+information about the prediction is then the Schur complement W - W (H + W)^-1 W, so the cost is linear in the number of
+frames. Frames with large misfits are down-weighted.
 """
 
 from __future__ import annotations
@@ -17,16 +18,19 @@ from dvrk_cmaes.geometry import change_between
 
 Float64 = NDArray[np.float64]
 
-_ROBUST = 2.0  # times the expected error, at which a frame counts two fifths; within that error it counts whole
+_ROBUST = 2.0
+"""Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
+
 _ITERATIONS = 30
 
 
 @dataclass(frozen=True, eq=False)
-class FrameViews:
-    """What the outlines of N frames say about pose and joints, whatever the session expects.
+class FrameFits:
+    """Quadratic approximations of the outline terms of N frames, without the session's prior.
 
-    Each frame's outline is worth ``information`` (N, D, D) and pulls with ``slope`` (N, D) at ``poses`` (N, 4, 4) and
-    ``joints`` (N, J), in each root's axes; D = 6 + J. Where it is best explained, the slope is zero.
+    ``poses`` (N, 4, 4) and ``joints`` (N, J), rad, are the points of expansion. ``information`` (N, D, D) is the
+    Gauss-Newton matrix and ``slope`` (N, D) the gradient of half the sum of squares there, for changes in each root's
+    axes, m and rad; D = 6 + J. The slope is zero at an outline's own optimum.
     """
 
     poses: Float64
@@ -34,116 +38,137 @@ class FrameViews:
     information: Float64
     slope: Float64
 
-    def subset(self, index: NDArray[np.integer] | list[int]) -> FrameViews:
-        """Return some of the frames."""
-        return FrameViews(self.poses[index], self.joints[index], self.information[index], self.slope[index])
+    def subset(self, index: NDArray[np.integer] | list[int]) -> FrameFits:
+        """Return the fits of the frames at some indices."""
+        return FrameFits(self.poses[index], self.joints[index], self.information[index], self.slope[index])
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A calibration, its information (K, K), each frame's weight (N,), squared misfit (N,), and own share of both.
+    """An estimated calibration with its information matrix (K, K), K = 8 + J, in the order of `SessionModel.axes`.
 
-    ``shares`` (N, K, K) and ``pulls`` (N, K) are what each frame adds to the information and slope at the solution.
+    ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
+    outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
+    information matrix and to the gradient of half the sum of squares at the solution.
     """
 
     calibration: Calibration
     information: Float64
     weights: Float64
     misfit: Float64
-    shares: Float64
-    pulls: Float64
+    frame_information: Float64
+    frame_slopes: Float64
 
     @property
     def covariance(self) -> Float64:
-        """Covariance (K, K) of the calibration, in the model's axes."""
+        """Covariance (K, K) of the calibration, in the order of `SessionModel.axes`."""
         return np.asarray(np.linalg.inv(self.information))
 
 
 @dataclass(frozen=True, eq=False)
-class _Marginals:
-    """Frames without their own unknowns: ``pull`` (N, D) and ``information`` (N, D, D) on what is expected of them."""
+class Marginals:
+    """N frames after elimination of their poses and joints, at a calibration; all in each root's axes, m and rad.
 
-    pull: Float64
+    ``slope`` (N, D) and ``information`` (N, D, D) are the gradient and the Hessian of half of each frame's sum of
+    squares with respect to its prediction. ``misfit`` (N,) is the squared Mahalanobis distance between outline and
+    prediction, whose expectation is D if the model holds. ``deviation`` (N, D) and ``covariance`` (N, D, D) are
+    mean and covariance of the posterior of each frame's change from its prediction.
+    """
+
+    slope: Float64
     information: Float64
     misfit: Float64
-    solved: Float64
+    deviation: Float64
     covariance: Float64
 
 
-def marginalise(model: SessionModel, views: FrameViews, calibration: Calibration) -> _Marginals:
-    """Eliminate pose and joints of each frame at a calibration.
-
-    ``solved`` (N, D) is each frame's change from what is expected to its best compromise, of ``covariance`` (N, D, D);
-    ``misfit`` (N,) the squared misfit between outline and expectation, about D where both are right.
-    """
+def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Marginals:
+    """Eliminate the pose and joints of each frame at a calibration."""
     poses, joints = model.predict(calibration)
-    expected = np.concatenate([change_between(views.poses, poses), joints - views.joints], axis=1)
+    predicted = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)
     prior = _inverses(model.covariance(calibration))
-    both = _inverses(views.information + prior)
-    solved = _times(both, _times(prior, expected) - views.slope)
-    information = prior - prior @ both @ prior
-    pseudo = np.asarray(np.linalg.pinv(views.information, rcond=1e-9, hermitian=True), dtype=np.float64)
-    ideal = -_times(pseudo, views.slope)
-    apart = expected - ideal
-    misfit = np.maximum(
-        np.einsum("ni,nij,nj->n", apart, information, apart), 0
-    )  # rounding, of frames that tell nothing
-    return _Marginals(_times(prior, expected - solved), information, misfit, solved - expected, both)
+    covariance = _inverses(fits.information + prior)
+    solved = _times(covariance, _times(prior, predicted) - fits.slope)
+    information = prior - prior @ covariance @ prior
+    outline_covariance = np.asarray(np.linalg.pinv(fits.information, rcond=1e-9, hermitian=True), dtype=np.float64)
+    outline_optimum = -_times(outline_covariance, fits.slope)
+    difference = predicted - outline_optimum
+    # Without information, rounding errors can make the misfit slightly negative.
+    misfit = np.maximum(np.einsum("ni,nij,nj->n", difference, information, difference), 0)
+    return Marginals(_times(prior, predicted - solved), information, misfit, solved - predicted, covariance)
 
 
 def solve(
     model: SessionModel,
-    views: FrameViews,
+    fits: FrameFits,
     start: Calibration,
     prior: Float64,
     *,
     iterations: int = _ITERATIONS,
 ) -> Solution:
-    """Fit a calibration to all frames.
+    """Estimate the calibration by iteratively reweighted Gauss-Newton steps.
 
-    ``prior`` (K, K) is the information about the offsets (and the base, where something is known) before looking.
+    Parameters
+    ----------
+    model, fits
+        The model and the outline fits of the same N frames.
+    start
+        Calibration of the first linearisation.
+    prior : (K, K)
+        Information matrix of the prior, whose mean has zero offsets; its rows and columns of the base are zero.
+    iterations
+        Largest number of steps.
     """
     calibration = start
     dimension = 6 + len(model.names)
 
-    def linearised(at: Calibration) -> tuple[Float64, Float64, Float64, Float64]:
-        frames, rate = marginalise(model, views, at), model.jacobian(at)
-        # A frame that is as far off as expected counts whole, or else the calibration would seem less sure than it is.
+    def linearise(at: Calibration) -> tuple[Float64, Float64, Float64, Float64]:
+        frames, jacobian = marginalise(model, fits, at), model.jacobian(at)
+        # A frame with the expected misfit has weight 1; smaller weights would make the covariance too large.
         weights = np.minimum((1 + _ROBUST**-2) / (1 + frames.misfit / (dimension * _ROBUST**2)), 1) ** 2
-        shares = np.einsum("nik,nij,njl,n->nkl", rate, frames.information, rate, weights)
-        pulls = np.einsum("nik,ni,n->nk", rate, frames.pull, weights)
-        return weights, frames.misfit, shares, pulls
+        frame_information = np.einsum("nik,nij,njl,n->nkl", jacobian, frames.information, jacobian, weights)
+        frame_slopes = np.einsum("nik,ni,n->nk", jacobian, frames.slope, weights)
+        return weights, frames.misfit, frame_information, frame_slopes
 
     offset = np.zeros(len(prior))
     for _ in range(iterations):
-        weights, misfit, shares, pulls = linearised(calibration)
-        information = prior + shares.sum(axis=0)
+        weights, misfit, frame_information, frame_slopes = linearise(calibration)
+        information = prior + frame_information.sum(axis=0)
         offset[6:] = calibration.offsets
-        step = -np.linalg.solve(information, prior @ offset + pulls.sum(axis=0))
+        step = -np.linalg.solve(information, prior @ offset + frame_slopes.sum(axis=0))
         calibration = calibration.changed(step)
         if step @ information @ step < 1e-6 * len(step):
             break
-    weights, misfit, shares, pulls = linearised(calibration)
-    return Solution(calibration, prior + shares.sum(axis=0), weights, misfit, shares, pulls)
+    weights, misfit, frame_information, frame_slopes = linearise(calibration)
+    information = prior + frame_information.sum(axis=0)
+    return Solution(calibration, information, weights, misfit, frame_information, frame_slopes)
 
 
-def without(solution: Solution, index: int) -> Calibration:
-    """Return the calibration that the other frames alone give, to first order (exact where the problem is linear)."""
-    information = solution.information - solution.shares[index]
-    return solution.calibration.changed(np.linalg.solve(information, solution.pulls[index]))
+def leave_one_out(solution: Solution, index: int) -> Calibration:
+    """Return the calibration without one frame, by one Gauss-Newton step from the solution with unchanged weights.
+
+    The step is exact if the problem is linear.
+    """
+    information = solution.information - solution.frame_information[index]
+    return solution.calibration.changed(np.linalg.solve(information, solution.frame_slopes[index]))
 
 
 def _inverses(matrices: Float64) -> Float64:
+    """Invert matrices (N, D, D)."""
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
 
 def _times(matrices: Float64, vectors: Float64) -> Float64:
+    """Multiply matrices (N, D, D) by vectors (N, D)."""
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 
-def deviations(model: SessionModel, views: FrameViews, solution: Solution) -> Float64:
-    """Covariance (N, D, D) of each frame's pose and joints, that of the calibration included, in the root's axes."""
-    frames = marginalise(model, views, solution.calibration)
+def frame_covariances(model: SessionModel, fits: FrameFits, solution: Solution) -> Float64:
+    """Compute the covariance (N, D, D) of each frame's pose and joints, including that of the calibration.
+
+    Axes are the changes of the root's pose in its own axes and the joints, m and rad.
+    """
+    frames = marginalise(model, fits, solution.calibration)
     prior = _inverses(model.covariance(solution.calibration))
-    through = frames.covariance @ prior @ model.jacobian(solution.calibration)
-    return np.asarray(frames.covariance + through @ solution.covariance @ np.swapaxes(through, 1, 2))
+    jacobian = frames.covariance @ prior @ model.jacobian(solution.calibration)  # of the frames' estimates
+    return np.asarray(frames.covariance + jacobian @ solution.covariance @ np.swapaxes(jacobian, 1, 2))

@@ -1,9 +1,12 @@
-"""How far readings are off from frame to frame, learnt from the session itself (expectation-maximisation).
+"""Estimation of the variance components of the readings' errors from a session, by expectation-maximisation.
 
-Each frame's deviation from what is expected is shared out among the joints that can explain it; the mean of a joint's
-squares, with a start that counts as so many frames, is its spread. The slack of the whole only shrinks: what is more
-than expected is the joints' to explain. A single joint far off (a cable that slipped, a
-reading of another moment) neither widens the spread nor drags the frame: its own spread is stretched.
+The expectation step computes the posterior mean square of each error in each frame. The maximisation step takes its
+weighted mean over the frames; the configured initial value counts as ``spread_frames`` further frames. Standard
+deviations are limited: those of yaw, pitch and insertion from below and the slack from above by their initial values,
+and all but the slack from above by multiples of these.
+
+Single large errors of roll or of an instrument's joint (a slipped cable, a reading of another time) are handled apart
+from these: the standard deviation of that joint is inflated in that frame only.
 """
 
 from __future__ import annotations
@@ -11,56 +14,72 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.model import Calibration, SessionModel, Spreads
-from dvrk_cmaes.calibration.solve import FrameViews, marginalise
+from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.config import SessionConfig
 
 Float64 = NDArray[np.float64]
 
-_ROLL_STRETCH, _JOINT_STRETCH = 20.0, 2.0  # at most; the turn about the shaft is what a frame sees worst
+_MAX_ROLL_INFLATION, _MAX_JOINT_INFLATION = 20.0, 2.0
+"""Largest factors on standard deviations in single frames; a mask determines the rotation about the shaft least."""
 
 
-def learn_spreads(
-    model: SessionModel, views: FrameViews, calibration: Calibration, weights: Float64, config: SessionConfig
+def estimate_variances(
+    model: SessionModel, fits: FrameFits, calibration: Calibration, weights: Float64, config: SessionConfig
 ) -> SessionModel:
-    """Return the model with the spreads that N frames, each of a weight (N,), show at a calibration."""
-    start = Spreads.of(config, model.names)
-    frames = marginalise(model, views, calibration)
+    """Return the model after one iteration of expectation-maximisation.
+
+    Parameters
+    ----------
+    model, fits
+        The current model and the outline fits of the same N frames.
+    calibration
+        The calibration, taken as known.
+    weights : (N,)
+        Robust weights of the frames.
+    config
+        Initial standard deviations and their limits.
+    """
+    start = Deviations.of(config, model.names)
+    frames = marginalise(model, fits, calibration)
     inverse = np.linalg.inv(model.covariance(calibration))
 
-    def squares(cause: Float64) -> Float64:
-        """Expect the squares (N,) of what moves the frames by so much a standard deviation of it, (N, D)."""
-        gain = np.einsum("nij,nj->ni", inverse, cause)
-        mean = (gain * frames.solved).sum(axis=1)
-        left = 1 - (gain * cause).sum(axis=1) + np.einsum("ni,nij,nj->n", gain, frames.covariance, gain)
-        return np.asarray(mean**2 + left)
+    def mean_squares(loading: Float64) -> Float64:
+        """Compute posterior mean squares (N,) of a standard normal error that changes the frames by (N, D) times it."""
+        gain = np.einsum("nij,nj->ni", inverse, loading)
+        mean = (gain * frames.deviation).sum(axis=1)
+        variance = 1 - (gain * loading).sum(axis=1) + np.einsum("ni,nij,nj->n", gain, frames.covariance, gain)
+        return np.asarray(mean**2 + variance)
 
-    def spread(first: float, now: float, found: Float64, most: float) -> float:
-        capped = np.minimum(found * now**2, (most * first) ** 2)
-        total = config.spread_frames * first**2 + (weights * capped).sum()
+    def new_std(initial: float, current: float, squares: Float64, growth: float) -> float:
+        """Return a standard deviation from mean squares (N,) in units of the current one."""
+        capped = np.minimum(squares * current**2, (growth * initial) ** 2)
+        total = config.spread_frames * initial**2 + (weights * capped).sum()
         return float(np.sqrt(total / (config.spread_frames + weights.sum())))
 
-    def loading(axis: int, deviation: Float64 | float) -> Float64:
-        """Move each frame by a deviation along one of its own axes, (N, D)."""
+    def axis_loading(axis: int, std: Float64 | float) -> Float64:
+        """Return the change (N, D) of each frame by a standard deviation, a number or (N,), along one of its axes."""
         out = np.zeros((len(weights), 6 + len(start.joints)))
-        out[:, axis] = deviation
+        out[:, axis] = std
         return out
 
-    now, arm = model.spreads, model.outer_loadings(calibration)
+    current, loadings = model.deviations, model.outer_loadings(calibration)
     outer = start.outer.copy()
-    turned = spread(start.outer[0], now.outer[0], (squares(arm[0]) + squares(arm[1])) / 2, config.arm_growth)
-    slid = spread(start.outer[2], now.outer[2], squares(arm[2]), config.arm_growth / 2)
-    outer[:2], outer[2] = max(turned, start.outer[0]), max(slid, start.outer[2])
-    outer[3] = spread(start.outer[3], now.outer[3], squares(arm[3]), config.cable_growth)
+    rotation_squares = (mean_squares(loadings[0]) + mean_squares(loadings[1])) / 2
+    rotation = new_std(start.outer[0], current.outer[0], rotation_squares, config.arm_growth)
+    insertion = new_std(start.outer[2], current.outer[2], mean_squares(loadings[2]), config.arm_growth / 2)
+    outer[:2], outer[2] = max(rotation, start.outer[0]), max(insertion, start.outer[2])
+    outer[3] = new_std(start.outer[3], current.outer[3], mean_squares(loadings[3]), config.cable_growth)
     joints = np.zeros_like(start.joints)
     for j in range(len(joints)):
-        own = squares(loading(6 + j, now.joints[j] * model.stretch[:, 1 + j]))
-        joints[j] = spread(start.joints[j], now.joints[j], own, config.cable_growth)
+        squares = mean_squares(axis_loading(6 + j, current.joints[j] * model.inflation[:, 1 + j]))
+        joints[j] = new_std(start.joints[j], current.joints[j], squares, config.cable_growth)
     slack = start.slack.copy()
     for part in (slice(0, 3), slice(3, 6)):
-        found = np.mean([squares(loading(k, now.slack[k])) for k in range(6)[part]], axis=0)
-        slack[part] = spread(start.slack[part][0], now.slack[part][0], found, 1.0)
-    learnt = Spreads(outer, joints, slack)
-    off = np.concatenate([frames.solved[:, 5:6] / outer[3], frames.solved[:, 6:] / joints], axis=1)
-    most = np.array([_ROLL_STRETCH] + [_JOINT_STRETCH] * len(joints))
-    return model.with_spreads(learnt).with_stretch(np.clip(np.abs(off) / config.tail, 1.0, most))
+        squares = np.mean([mean_squares(axis_loading(k, current.slack[k])) for k in range(6)[part]], axis=0)
+        slack[part] = new_std(start.slack[part][0], current.slack[part][0], squares, 1.0)
+    estimated = Deviations(outer, joints, slack)
+    standardised = np.concatenate([frames.deviation[:, 5:6] / outer[3], frames.deviation[:, 6:] / joints], axis=1)
+    most = np.array([_MAX_ROLL_INFLATION] + [_MAX_JOINT_INFLATION] * len(joints))
+    inflation = np.clip(np.abs(standardised) / config.tail, 1.0, most)
+    return model.with_deviations(estimated).with_inflation(inflation)

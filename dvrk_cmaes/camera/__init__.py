@@ -1,4 +1,4 @@
-"""Cameras: intrinsics and lens distortion, and the readers of the calibration files that labs have."""
+"""Camera model (intrinsics and lens distortion) and the readers of camera calibration files."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What every kind of camera file is read into, and the fields that they have in common.
+"""Intrinsics as stated in a camera file, and readers of the fields that several file formats share.
 
-A reader of one kind takes a document of plain values and gives `Intrinsics`; wrong fields are named in one line.
+The reader of each format converts a document of plain values to `Intrinsics`; an InputError names a wrong field.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What a camera file states, before it is made a `Camera`.
+    """Intrinsics and distortion that a camera file states for one camera.
 
-    ``kind`` says in words what the file is and which of its cameras and matrices were taken. ``size`` is width and
-    height in pixels, None where the file does not state it. ``fx, fy, cx, cy`` are in pixels; ``model`` and
-    ``distortion`` as in `Camera`. ``notes`` say what had to be decided by a rule.
+    ``kind`` describes the file format and which of its cameras and matrices were used. ``size`` is width and height in
+    pixels, None if the file does not state them. ``fx, fy, cx, cy`` are in pixels; ``model`` and ``distortion`` are as
+    in `Camera`. ``notes`` state assumptions that were made about the file.
     """
 
     kind: str
@@ -41,7 +41,7 @@ class Intrinsics:
 
 
 def take_field(where: str, document: Mapping[str, Any], names: Sequence[str]) -> tuple[str, Any]:
-    """Take name and value of the first of several names that a document has; InputError where it has none of them."""
+    """Return name and value of the first of several fields that a document has; InputError if it has none of them."""
     for name in names:
         if document.get(name) is not None:
             return name, document[name]
@@ -49,12 +49,12 @@ def take_field(where: str, document: Mapping[str, Any], names: Sequence[str]) ->
 
 
 def has_field(document: Mapping[str, Any], names: Sequence[str]) -> bool:
-    """Whether a document has one of several names."""
+    """Whether a document has one of several fields."""
     return any(document.get(name) is not None for name in names)
 
 
 def take_length(where: str, name: str, value: Any) -> int:
-    """Check a width or height: a positive whole number of pixels."""
+    """Convert a width or height to a positive whole number of pixels; InputError otherwise."""
     number = as_number(value)
     if number is None or not math.isfinite(number) or number != int(number) or number <= 0:
         raise InputError(f"{where}: {name}: expected a positive whole number of pixels, got {shown(value)}")
@@ -62,7 +62,7 @@ def take_length(where: str, name: str, value: Any) -> int:
 
 
 def take_numbers(where: str, name: str, entry: Any, count: int | None = None) -> list[float]:
-    """Finite numbers of a flat list, of a list of rows, or of the ``data`` of a mapping."""
+    """Read finite numbers from a flat list, a list of rows, or the ``data`` of a mapping; InputError otherwise."""
     if isinstance(entry, Mapping):
         name, entry = f"{name}.data", entry.get("data")
     expected = f"{count} numbers" if count else "a list of numbers"
@@ -82,7 +82,7 @@ def take_numbers(where: str, name: str, entry: Any, count: int | None = None) ->
 
 
 def as_number(value: Any) -> float | None:
-    """Float of a number or of its text (YAML 1.1 takes 1e-05 for text), None of anything else."""
+    """Convert a number, or the text of one (1e-05 is text in YAML 1.1), to a float; None for other values."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -92,7 +92,7 @@ def as_number(value: Any) -> float | None:
 
 
 def take_matrix(where: str, name: str, entry: Any, *, columns: int = 3) -> tuple[float, float, float, float]:
-    """Take fx, fy, cx, cy of an intrinsic matrix (3, 3), or of a projection matrix (3, 4), rows first."""
+    """Read fx, fy, cx, cy from an intrinsic matrix (3, 3) or a projection matrix (3, 4), in row-major order."""
     matrix = take_numbers(where, name, entry, count=3 * columns)
     fx, skew, cx = matrix[:3]
     below, fy, cy = matrix[columns : columns + 3]
@@ -104,9 +104,10 @@ def take_matrix(where: str, name: str, entry: Any, *, columns: int = 3) -> tuple
 
 
 def opencv_distortion(where: str, name: str, entry: Any) -> Distortion:
-    """Model and coefficients of a vector of OpenCV's, which does not name its model: their number tells it.
+    """Read a vector of distortion coefficients in OpenCV's order; their number determines the model.
 
-    0, 4 or 5 are k1 k2 p1 p2 [k3]; 8 go on with k4 k5 k6; the thin prism and tilt of 12 and 14 must be zero.
+    0, 4 or 5 coefficients are k1 k2 p1 p2 [k3]; 8 coefficients continue with k4 k5 k6; the thin prism and tilt
+    coefficients of vectors of 12 and 14 must be zero.
     """
     coefficients = take_numbers(where, name, entry)
     if len(coefficients) not in _OPENCV_COUNTS:
@@ -120,7 +121,7 @@ def opencv_distortion(where: str, name: str, entry: Any) -> Distortion:
 
 
 def refuse_rectified(where: str, kind: str, distortion: Distortion) -> None:
-    """Refuse rectified images for a file without a projection matrix, unless its lens bends nothing anyway."""
+    """Raise an InputError for rectified images and a file without projection matrix, unless its distortion is zero."""
     model, coefficients = distortion
     if model == "equidistant" or any(coefficients):
         raise InputError(
@@ -130,7 +131,7 @@ def refuse_rectified(where: str, kind: str, distortion: Distortion) -> None:
 
 
 def one_camera(where: str, side: Side, name: object = None) -> tuple[str, ...]:
-    """Note what a side means for a file of one camera; refuse the left one where the right was asked for."""
+    """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked."""
     if side == "left":
         return ()
     if isinstance(name, str) and "left" in name.lower() and "right" not in name.lower():
@@ -139,7 +140,7 @@ def one_camera(where: str, side: Side, name: object = None) -> tuple[str, ...]:
 
 
 def unknown_layout(where: str, document: Mapping[str, Any]) -> InputError:
-    """Error for a file that is of no known kind."""
+    """Return the error for a file of unknown format."""
     return InputError(
         f"{where}: expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
         "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0) or plain (intrinsic), "

@@ -1,6 +1,6 @@
-"""Camera files: intrinsics and lens distortion as calibration tools write them, told apart by their content.
+"""Read camera files as calibration tools write them; the format is recognised by the content.
 
-ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML; each kind has its own module beside this one.
+The formats are ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML, with one module each.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _KINDS = (
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera and where it is from: ``kind`` of file in words, and in ``notes`` what had to be decided by a rule."""
+    """A camera read from a file: ``kind`` describes the format, ``notes`` state assumptions that were made."""
 
     camera: Camera
     kind: str
@@ -46,36 +46,36 @@ class CameraFile:
 def read_camera(
     path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
 ) -> Camera:
-    """Read a camera file, as ``read_camera_file`` does, for the camera alone."""
+    """Read the camera of a camera file; parameters and errors as in ``read_camera_file``."""
     return read_camera_file(path, rectified=rectified, side=side, size=size).camera
 
 
 def read_camera_file(
     path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
 ) -> CameraFile:
-    """Read a camera file of any kind.
+    """Read a camera file of any known format.
 
     Parameters
     ----------
     path
         The file.
     rectified
-        Whether the images are rectified; raw ones otherwise.
+        Whether the images are rectified.
     side
         Which camera of a stereo pair.
     size
-        Width and height in pixels of the images, or how to find them, for a file that does not state them.
+        Width and height of the images in pixels, or a function that returns them, for files that do not state them.
 
     Returns
     -------
     CameraFile
-        Pixels as in the file, at the size of its images.
+        The camera for images of the size stated in the file, or of ``size``.
 
     Raises
     ------
     InputError
-        Naming the file, the field and what was expected; a size that is neither stated nor given, or a principal
-        point outside of images of the size given.
+        A field is missing or wrong, the size is neither stated nor given, or the principal point lies outside
+        images of the given size.
     """
     found = read_intrinsics(path, rectified=rectified, side=side)
     notes = found.notes
@@ -98,7 +98,7 @@ def read_camera_file(
 
 
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
-    """Read what a camera file states, as ``read_camera_file`` does, without need of the images' size."""
+    """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
     where, document = str(path), _document(path)
     for is_kind, read_kind in _KINDS:
         if is_kind(document):

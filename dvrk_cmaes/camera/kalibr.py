@@ -1,7 +1,7 @@
-"""kalibr's camchain: cam0, cam1, ... with ``camera_model``, ``intrinsics``, ``distortion_model``, ``resolution``.
+"""Read kalibr's camchain: cam0, cam1, ... with ``camera_model``, ``intrinsics``, ``distortion_model``, ``resolution``.
 
-Only pinhole cameras can be rendered here; ``radtan`` is OpenCV's plumb_bob, ``equidistant`` its fisheye. Of a pair,
-the images' topics tell left from right; where they do not, cam0 is the left one.
+Only the camera model ``pinhole`` is supported. The distortion model ``radtan`` is OpenCV's plumb_bob, ``equidistant``
+its fisheye. The left and right camera of a pair are recognised by their topics, otherwise cam0 is the left one.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _MODELS = {"radtan": ("plumb_bob", 4), "equidistant": ("equidistant", 4), "equi"
 
 
 def is_camchain(document: Mapping[str, Any]) -> bool:
-    """Whether a document has a camera named as kalibr names them."""
+    """Whether a document has a camera with a name of kalibr's, such as cam0."""
     return any(_NAME.fullmatch(name) and isinstance(entry, Mapping) for name, entry in document.items())
 
 
 def read_camchain(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
-    """Intrinsics of one camera of a camchain; InputError naming the camera, the field and what was expected."""
+    """Read one camera of a camchain; InputError names the camera, the field and what was expected."""
     cameras = {name: entry for name, entry in document.items() if _NAME.fullmatch(name) and isinstance(entry, Mapping)}
     name, notes = _chosen(where, cameras, side)
     entry, inside = cameras[name], f"{where}: {name}"
@@ -61,7 +61,7 @@ def read_camchain(where: str, document: Mapping[str, Any], *, rectified: bool, s
 
 
 def _chosen(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Side) -> tuple[str, tuple[str, ...]]:
-    """Name of the camera of one side, and how it was told."""
+    """Return the name of the camera of one side, and notes on its choice."""
     topics = {name: str(entry.get("rostopic", "")) for name, entry in cameras.items()}
     if len(cameras) == 1:
         ((name, topic),) = topics.items()
@@ -78,6 +78,7 @@ def _chosen(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Side) ->
 
 
 def _size(where: str, entry: Mapping[str, Any]) -> Size | None:
+    """Read width and height; None if they are not stated."""
     if entry.get("resolution") is None:
         return None
     width, height = take_numbers(where, "resolution", entry["resolution"], count=2)

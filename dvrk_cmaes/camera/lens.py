@@ -1,10 +1,11 @@
-"""Lens distortion as an invertible map of the plane of undistorted directions (x/z, y/z).
+"""Lens distortion as an invertible map of normalised image coordinates (x/z, y/z).
 
 The models and the order of their coefficients are OpenCV's, as ROS camera files name them: ``plumb_bob``
 (Brown 1966: k1 k2 p1 p2 [k3]), ``rational_polynomial`` (k1 k2 p1 p2 k3 k4 k5 k6) and ``equidistant`` (Kannala and
-Brandt 2006, the fisheye: k1 k2 k3 k4). They are fitted inside the image and fold back far outside of it, where a
-candidate pose may well put a vertex. Beyond a circle of radius R just outside the image the map is therefore
-continued in proportion, distort(R x/|x|) |x|/R: exact where there are pixels, continuous and one-to-one everywhere.
+Brandt 2006, the fisheye: k1 k2 k3 k4). They are fitted inside the image and are not one-to-one far outside of it, where
+vertices of a candidate pose may be projected. Beyond a circle of radius R, which encloses the image, the map is
+therefore continued linearly along each ray, distort(R x/|x|) |x|/R. The continued map equals the model inside the image
+and is continuous and one-to-one everywhere.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ COEFFICIENT_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8), "eq
 """Numbers of distortion coefficients that each model may have."""
 
 _FOLDS = "distortion: expected the {} map to be one-to-one over the image, got one that folds back on itself{}"
-_MARGINS = (1.02, 1.005, 1.0005)  # R in units of the largest undistorted radius of the image: the widest that is sound
-_LAST_STEP = 1e-8  # Newton's error after a step this small is of its square: far below 1e-9
-_BLOCK = 16384  # points that are undistorted at a time, to stay in the processor's cache
-_LARGEST_RADIUS = 64.0  # tan of 89 degrees: a wider image has no (x/z, y/z)
+_MARGINS = (1.02, 1.005, 1.0005)  # R / the image's largest undistorted radius; the first that is one-to-one is used
+_LAST_STEP = 1e-8  # last step of Newton's method; its convergence is quadratic, so the error is far below 1e-9
+_BLOCK = 16384  # points that are undistorted at a time, so that they fit in the processor's cache
+_LARGEST_RADIUS = 64.0  # tan of 89 degrees; (x/z, y/z) does not exist at 90 degrees
 
 
 class Lens:
@@ -36,7 +37,7 @@ class Lens:
     coefficients
         In OpenCV's order, as many as ``COEFFICIENT_COUNTS`` allows; at least one.
     border
-        (N, 2) distorted points (x/z, y/z) along the border of the image: where the map must be exact.
+        (N, 2) distorted points (x/z, y/z) along the border of the image, inside which the model is used unchanged.
 
     Raises
     ------
@@ -53,7 +54,7 @@ class Lens:
             k1, k2, p1, p2, k3, *denominator = (*coefficients, 0.0) if len(coefficients) == 4 else coefficients
             self._k = (k1, k2, k3, *(denominator or (0.0, 0.0, 0.0)))
             self._p = (p1, p2)
-        self.radius = float("inf")  # R: not continued while the image's own radius is being found
+        self.radius = float("inf")  # R; no continuation while the image's radius is computed
         with np.errstate(all="ignore"):
             self.radius = self._find_radius(border)
         self._table_r = np.linspace(0.0, self.radius, 1024)
@@ -85,7 +86,7 @@ class Lens:
         return out.reshape(distorted.shape)
 
     def _undistort_block(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Undistort (N, 2) points from the inverse of the radial part as a start."""
+        """Undistort (N, 2) points, starting from the inverse of the radial distortion."""
         radius = np.hypot(distorted[:, 0], distorted[:, 1])
         end = self._table_distorted[-1]
         start = np.interp(radius, self._table_distorted, self._table_r) * np.maximum(radius / end, 1.0)
@@ -96,7 +97,7 @@ class Lens:
         return solution
 
     def _factor(self, squared: NDArray[Any]) -> NDArray[Any]:
-        """Distorted over undistorted radius, of the squared undistorted radius; no tangential terms."""
+        """Compute distorted / undistorted radius from the squared undistorted radius, without tangential distortion."""
         factor: NDArray[Any]
         if self.model == "equidistant":
             r = np.sqrt(squared)
@@ -127,7 +128,7 @@ class Lens:
         return slope
 
     def _raw(self, x: NDArray[Any], y: NDArray[Any], squared: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Apply the model as it is written, without the continuation."""
+        """Apply the distortion model without the continuation."""
         factor = self._factor(squared)
         p1, p2 = self._p
         if not (p1 or p2):
@@ -138,7 +139,7 @@ class Lens:
     def _raw_jacobian(
         self, x: NDArray[np.float64], y: NDArray[np.float64], squared: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Entries xx, xy, yy of the model's Jacobian, which is symmetric: each shaped as x and y."""
+        """Compute the entries xx, xy, yy of the model's Jacobian, which is symmetric; each of the shape of x and y."""
         factor = self._factor(squared)
         slope = 2 * self._factor_slope(squared, factor)
         p1, p2 = self._p
@@ -151,7 +152,7 @@ class Lens:
     def _value_and_jacobian(
         self, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> tuple[tuple[NDArray[np.float64], ...], tuple[NDArray[np.float64], ...]]:
-        """Value (x, y) and Jacobian (xx, xy, yx, yy) of the continued map, each of the shape of x and y."""
+        """Compute value (x, y) and Jacobian (xx, xy, yx, yy) of the continued map, each of the shape of x and y."""
         squared = x * x + y * y
         scale = np.maximum(np.sqrt(squared) / self.radius, 1.0)
         beyond = scale > 1
@@ -169,7 +170,7 @@ class Lens:
         return (value[0] * scale, value[1] * scale), (xx + gx * ux, xy + gx * uy, xy + gy * ux, yy + gy * uy)
 
     def _newton(self, target: NDArray[np.float64], start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-        """Solve distort(x) = target, both (N, 2), from a start; returns x and the last step relative to 1 + |x|."""
+        """Solve distort(x) = target, both (N, 2), from a start; return x and the last step relative to 1 + |x|."""
         x, y = start[:, 0], start[:, 1]
         largest = np.inf
         for _ in range(30):
@@ -185,7 +186,7 @@ class Lens:
         return np.stack([x, y], axis=-1), largest
 
     def _find_radius(self, border: NDArray[np.float64]) -> float:
-        """Radius R of the circle within which the model is used as written; refuses a model that folds there."""
+        """Compute the radius R within which the model is used; InputError if the model is not one-to-one there."""
         folds = InputError(_FOLDS.format(self.model, " or reaches 90 deg" if self.model == "equidistant" else ""))
         wanted = float(np.hypot(border[:, 0], border[:, 1]).max())
         r, distorted = self._rising_part(wanted)
@@ -201,7 +202,7 @@ class Lens:
         raise folds
 
     def _rising_part(self, wanted: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Table of the radial map from 0 until it reaches the wanted distorted radius, or stops rising."""
+        """Tabulate the radial map from 0 to where it reaches the wanted distorted radius or stops increasing."""
         end = 2 * wanted
         while True:
             r = np.linspace(0.0, end, 2048)
@@ -215,10 +216,11 @@ class Lens:
             end *= 2
 
     def _one_to_one(self, radius: float) -> bool:
-        """Whether the model is one-to-one on the disc of a radius, and its continuation beyond.
+        """Whether the model is one-to-one on the disc of a radius, and its continuation outside.
 
-        A map whose Jacobian determinant is positive all over a disc is one-to-one there if it is so on the
-        circle; the circle's image seen in rising direction from the centre makes both it and the continuation so.
+        A map whose Jacobian determinant is positive on a disc is one-to-one there if it is one-to-one on the bounding
+        circle. If the polar angle of the circle's image increases along the circle, the map on the circle and the
+        continuation are one-to-one.
         """
         angle = np.linspace(0.0, 2 * np.pi, 180, endpoint=False)
         rings = np.linspace(0.0, radius, 257)[:, None]

@@ -1,4 +1,4 @@
-"""The camera: from points in its frame to pixels, and from pixels back to directions.
+"""Camera model: projection of points in the camera's frame to pixels, and directions of pixels.
 
 OpenCV's camera frame: x right, y down, z forward, metres. Pixel (u, v) has its centre at integer coordinates, so the
 image covers [-0.5, width - 0.5] x [-0.5, height - 0.5]. The ray of a pixel is ``[normalise(pixel), 1]``.
@@ -29,8 +29,8 @@ class Camera:
     fx, fy, cx, cy
         Focal lengths and principal point in pixels.
     distortion
-        Coefficients in OpenCV's order; none, or all zero, is a pinhole (but not for a fisheye, whose zeros mean
-        that the distorted radius equals the angle).
+        Coefficients in OpenCV's order; with none, or only zeros, the camera is a pinhole. This does not hold for
+        ``equidistant``, where zeros mean that the distorted radius equals the angle to the optical axis.
     model
         ``plumb_bob`` (0, 4 or 5 coefficients), ``rational_polynomial`` (0 or 8) or ``equidistant`` (4).
 
@@ -74,7 +74,7 @@ class Camera:
             raise InputError(f"distortion: expected {expected} coefficients for {self.model}, got {len(coefficients)}")
         if not all(math.isfinite(c) for c in coefficients):
             raise InputError(f"distortion: expected finite coefficients, got {list(coefficients)}")
-        _ = self._lens  # refuses a distortion that folds
+        _ = self._lens  # raises an InputError for a distortion that is not one-to-one
 
     @cached_property
     def _lens(self) -> Lens | None:
@@ -87,19 +87,19 @@ class Camera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether straight lines stay straight: there is no distortion."""
+        """Whether the camera has no distortion, so that the images of straight lines are straight."""
         return self.model != "equidistant" and not any(self.distortion)
 
     @property
     def lens_radius(self) -> float:
-        """Undistorted radius |x/z, y/z| up to which the distortion model is used as written; infinite for a pinhole."""
+        """Undistorted radius |x/z, y/z| up to which the distortion model is used unchanged; infinite for a pinhole."""
         return float("inf") if self._lens is None else self._lens.radius
 
     def scaled(self, width: int, height: int) -> Camera:
-        """Return the camera of the same image resized to another size, in pixels, of the same aspect.
+        """Return the camera of the image resized to another size, in pixels, of the same aspect ratio.
 
-        Pixels are areas: a corner of the image stays a corner, cx' + 0.5 = (cx + 0.5) s. The two aspects may
-        differ by 0.5 % or by the rounding of a size to whole pixels; InputError otherwise.
+        Pixels are areas, and corners of the image are mapped to corners: cx' + 0.5 = (cx + 0.5) s. The aspect ratios
+        may differ by 0.5 % or by the rounding of a size to whole pixels; InputError otherwise.
         """
         if width <= 0 or height <= 0:
             raise InputError(f"image size: expected positive sizes in pixels, got {width} x {height}")
@@ -127,8 +127,8 @@ class Camera:
     def distort(self, xy: ArrayLike) -> NDArray[Any]:
         """Map undistorted to distorted normalised coordinates, (..., 2) to (..., 2); float32 stays float32.
 
-        Exactly the model's inside the image and a little beyond; further out the map is continued so that it stays
-        continuous and one-to-one (see ``lens``). A pinhole hands back the very array.
+        The map is the model's inside the image and slightly beyond; outside it is continued so that it is continuous
+        and one-to-one (see ``lens``). A pinhole returns the array itself if it is of a floating-point type.
         """
         points = _floats(xy)
         return points if self._lens is None else self._lens.distort(points)
@@ -139,7 +139,7 @@ class Camera:
         Raises
         ------
         ValueError
-            A point is not before the camera (z must be positive).
+            A point does not lie in front of the camera (z is not positive).
         """
         xyz = _floats(points)
         depth = xyz[..., 2:]
@@ -151,7 +151,7 @@ class Camera:
         return pixels
 
     def normalise(self, pixels: ArrayLike) -> NDArray[Any]:
-        """Map pixels (..., 2) to undistorted x/z, y/z: the inverse of projecting; float32 stays float32."""
+        """Map pixels (..., 2) to undistorted x/z, y/z, the inverse of ``project``; float32 stays float32."""
         given = _floats(pixels)
         if self._lens is None:
             return self._without_matrix(given)
@@ -159,7 +159,7 @@ class Camera:
         return self._lens.undistort(distorted).astype(given.dtype, copy=False)
 
     def _without_matrix(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        """Pixels to normalised coordinates, still distorted."""
+        """Map pixels to distorted normalised coordinates."""
         out: NDArray[Any] = pixels - self._principal(pixels.dtype)
         out /= self._focal(pixels.dtype)
         return out
@@ -171,7 +171,7 @@ class Camera:
         return np.array([self.cx, self.cy], dtype=dtype)
 
     def _border(self, samples: int = 128) -> NDArray[np.float64]:
-        """Distorted normalised points along the outer border of the image, corners included, (4 * samples, 2)."""
+        """Return distorted normalised points (4 * samples, 2) along the border of the image, including the corners."""
         u = np.linspace(-0.5, self.width - 0.5, samples)
         v = np.linspace(-0.5, self.height - 0.5, samples)
         left, right = np.full(samples, u[0]), np.full(samples, u[-1])
@@ -181,6 +181,6 @@ class Camera:
 
 
 def _floats(values: ArrayLike) -> NDArray[Any]:
-    """As an array of float32 if given so, of float64 otherwise."""
+    """Convert to an array of float64, unless the values are an array of float32."""
     array = np.asarray(values)
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)

@@ -1,8 +1,8 @@
-"""OpenCV's FileStorage, YAML or XML, of one camera or a stereo pair, under the names that are in use.
+"""Read OpenCV's FileStorage, YAML or XML, of one camera or a stereo pair.
 
 One camera: ``camera_matrix``, ``distortion_coefficients``. A pair: ``K1, K2, D1, D2`` (or ``M1, M2``), or
-``Left_Camera_Matrix``, ``Left_Distortion_Coefficients`` and ``Right_...``. Capitals and underscores do not matter.
-``P1`` and ``P2`` (3, 4) are for rectified images. The pose of one camera in the other (R, T) is not used.
+``Left_Camera_Matrix``, ``Left_Distortion_Coefficients`` and ``Right_...``; case and underscores are ignored.
+``P1`` and ``P2`` (3, 4) are for rectified images. The pose between the two cameras (R, T) is not used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SIZES = ("imagedimensions", "imagesize", "size")
 
 
 def read_storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
-    """Take the matrices and values of an XML FileStorage: ``{name: {"dt", "data"} or text}``."""
+    """Convert an XML FileStorage to a document of plain values: ``{name: {"dt", "data"} or text}``."""
     if root.tag != "opencv_storage":
         raise InputError(f"{where}: expected OpenCV's XML, whose root element is <opencv_storage>, got <{root.tag}>")
     document: dict[str, Any] = {}
@@ -49,14 +49,14 @@ def read_storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
 
 
 def is_storage(document: Mapping[str, Any]) -> bool:
-    """Whether a document has a FileStorage's matrices (they state a type, ``dt``) or the names of a stereo pair."""
+    """Whether a document has matrices of a FileStorage (with a type ``dt``) or the field names of a stereo pair."""
     plain = _plain_names(document)
     typed = any(isinstance(value, Mapping) and "dt" in value and "data" in value for value in plain.values())
     return typed or any(has_field(plain, _names(side)[0]) for side in ("left", "right"))
 
 
 def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
-    """Intrinsics of a FileStorage document; InputError naming the field and what was expected."""
+    """Read the intrinsics of a FileStorage document; InputError names the field and what was expected."""
     plain = _plain_names(document)
     spelled = {_plain(name): name for name in document}
     stereo = any(has_field(plain, _names(one)[0]) for one in ("left", "right"))
@@ -81,7 +81,7 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
 
 
 def _names(side: str) -> tuple[tuple[str, ...], ...]:
-    """Names, in plain letters, of intrinsic matrix, distortion and projection matrix of one camera of a pair."""
+    """Return the normalised names of intrinsic matrix, distortion and projection matrix of one camera of a pair."""
     n = _NUMBERED[side]
     return (
         (f"k{n}", f"m{n}", f"cameramatrix{n}", f"{side}cameramatrix"),
@@ -91,6 +91,7 @@ def _names(side: str) -> tuple[tuple[str, ...], ...]:
 
 
 def _plain(name: str) -> str:
+    """Normalise a field name: lower case, without underscores."""
     return name.lower().replace("_", "")
 
 
@@ -99,7 +100,7 @@ def _plain_names(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _take(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str], names: tuple[str, ...]) -> tuple[str, Any]:
-    """Name as the file spells it, and value, of the first of several names; missing ones are named as OpenCV does."""
+    """Return the first of several fields, its name spelled as in the file; InputError if there is none."""
     if not has_field(plain, names):
         known = {name: name.upper() if len(name) <= 2 else name for name in names}
         take_field(where, {}, [spelled.get(name, known[name]) for name in names])
@@ -110,7 +111,7 @@ def _take(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str], name
 def _distortion(
     where: str, plain: Mapping[str, Any], spelled: Mapping[str, str], names: tuple[str, ...]
 ) -> tuple[Distortion, str, tuple[str, ...]]:
-    """Distortion, the name of its field, and what was decided about it."""
+    """Read the distortion; return it with the name of its field and notes on its model."""
     name, entry = _take(where, plain, spelled, names)
     coefficients = take_numbers(where, name, entry)
     if as_number(plain.get("fisheyemodel")) == 1:
@@ -122,7 +123,7 @@ def _distortion(
 
 
 def _check_shape(where: str, name: str, entry: Any) -> None:
-    """Refuse a matrix that states another shape than 3 x 3."""
+    """Raise an InputError for a matrix that states another shape than 3 x 3."""
     if isinstance(entry, Mapping):
         rows, columns = as_number(entry.get("rows")), as_number(entry.get("cols"))
         if (rows, columns) != (3, 3):
@@ -132,7 +133,7 @@ def _check_shape(where: str, name: str, entry: Any) -> None:
 
 
 def _size(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str]) -> Size | None:
-    """Width and height, if the file states them."""
+    """Read width and height; None if the file does not state them."""
     if has_field(plain, ("imagewidth",)) and has_field(plain, ("imageheight",)):
         return (
             take_length(where, spelled["imagewidth"], plain["imagewidth"]),

@@ -1,4 +1,4 @@
-"""Plain YAML: ``intrinsic`` (3, 3) rows first, ``distortion`` in OpenCV's order; the images' size is not stated."""
+"""Read plain YAML: ``intrinsic`` (3, 3) in rows and ``distortion`` in OpenCV's order; the size is not stated."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dvrk_cmaes.camera.fields import (
 
 
 def is_plain(document: Mapping[str, Any]) -> bool:
-    """Whether a document has a plain intrinsic matrix."""
+    """Whether a document has the field ``intrinsic``."""
     return document.get("intrinsic") is not None
 
 
 def read_plain(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
-    """Intrinsics of a plain document; InputError naming the field and what was expected."""
+    """Read the intrinsics of a plain document; InputError names the field and what was expected."""
     focal = take_matrix(where, "intrinsic", document["intrinsic"])
     name, entry = take_field(where, document, ("distortion",))
     distortion = opencv_distortion(where, name, entry)

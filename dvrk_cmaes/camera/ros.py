@@ -1,7 +1,7 @@
-"""ROS camera_info: a calibration file (``image_width``, ``camera_matrix: {data}``, ...) or a dump of the topic.
+"""Read ROS camera_info: a calibration file (``image_width``, ``camera_matrix: {data}``, ...) or a topic dump.
 
-A dump has ``width``, ``K``, ``D``, ``P`` in ROS 1 and ``k``, ``d``, ``p`` in ROS 2. A raw image goes with K and D; a
-rectified one with the left 3 x 3 part of P and no distortion.
+A dump has ``width``, ``K``, ``D``, ``P`` in ROS 1 and ``k``, ``d``, ``p`` in ROS 2. The camera of raw images has the
+matrix K and the distortion D; that of rectified images has the left 3 x 3 part of P and no distortion.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MODELS = {
     "fisheye": "equidistant",
 }
 
-# what a field is called in a calibration file, in ROS 1's message and in ROS 2's
+# names of a field in a calibration file, in a ROS 1 message and in a ROS 2 message
 _WIDTH = ("image_width", "width")
 _HEIGHT = ("image_height", "height")
 _RAW = ("camera_matrix", "K", "k")
@@ -39,12 +39,12 @@ _RECTIFIED = ("projection_matrix", "P", "p")
 
 
 def is_camera_info(document: Mapping[str, Any]) -> bool:
-    """Whether a document looks like a camera_info."""
+    """Whether a document has an intrinsic or a projection matrix under one of the names of camera_info."""
     return has_field(document, (*_RAW, *_RECTIFIED))
 
 
 def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
-    """Intrinsics of a camera_info document; InputError naming the field and what was expected."""
+    """Read the intrinsics of a camera_info document; InputError names the field and what was expected."""
     width_name, width = take_field(where, document, _WIDTH)
     height_name, height = take_field(where, document, _HEIGHT)
     size = take_length(where, width_name, width), take_length(where, height_name, height)
@@ -62,7 +62,7 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
 
 
 def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
-    """Distortion model and its coefficients; an unnamed model will do where there is no distortion."""
+    """Read the distortion model and its coefficients; the model may be missing if the distortion is zero."""
     name, entry = take_field(where, document, _DISTORTION)
     coefficients = tuple(take_numbers(where, name, entry))
     given = document.get("distortion_model")
@@ -75,7 +75,7 @@ def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
 
 
 def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: int) -> None:
-    """Refuse a message whose images are a part of the sensor's: their pixels count from another corner."""
+    """Raise an InputError for a region of interest of the sensor: its pixels have another origin."""
     roi = document.get("roi")
     if not isinstance(roi, Mapping):
         return

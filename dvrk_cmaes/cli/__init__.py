@@ -1,6 +1,6 @@
-"""The command line, ``dvrk-cmaes``. Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
+"""The command line program ``dvrk-cmaes``. Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
 
-Libraries that take long to load are imported by the functions that need them, so that ``--help`` is quick.
+Modules that take long to import are imported inside the functions that use them, to keep ``--help`` fast.
 """
 
 from __future__ import annotations

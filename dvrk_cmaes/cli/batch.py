@@ -1,4 +1,4 @@
-"""``dvrk-cmaes batch``: a folder of frames, unattended, over processes, machines or a cluster."""
+"""``dvrk-cmaes batch``: estimation of all frames of a session folder on processes, machines or a cluster."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     SessionOption,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, complain, counted, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.worklist import Shard
 
-FOLDER = Group("Folder", sort_key=0)  # before those that commands share
+FOLDER = Group("Folder", sort_key=0)  # sorted before the groups shared by commands
 WORKERS = Group("Workers", sort_key=0)
 
 _MOST_LISTED = 10
@@ -59,19 +59,19 @@ def batch(
     segment: SegmentOptions = DEFAULT_SEGMENT,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate all frames of a session folder: a result and an overlay each, tables, and a page to judge them by.
+    """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
 
-    It may be interrupted or killed at any moment: the same command goes on with what is missing. A frame that cannot
-    be done gets a failed result with its reason, and the others go on.
+    If the command is interrupted or killed, the same command continues with the missing frames. A frame that cannot be
+    estimated gets a failed result with its reason, and the command continues with the other frames.
 
-    Exit codes: 0 all ok, 1 the work could not be done or, of --merge, is not complete, 2 wrong usage or input,
+    Exit codes: 0 all ok, 1 the work could not be done, or frames are missing in --merge, 2 wrong usage or input,
     3 finished, but a frame is doubtful or failed, 130 interrupted.
 
     Example:
 
     `dvrk-cmaes batch session --out results`
 
-    On eight machines, each with its own I: `dvrk-cmaes batch session --out results --shard I/8`, and in the end
+    On eight machines, I from 1 to 8: `dvrk-cmaes batch session --out results --shard I/8`, and afterwards
     `dvrk-cmaes batch --merge results`.
 
     On a Dask cluster: `dvrk-cmaes batch session --out results --scheduler tcp://head:8786`
@@ -79,42 +79,45 @@ def batch(
     Parameters
     ----------
     session
-        The session folder: camera.yaml, joints.csv, masks/FRAME.png, and if there are any, images and ignore.
+        Session folder: camera.yaml, joints.csv, masks/FRAME.png (or images/FRAME.png alone), and optionally images and
+        ignore.
     out
-        Folder for the results; SESSION/results unless given.
+        Folder for the results; SESSION/results by default.
     frames
-        Only frames whose names match this pattern, e.g. "00*".
+        Estimate only the frames whose names match this shell pattern, e.g. "00*"; all frames by default.
     resume
-        Keep the results that are there, if they were made from the same files in the same way; or remove them first.
+        --resume keeps existing results, which must have been made from the same files with the same settings;
+        --overwrite removes them first.
     retry_failed
-        Do frames again that failed.
+        Estimate failed frames again.
     joints
-        A file of readings, where it is not the session's own. May be given several times.
+        File of readings to use instead of the session's own. May be given several times.
     label
-        The masks are of labels: the instrument is where they have this value.
+        Value of the instrument in masks of labels, 0 to 255.
     shard
-        I/N: only the I-th of N parts, for machines that share a folder and nothing else.
+        I/N: estimate only part I of N parts (I from 1 to N), for N machines that share the folder.
     merge
-        Instead of a session, results of --shard: put the parts together, and make the tables and the page.
+        Folder of the results of all --shard runs, instead of SESSION: merge the parts, and write the tables and the
+        report.
     workers
-        Processes; as many as there are cores, unless given.
+        Number of worker processes; by default the number of cores.
     scheduler
-        Address of a Dask scheduler, whose workers do the frames instead of processes here.
+        Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
     time_limit
-        Seconds after which a frame is given up, with processes here.
+        Seconds after which a frame is stopped and marked as failed; for local processes only.
     calibration
-        A session.json that `calibrate` made: start frames from what it expects, and search only where that does not
-        explain the mask.
+        A session.json written by `calibrate`: start each frame from the pose that it predicts, and search globally only
+        if that pose does not explain the mask.
     camera
-        The camera, where it is not the session's own.
+        Camera to use instead of the session's own.
     instrument
-        Which instrument.
+        The instrument.
     method
-        How to search. Each worker uses one thread, unless --threads says otherwise.
+        The method. Each worker uses one thread unless --threads is given.
     segment
-        How masks are found in the images of frames that have none.
+        Segmentation of the images of frames without a mask.
     json
-        Print summary.json, and nothing else, on stdout.
+        Print only summary.json, on stdout.
     """
     from dvrk_cmaes.runs.worklist import Shard
 
@@ -156,7 +159,7 @@ def batch(
     if done.interrupted:
         again = "the same command" if resume else "the same command without --overwrite"
         left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
-        complain(f"interrupted: {left}; {again} goes on from here")
+        print_error(f"interrupted: {left}; {again} goes on from here")
         return _INTERRUPTED
     return _DOUBTFUL if done.counts["doubtful"] or done.counts["failed"] else 0
 
@@ -173,6 +176,7 @@ def _run(
     scheduler: str | None,
     **options: Any,
 ) -> BatchSummary:
+    """Read the session and run the batch, with progress on stderr."""
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.cluster import dask_executor
@@ -193,24 +197,26 @@ def _run(
             threads=method.threads or 1,
             executor=executor,
             stop=stack.enter_context(stopping_on_interrupt()),
-            watcher=stack.enter_context(progress()),
+            progress=stack.enter_context(progress()),
             **options,
         )
 
 
 def _merge(out: Path, json: bool) -> int:
+    """Merge the shards in a folder, report, and return the exit code."""
     from dvrk_cmaes.runs.merge import merge_shards
 
     document = merge_shards(out)
     _report(document, out, json)
     counts = document["counts"]
     if counts["missing"]:
-        complain(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
+        print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
         return _INCOMPLETE
     return _DOUBTFUL if counts["doubtful"] or counts["failed"] else 0
 
 
 def _report(document: dict[str, Any], folder: Path, json: bool, shard: Shard | None = None) -> None:
+    """Print a summary as JSON or as text."""
     from dvrk_cmaes.io.atomic import json_text
 
     if json:
@@ -220,7 +226,7 @@ def _report(document: dict[str, Any], folder: Path, json: bool, shard: Shard | N
 
 
 def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:
-    """Say what came out, and where it lies."""
+    """Yield the lines of a summary: doubtful and failed frames, counts, medians, rate, and the files written."""
     counts, medians, timing = document["counts"], document["medians"], document["timing"]
     for status in ("failed", "doubtful"):
         listed = [(name, frame["reasons"]) for name, frame in document["frames"].items() if frame["status"] == status]
@@ -232,12 +238,12 @@ def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Itera
     words = [
         f"{counts[name]} {name}" for name in ("ok", "doubtful", "failed", "missing") if counts[name] or name == "ok"
     ]
-    yield Line(f"{counted(counts['frames'])}: {', '.join(words)}", "bold")
+    yield Line(f"{frames_text(counts['frames'])}: {', '.join(words)}", "bold")
     if medians["iou"] is not None:
         yield Line(f"medians: IoU {medians['iou']:.3f}, contour {medians['contour_px_median']:.1f} px")
     if timing["run"] is not None:
         run = timing["run"]
-        yield Line(f"{counted(run['frames'])} in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
+        yield Line(f"{frames_text(run['frames'])} in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
     where = f"results: {folder / 'frames'}   overlays: {folder / 'overlays'}"
     if shard is not None:
         yield Line(f"{where}   then, with all shards: dvrk-cmaes batch --merge {folder.parents[1]}")

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes calibrate``: a session's frames solved together, for one camera_from_base and the joints' offsets."""
+"""``dvrk-cmaes calibrate``: joint solution of a session's frames for camera_from_base and the joints' offsets."""
 
 from __future__ import annotations
 
@@ -45,40 +45,42 @@ def calibrate(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Calibrate a session: where the arm's base is in the camera, and how far each joint's readings are off.
+    """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
 
-    All frames are solved together: the base does not move, the outer joints' readings are good, and the errors of the
-    cable-driven ones are mostly one offset a session. Each frame is then solved again with that in mind.
+    All frames are solved together. It is assumed that the base does not move, that the readings of the outer joints are
+    good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
+    estimated as well, given the calibration. The table [session] of the settings file configures this command.
 
     Exit codes: 0 ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or left
-    out, or something is wrong with the session as a whole, 130 interrupted.
+    out, or there is a warning about the session as a whole, 130 interrupted.
 
     Example:
 
     `dvrk-cmaes calibrate session --results session/results --out calibrated`
 
-    Then `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from it.
+    Afterwards `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from the calibration.
 
     Parameters
     ----------
     session
-        The session folder, as for `batch`; its readings must have the outer joints yaw, pitch, insertion and roll.
+        Session folder, as for `batch`; the readings must include the outer joints yaw, pitch, insertion and roll.
     results
-        What `batch` made of it; it is run first, into OUT/alone, unless given.
+        Folder of the results of `batch` for this session. By default `batch` is run first, with the results in
+        OUT/alone.
     out
-        Folder for session.json, and the frames' results and the page; SESSION/calibration unless given.
+        Folder for session.json, the frames' results and the HTML report; SESSION/calibration by default.
     joints
-        A file of readings, where it is not the session's own. May be given several times.
+        File of readings to use instead of the session's own. May be given several times.
     workers
-        Processes; as many as there are cores, unless given.
+        Number of worker processes; by default the number of cores.
     camera
-        The camera, where it is not the session's own.
+        Camera to use instead of the session's own.
     instrument
-        Which instrument, and the arm that carries it.
+        The instrument, and the arm that carries it.
     method
-        How to search, for frames that are still to be estimated; the settings file's [session] is this command's own.
+        The method for frames that are not estimated yet; [session] of the settings file is used by this command.
     json
-        Print session.json, and nothing else, on stdout.
+        Print only session.json, on stdout.
     """
     if workers is not None and workers < 1:
         raise InputError(f"--workers: expected a whole number of at least 1, got {workers}")
@@ -96,7 +98,7 @@ def calibrate(
     found = camera.read_session(session, known=model.joint_names, joints=joints)
     if results is None:
         results = target / ALONE
-        with stopping_on_interrupt() as stop, progress() as watcher:
+        with stopping_on_interrupt() as stop, progress() as reporter:
             done = run_batch(
                 found,
                 results,
@@ -105,7 +107,7 @@ def calibrate(
                 arm=instrument.arm,
                 workers=workers,
                 stop=stop,
-                watcher=watcher,
+                progress=reporter,
             )
         if done.interrupted:
             return _INTERRUPTED
@@ -133,7 +135,7 @@ def calibrate(
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
-    """Say what was found, how sure it is, and where it lies."""
+    """Yield the lines of a calibration: base, offsets, frames left out, leave-one-out errors, and the files written."""
     import numpy as np
 
     from dvrk_cmaes.geometry import log_rotation
@@ -141,13 +143,13 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     calibration = solved.calibration
     std = np.sqrt(np.diag(calibration.covariance))
     base = calibration.camera_from_base
-    where, turn = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
-    moved, turned = std[:3] * 1e3, np.degrees(std[3:6])
+    position, axis_angle = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
+    std_position, std_rotation = std[:3] * 1e3, np.degrees(std[3:6])
     yield Line(
         "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
     )
-    yield Line(f"  position, mm    {_three(where)}   std {_three(moved, 2)} along its own axes")
-    yield Line(f"  axis-angle, deg {_three(turn)}   std {_three(turned, 2)} about its own axes")
+    yield Line(f"  position, mm    {_numbers(position)}   std {_numbers(std_position, 2)} along its own axes")
+    yield Line(f"  axis-angle, deg {_numbers(axis_angle)}   std {_numbers(std_rotation, 2)} about its own axes")
     yield Line("offsets: true = reading + offset", "bold")
     for (name, offset), deviation in zip(calibration.offsets.items(), std[6:], strict=True):
         if name == "insertion":
@@ -170,7 +172,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")
 
 
-def _three(values: object, digits: int = 2) -> str:
+def _numbers(values: object, digits: int = 2) -> str:
+    """Format numbers with a number of decimals, separated by spaces."""
     import numpy as np
 
     return " ".join(f"{value:>9.{digits}f}" if digits == 2 else f"{value:.{digits}f}" for value in np.asarray(values))

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes consistency``: how well results agree over the frames of a session, beside the paper's figures."""
+"""``dvrk-cmaes consistency``: agreement of results over the frames of a session, beside the paper's figures."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ def consistency(
     picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Measure how well the frames of a session agree, without any truth: the paper's Table I, and what it forgives.
+    """Measure how well the frames of a session agree, without true poses: the paper's Table I and further measures.
 
     While the arm moves about its remote centre of motion (RCM), the shafts' axes should meet in one point x*. Sigma is
-    the standard deviation of their distances from it, in m as the paper states it; rms, their root mean square, does
-    not forgive a constant distance. Where the axes hardly turn, x* slides along them and is not the RCM. With the
-    readings of the insertion, the RCM of each frame should be one point;
-    with those of all outer joints, the arm's base should be one.
+    the standard deviation of their distances from x*, in m as in the paper; rms is the root mean square of the
+    distances. If all distances are equal, sigma is zero, but rms is not. If the axes turn by small angles only, x* is
+    poorly determined along them and is not the RCM. If the insertion was read, the RCM is computed for each frame and
+    should be one point. If all outer joints were read, the pose of the arm's base is computed for each frame and should
+    be the same.
 
-    Frames that were solved together (source "session") agree by construction: only those solved one by one compare
-    with the paper.
+    Frames that were solved together (source "session") agree by construction. Only frames that were solved one by one
+    can be compared with the paper.
 
     Example:
 
@@ -44,19 +45,20 @@ def consistency(
     Parameters
     ----------
     results
-        Folders of results, of this program or any other that writes camera_from_root, joints and seconds; or the
-        paper's poses as a published.csv.
+        Folders of results, written by this program or by any other that writes camera_from_root, joints and seconds; or
+        the paper's poses as a published.csv.
     session
-        Session folder or joints.csv to take readings from, instead of those in the results. May be given once for
-        all, or once for each of the results in their order.
+        Session folder or joints.csv whose readings are used instead of those in the results. May be given once for all
+        results, or once for each of them in the same order.
     arm
-        The arm's kinematics; as the results state them unless given, else the Classic's.
+        Arm whose kinematics are used. By default the arm stated in the results, or classic if none is stated.
     tool
-        The dVRK's description of the tool (JSON): where it lies along the shaft; as the results state it unless given.
+        Description of the tool in the dVRK's format (JSON), for its roll offset (length along the shaft). By default
+        the roll offset stated in the results, or that of the tools 400xxx if none is stated.
     picture
-        Draw the axes where they meet: .png, .pdf, .svg or .jpg.
+        File for a figure of the axes and of their distances from x*: .png, .pdf, .svg or .jpg.
     json
-        Print the measures as JSON, and nothing else, on stdout.
+        Print only the measures, as JSON, on stdout.
     """
     from dvrk_cmaes.draw.figure import check_figure_path, write_figure
     from dvrk_cmaes.evaluate.agreement import measure_agreement
@@ -96,7 +98,7 @@ def consistency(
 
 
 def _table(found: Sequence[Agreement], picture: Path | None) -> Iterator[Line]:
-    """One row a set, then the paper's."""
+    """Yield a table with one row for each set of results, then the paper's rows and the frames without a pose."""
     from dvrk_cmaes.evaluate.paper import TABLE_ONE
 
     names = [one.results.name for one in found] + [f"paper, {level}, PnP" for level in TABLE_ONE]

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes demo``: the bundled session, and what was found against what is true."""
+"""``dvrk-cmaes demo``: estimation of the bundled session, and comparison with its true poses."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.results.result import Result
 
-_MAY_BE_DOUBTFUL = ("0002",)  # Tissue lies before a jaw, and the masks do not say so.
+_MAY_BE_DOUBTFUL = ("0002",)  # tissue covers a jaw, and no ignore mask excludes it
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """A frame's result, its error, and in words what is beyond the stated tolerances."""
+class DemoOutcome:
+    """Result of a frame, its error, and one message for each error beyond its tolerance."""
 
     result: Result
     error: PoseError
@@ -30,12 +30,12 @@ class Outcome:
 
     @property
     def expected(self) -> bool:
-        """Whether the frame came out right, or is known to be hard and was flagged."""
+        """Whether all errors are within tolerance, or the frame is one of the known hard ones and marked doubtful."""
         flagged = self.result.frame in _MAY_BE_DOUBTFUL and self.result.status == "doubtful"
         return not self.beyond or flagged
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return plain values for JSON."""
         quality = self.result.quality
         return {
             "frame": self.result.frame,
@@ -55,10 +55,10 @@ def demo(
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     method: MethodOptions = DEFAULT_METHOD,
 ) -> int:
-    """Run the bundled session, print what was found against the truth, and draw the overlays.
+    """Estimate the bundled session, print the errors against the true poses, and write results and overlays.
 
-    Five frames of the bundled needle driver, drawn with a segmenter's mistakes in the masks and several degrees of
-    error in the readings. Exit code 0 if all came out as expected, 1 otherwise.
+    The session has five synthetic frames of the bundled needle driver, with simulated segmentation errors in the masks
+    and errors of several degrees in the readings. Exit code 0 if all frames are as expected, 1 otherwise.
 
     Example:
 
@@ -67,18 +67,18 @@ def demo(
     Parameters
     ----------
     out
-        Folder for results and overlays.
+        Folder for the results and the overlays.
     json
-        Print the comparison as JSON, and nothing else, on stdout.
+        Print only the comparison, as JSON, on stdout.
     method
-        How to search.
+        The method.
     """
     from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.session_folder import read_session
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.bundled import bundled_path
 
-    # What a segmenter's mistakes allow; the tips lie 20 mm beyond the root, where 5 deg are nearly 2 mm more.
+    # for masks with segmentation errors; 5 deg of the shaft move the tips, 20 mm from the root, by nearly 2 mm
     tolerance = Tolerance(root_mm=2.0, tip_mm=3.5, shaft_deg=5.0, roll_deg=12.0, pitch_yaw_deg=8.0, jaw_deg=8.0)
     session = read_session(bundled_path("demo"))
     outcomes = list(_run(session, out, method, tolerance))
@@ -96,8 +96,8 @@ def demo(
     return 0 if right else 1
 
 
-def _run(session: Session, out: Path, method: MethodOptions, tolerance: Tolerance) -> Iterator[Outcome]:
-    """Estimate and compare the session's frames, with a bar on stderr if that is a terminal."""
+def _run(session: Session, out: Path, method: MethodOptions, tolerance: Tolerance) -> Iterator[DemoOutcome]:
+    """Estimate the session's frames and compare them with the truth; show a progress bar if stderr is a terminal."""
     from rich.console import Console
     from rich.progress import track
 
@@ -115,11 +115,11 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
         error = compare_poses(
             body.instrument, (result.camera_from_root, result.joints), (truth.camera_from_root, truth.joints)
         )
-        yield Outcome(result, error, tuple(error.beyond(tolerance)))
+        yield DemoOutcome(result, error, tuple(error.beyond(tolerance)))
 
 
-def _table(outcomes: Sequence[Outcome], tolerance: dict[str, float], out: Path) -> Iterator[Line]:
-    """Errors of each frame, and where to look."""
+def _table(outcomes: Sequence[DemoOutcome], tolerance: dict[str, float], out: Path) -> Iterator[Line]:
+    """Yield the table of the frames' errors, the messages, and the folders of the files written."""
     yield Line("Found less true, bundled session (tip and root in mm, angles in deg)", "bold")
     yield Line("frame  status      tip   root  shaft  rotation  pitch    yaw    jaw    IoU      s", "bold")
     for one in outcomes:

@@ -1,4 +1,4 @@
-"""A result in words and numbers, for people: millimetres and degrees."""
+"""Text output of a result, in millimetres and degrees."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
-    """Lines that say what was found, how far to trust it, and where it was written."""
+    """Yield the lines of a result: status with reasons, pose, joints, fit, alternatives and the files written."""
     heading = f"{result.frame}: {result.status}" if result.frame else result.status
     yield Line(heading, STATUS_STYLES[result.status])
     for reason in result.reasons:
@@ -41,7 +41,7 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
 
 
 def _pose(result: Result) -> Iterator[Line]:
-    """Position and rotation with their standard deviations, and the base's where it is known."""
+    """Yield the lines of the root's pose with standard deviations, and of the base's pose if it is known."""
     from dvrk_cmaes.geometry import log_rotation
 
     for title, pose, std_t, std_r in (
@@ -50,28 +50,29 @@ def _pose(result: Result) -> Iterator[Line]:
     ):
         if pose is None:
             continue
-        turn = [math.degrees(angle) for angle in log_rotation(pose[:3, :3])]
-        spread_t = "" if std_t is None else f"   std {_triple(std_t)} along its own axes"
-        spread_r = "" if std_r is None else f"   std {_triple(std_r)} about its own axes"
+        axis_angle = [math.degrees(angle) for angle in log_rotation(pose[:3, :3])]
+        std_t_text = "" if std_t is None else f"   std {_triple(std_t)} along its own axes"
+        std_r_text = "" if std_r is None else f"   std {_triple(std_r)} about its own axes"
         yield Line(f"{title} in the camera (x right, y down, z forward)", "bold")
-        yield Line(f"  position, mm    {_triple(1e3 * pose[:3, 3], 9)}{spread_t}")
-        yield Line(f"  axis-angle, deg {_triple(turn, 9)}{spread_r}")
+        yield Line(f"  position, mm    {_triple(1e3 * pose[:3, 3], 9)}{std_t_text}")
+        yield Line(f"  axis-angle, deg {_triple(axis_angle, 9)}{std_r_text}")
 
 
 def _triple(values: Iterable[float], width: int = 0) -> str:
+    """Format numbers with two decimals, each at least ``width`` characters wide."""
     return " ".join(f"{value:{width}.2f}" for value in values)
 
 
 def _joints(result: Result) -> Iterator[Line]:
-    """Joints as found and as read."""
+    """Yield the table of the joints: values found, standard deviations and readings."""
     if not result.joints:
         return
     yield Line("joints, deg         found      std     read  found - read", "bold")
     for name, value in result.joints.items():
         std, read = (result.std_joints_deg or {}).get(name), result.readings.get(name)
         found = math.degrees(value)
-        spread = "-" if std is None else f"{std:.2f}"
-        told, change = (
+        std_text = "-" if std is None else f"{std:.2f}"
+        read_text, difference = (
             ("-", "-") if read is None else (f"{math.degrees(read):.2f}", f"{found - math.degrees(read):+.2f}")
         )
-        yield Line(f"  {name:<15s} {found:>8.2f} {spread:>8s} {told:>8s} {change:>13s}")
+        yield Line(f"  {name:<15s} {found:>8.2f} {std_text:>8s} {read_text:>8s} {difference:>13s}")

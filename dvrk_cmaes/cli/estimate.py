@@ -1,4 +1,4 @@
-"""``dvrk-cmaes estimate``: one mask, or one image, to one pose."""
+"""``dvrk-cmaes estimate``: the pose of an instrument from one mask or one image."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def estimate(
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate the pose of an instrument in the camera, and its true joint angles, from one mask or one image.
+    """Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
 
     Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
 
@@ -75,41 +75,47 @@ def estimate(
     Parameters
     ----------
     mask
-        The instrument's mask: 8-bit PNG or JPEG, above 127 is instrument. Unless given, it is found in the image.
+        Mask of the instrument: 8-bit PNG or JPEG, pixels above 127 are instrument. By default the mask is found in the
+        image.
     joints
-        Readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or
-        wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none. May be given several times.
+        Joint readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or values
+        such as wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none, if there are no readings. May
+        be given several times.
     frame
-        The frame's row in joints.csv and its name in the output; the mask's name unless given.
+        Name of the frame: its row in joints.csv, and its name in the output. By default the file name of the mask, or
+        of the image without a mask.
     time
-        The image's time in seconds, for readings by time: they are interpolated, from at most 0.05 s away.
+        Time of the image in seconds, for files of readings with times: the readings are interpolated to it between rows
+        at most 0.05 s away.
     image
-        The image, to draw the overlay on, and to find the mask in unless that is given.
+        Image: background of the overlay and, without --mask, the image in which the mask is found.
     ignore
-        Pixels that count neither way (an occluder, another tool): 8-bit, above 127.
+        Mask of the pixels that are not used, such as tissue or another tool before the instrument: 8-bit PNG or JPEG,
+        pixels above 127 are ignored.
     keypoints
-        The jaw tips in either order, u1,v1,u2,v2 in pixels.
+        Pixels of the two jaw tips, u1,v1,u2,v2, in either order.
     label
-        The mask is one of labels: the instrument is where it has this value.
+        Value of the instrument in a mask of labels, 0 to 255.
     pick
-        Of several things in the mask, the one at the pixel u,v.
+        Pixel u,v on the instrument: use only the connected region of the mask at this pixel.
     model
-        How a mask is found in the image.
+        Segmentation of the image.
     prompts
-        Where the instrument is in the image, to find its mask.
+        Prompts for the segmentation.
     calibration
-        A session.json that `calibrate` made: start from what it expects, and search only if that does not explain the
-        mask.
+        A session.json written by `calibrate`: start from the pose that it predicts, and search globally only if that
+        pose does not explain the mask.
     camera
-        Which camera.
+        The camera.
     instrument
-        Which instrument.
+        The instrument.
     method
-        How to search.
+        The method.
     out
-        Folder to write frames/FRAME.json and overlays/FRAME.jpg to, and masks/FRAME.png if it was found.
+        Folder for frames/FRAME.json, overlays/FRAME.jpg and, if the mask was found in the image, masks/FRAME.png. By
+        default no files are written.
     json
-        Print the result as JSON, and nothing else, on stdout.
+        Print only the result, as JSON, on stdout.
     """
     if label is not None and pick is not None:
         raise InputError("--label, --pick: expected one of the two, got both")
@@ -123,27 +129,33 @@ def estimate(
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.calibration.document import read_calibration
-    from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame
+    from dvrk_cmaes.frames.frame import FrameFiles, frame_size
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.runs.frame import run_frame
+    from dvrk_cmaes.runs.frame import read_any_frame, run_frame
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
     files = FrameFiles(named.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
-    lens = camera.read(lambda: frame_size(files))
-    data = None if mask is None else read_frame(files, lens.camera)
+    camera_file = camera.read(lambda: frame_size(files))
+    data = read_any_frame(files, camera_file.camera)
     body = instrument.load()
     found = _readings(joints, frame, named.stem, time, body.instrument.joint_names)
     files = replace(files, readings=found.readings)
-    if data is None:
-        from dvrk_cmaes.segment.with_instrument import Segmenter
-
-        data = read_frame(files, lens.camera, Segmenter(body, settings, model.resolve(), prompts.resolve()))
-    data = replace(data, notes=(*lens.notes, *found.notes, *data.notes))
+    data = replace(data, notes=(*camera_file.notes, *found.notes, *data.notes))
     known = None if calibration is None else read_calibration(calibration)
-    run = run_frame(files, data, body, arm=instrument.arm, config=settings, out=out, session=known)
+    run = run_frame(
+        files,
+        data,
+        body,
+        arm=instrument.arm,
+        config=settings,
+        out=out,
+        session=known,
+        settings=model.resolve(),
+        hints=prompts.resolve(),
+    )
     for text in run.result.warnings:
         warn(text)
     if json:
@@ -156,7 +168,7 @@ def estimate(
 def _readings(
     joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str]
 ) -> FrameReadings:
-    """Read a frame's readings, of which there may be none."""
+    """Read the readings of a frame; empty if ``--joints none`` is given."""
     from dvrk_cmaes.joints.reading import FrameReadings, read_frame_joints
     from dvrk_cmaes.joints.times import parse_time
 

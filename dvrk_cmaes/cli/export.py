@@ -34,21 +34,22 @@ def export(
 ) -> int:
     """Write results in the formats of other programs.
 
-    Directions, a_from_b maps points of b into a:
+    Formats, with the transform and its units (a_from_b maps points of b into a):
 
-    - dvrk: camera_from_base, two JSON files as dvrk_camera_registration names them: open-cv (camera x right, y down)
-    and dVRK (x left, y up: diag(-1,-1,1,1) on the left); m.
-    - easy-handeye: base_from_camera, an easy_handeye2 .calib of type eye_on_base; m.
-    - tf: camera_from_base, a static_transform_publisher line of ROS 2, parent camera, child base; m. It goes to
-    stdout, and into a file with --out.
-    - bop: camera_from_root, results CSV of the BOP benchmark; mm. Where names of frames are no numbers, im_ids.csv says
-    which is which.
-    - csv: camera_from_root and camera_from_base, poses.csv, a wide table; mm, deg, quaternion xyzw.
-    - tracker: camera_from_root, FRAME/optimized_ctr.npy and optimized_joint_angles.npy as online_dvrk_tracking reads
-    them; m, rad.
+    - dvrk: camera_from_base, m; two JSON files, named as by dvrk_camera_registration, for the camera axes of OpenCV
+    (x right, y down) and of the dVRK (x left, y up: multiplied by diag(-1,-1,1,1) on the left).
+    - easy-handeye: base_from_camera, m; a .calib file of easy_handeye2, type eye_on_base.
+    - tf: camera_from_base, m; a command line of ROS 2's static_transform_publisher, parent camera, child base. It is
+    printed on stdout, and with --out it is also written to a file.
+    - bop: camera_from_root, mm; results CSV of the BOP benchmark. If names of frames are not numbers, im_ids.csv has
+    the number of each frame.
+    - csv: camera_from_root and camera_from_base, mm, deg and quaternions xyzw; poses.csv, one row for each frame.
+    - tracker: camera_from_root, m and rad; FRAME/optimized_ctr.npy and optimized_joint_angles.npy, as read by
+    online_dvrk_tracking.
 
-    Which camera_from_base: the session calibration's (session.json) if there is one; else the one frame's; else the
-    median of the frames that are ok, with its spread (of fewer than three, the doubtful ones count as well).
+    camera_from_base is that of the session calibration (session.json) if there is one, otherwise that of the frame if
+    there is only one, otherwise the median of the ok frames, whose scatter is printed (with fewer than three ok frames,
+    the doubtful ones are included).
 
     Example:
 
@@ -57,25 +58,25 @@ def export(
     Parameters
     ----------
     results
-        A folder of results, one result's JSON, or a session.json.
+        Folder of results, JSON file of one result, or session.json.
     to
-        The format.
+        Format to write.
     frame
-        Export this frame alone, even if there is a session calibration.
+        Name of the only frame to export; a session calibration is then not used. By default all frames.
     arm
-        The arm, in names of files and frames.
+        Name of the arm in names of files and frames.
     camera_frame
         Name of the camera's optical frame (x right, y down, z forward).
     base_frame
-        Name of the arm's base frame; ARM_base unless given.
+        Name of the arm's base frame; ARM_base by default.
     scene
-        BOP's scene_id.
+        scene_id in the format bop.
     object_id
-        BOP's obj_id.
+        obj_id in the format bop.
     out
-        Folder to write to; "exports" in the folder of the results unless given.
+        Folder for the files written; by default "exports" in the folder of the results (tf: no file).
     json
-        Print as JSON, and nothing else, on stdout what was exported and where it was written.
+        Print only a summary, as JSON, on stdout: what was exported and the files written.
     """
     if scene < 0 or object_id < 0:
         raise InputError(f"--scene, --object-id: expected whole numbers of at least 0, got {scene}, {object_id}")
@@ -87,7 +88,7 @@ def export(
 
     names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
     exported = exported_files(read_source(results, frame), to, names, scene=scene, obj=object_id)
-    folder = _home(results) / "exports" if out is None else out
+    folder = _results_folder(results) / "exports" if out is None else out
     to_stdout = to == "tf" and out is None
     written = [] if to_stdout else [folder / name for name in exported.files]
     for path, data in zip(written, exported.files.values(), strict=False):
@@ -97,36 +98,38 @@ def export(
     if json:
         document: dict[str, Any] = {"to": to, "direction": DIRECTIONS[to], "written": [str(path) for path in written]}
         if to == "tf":
-            document["command"] = _line(exported)
+            document["command"] = _publisher_line(exported)
         if exported.base is not None:
             document["base"] = exported.base.to_dict()
         print(json_text({**document, "left_out": list(exported.left_out)}), end="")
     elif to == "tf":
         note(_origin(exported))
-        print(_line(exported))
+        print(_publisher_line(exported))
     else:
-        show(_said(exported, DIRECTIONS[to], written))
+        show(_lines(exported, DIRECTIONS[to], written))
     return 0
 
 
-def _home(results: Path) -> Path:
-    """Folder of the results that a path belongs to: above ``frames``, for one result's file."""
+def _results_folder(results: Path) -> Path:
+    """Return the folder of results that a path belongs to; for a file in ``frames``, the folder above."""
     if results.is_dir():
         return results
     return results.parent.parent if results.parent.name == "frames" else results.parent
 
 
-def _line(exported: Exported) -> str:
-    """Text of the one file of one line."""
+def _publisher_line(exported: Exported) -> str:
+    """Return the single line of the only file."""
     (data,) = exported.files.values()
     return data.decode().rstrip("\n")
 
 
 def _origin(exported: Exported) -> str:
+    """Return the line about the source of ``camera_from_base``; empty if the format does not have it."""
     return "" if exported.base is None else f"camera_from_base: {exported.base.origin}"
 
 
-def _said(exported: Exported, direction: str, written: list[Path]) -> Iterator[Line]:
+def _lines(exported: Exported, direction: str, written: list[Path]) -> Iterator[Line]:
+    """Yield the lines of an export: source of the base, direction, and the files written."""
     if exported.base is not None:
         yield Line(_origin(exported))
     yield Line(f"exported: {direction}")
@@ -138,6 +141,7 @@ def _said(exported: Exported, direction: str, written: list[Path]) -> Iterator[L
 
 
 def _warnings(exported: Exported) -> Iterator[str]:
+    """Yield the warnings about the base, and one that lists frames without a pose."""
     if exported.base is not None:
         yield from exported.base.warnings
     if exported.left_out:

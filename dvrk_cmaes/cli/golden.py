@@ -1,4 +1,4 @@
-"""``dvrk-cmaes golden record`` and ``golden check``: keep poses of a lab's own frames, and see whether they drift."""
+"""``dvrk-cmaes golden record`` and ``golden check``: record poses of a lab's own frames, and compare later ones."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ T = TypeVar("T")
 
 TOLERANCE = Group.create_ordered("Tolerance")
 
-golden = App(name="golden", help="Keep the poses of a session's frames, and check that they stay what they were.")
+golden = App(name="golden", help="Record the poses of a session's frames, and compare later estimates with them.")
 
 
 @Parameter(name="*", group=TOLERANCE)
 @dataclass(frozen=True, kw_only=True)
 class ToleranceOptions:
-    """How far a pose may be from the golden one.
+    """Largest differences from the golden pose.
 
     Parameters
     ----------
     root_mm
-        Of the root's origin.
+        Largest distance of the root's origin, mm.
     tip_mm
-        Of the jaw tips, mean of both.
+        Largest distance of the jaw tips (mean of both), mm.
     shaft_deg
-        Between the shafts' directions.
+        Largest angle between the directions of the shaft, degrees.
     roll_deg
-        About the shaft.
+        Largest rotation about the shaft, degrees.
     pitch_yaw_deg
-        Of every joint but the jaw.
+        Largest difference of every joint except the jaw, degrees.
     jaw_deg
-        Of the jaw.
+        Largest difference of the jaw, degrees.
     modulo_twin
-        The golden pose's mirror twin is right, too.
+        Accept the mirror twin of the golden pose as well: rolled by half a turn, with wrist pitch and yaw negated.
     """
 
     root_mm: float = 0.5
@@ -67,7 +67,7 @@ class ToleranceOptions:
     modulo_twin: Flag = False
 
     def resolve(self) -> Tolerance:
-        """Check the values (`InputError`)."""
+        """Return the tolerances; InputError if one is negative or not a number."""
         from dvrk_cmaes.evaluate.pose_error import Tolerance
 
         values = {name: value for name, value in asdict(self).items() if name != "modulo_twin"}
@@ -93,10 +93,11 @@ def record(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate all frames of a session and keep their poses in its golden.json.
+    """Estimate all frames of a session and record their poses in its golden.json.
 
-    Look at the poses first (estimate draws them): what is kept is what was found, not the truth. Exit codes: 0 all
-    frames kept, 1 none could be, 2 wrong usage or input, 3 some were left out.
+    Inspect the overlays of the poses first (`estimate` and `batch` write them): the poses recorded are those estimated,
+    not the true ones. Exit codes: 0 all frames recorded, 1 no frame recorded, 2 wrong usage or input, 3 some frames
+    left out.
 
     Example:
 
@@ -105,21 +106,21 @@ def record(
     Parameters
     ----------
     session
-        A session folder: camera.yaml, joints.csv, masks.
+        Session folder: camera.yaml, joints.csv, masks.
     golden
-        The file to write; golden.json in the session unless given.
+        File to write; golden.json in the session folder by default.
     overwrite
-        Replace a file that is there.
+        Replace the file if it exists.
     allow_doubtful
-        Keep the poses of doubtful frames, too.
+        Record the poses of doubtful frames as well.
     camera
         The camera.
     instrument
-        Which instrument.
+        The instrument.
     method
-        How to search.
+        The method.
     json
-        Print as JSON, and nothing else, on stdout what was kept.
+        Print only a summary, as JSON, on stdout: the frames recorded and those left out.
     """
     from dvrk_cmaes.frames.truth import write_golden
     from dvrk_cmaes.io.atomic import json_text
@@ -161,9 +162,9 @@ def check(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate a session's frames anew and compare them with its golden poses.
+    """Estimate a session's frames again and compare them with its golden poses.
 
-    Exit codes: 0 all within tolerance, 1 drift (the table marks what is off), 2 wrong usage or input.
+    Exit codes: 0 all frames within tolerance, 1 a frame is not (the table marks the errors), 2 wrong usage or input.
 
     Example:
 
@@ -172,19 +173,19 @@ def check(
     Parameters
     ----------
     session
-        A session folder: camera.yaml, joints.csv, masks.
+        Session folder: camera.yaml, joints.csv, masks.
     golden
-        The file of golden poses; golden.json in the session unless given.
+        File of golden poses; golden.json in the session folder by default.
     tolerance
-        How far they may be off.
+        Largest differences.
     camera
         The camera.
     instrument
-        Which instrument.
+        The instrument.
     method
-        How to search.
+        The method.
     json
-        Print the comparison as JSON, and nothing else, on stdout.
+        Print only the comparison, as JSON, on stdout.
     """
     from dvrk_cmaes.frames.truth import read_golden
     from dvrk_cmaes.io.atomic import json_text
@@ -215,12 +216,13 @@ def check(
 
 
 def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -> tuple[Body, Session]:
+    """Load the instrument and read the session."""
     body = instrument.load()
     return body, camera.read_session(session, known=body.instrument.joint_names)
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
-    """Refuse golden poses of frames that are not there, and a file without any."""
+    """Raise InputError if there are no golden poses, or golden poses of frames that the session does not have."""
     from dvrk_cmaes.io.short_text import listed
 
     names = list(golden)
@@ -233,7 +235,7 @@ def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
 
 
 def _tracked(items: Iterable[T], count: int) -> Iterable[T]:
-    """Go through them with a bar on stderr, if that is a terminal."""
+    """Iterate over items with a progress bar if stderr is a terminal."""
     from rich.console import Console
     from rich.progress import track
 
@@ -242,7 +244,7 @@ def _tracked(items: Iterable[T], count: int) -> Iterable[T]:
 
 
 def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checked: Sequence[str]) -> Iterator[Line]:
-    """One line a frame with its errors; below, each frame that is off in full."""
+    """Yield one line of errors for each frame, then all errors of each frame that is not within tolerance."""
     from dvrk_cmaes.evaluate.pose_check import table
 
     quantities = list(dict.fromkeys(row.measured.quantity for one in checks for row in one.check.rows))

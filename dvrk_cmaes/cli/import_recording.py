@@ -1,4 +1,4 @@
-"""``dvrk-cmaes import``: a ROS recording, or a video and its readings, to a session folder."""
+"""``dvrk-cmaes import``: conversion of a ROS recording, or of a video and its readings, to a session folder."""
 
 from __future__ import annotations
 
@@ -27,20 +27,23 @@ VIDEO = Group.create_ordered("Video")
 @Parameter(name="*", group=TOPICS)
 @dataclass(frozen=True, kw_only=True)
 class TopicOptions:
-    """Topics of a ROS recording. They are found by type and name; where several would do, say which.
+    """Topics of a ROS recording, found by type and name by default; if several are suitable, one must be given.
 
     Parameters
     ----------
     image_topic
-        sensor_msgs/Image or CompressedImage.
+        Topic of the images (sensor_msgs/Image or CompressedImage). By default the only one of these types.
     camera_topic
-        sensor_msgs/CameraInfo; camera_info beside the images unless given.
+        Topic of the camera (sensor_msgs/CameraInfo). By default camera_info in the namespace of the images, or the only
+        one of this type.
     joints_topic
-        sensor_msgs/JointState of the arm: measured_js or state_joint_current unless given; none to go without.
+        Topic of the arm's joints (sensor_msgs/JointState), or none to import no readings. By default the only
+        measured_js or state_joint_current of an arm.
     jaw_topic
-        sensor_msgs/JointState of the jaw: jaw/measured_js or state_jaw_current beside the arm's unless given; or none.
+        Topic of the jaw (sensor_msgs/JointState), or none to import no readings of the jaw. By default jaw/measured_js
+        or state_jaw_current in the namespace of the arm's topic.
     recorded_times
-        Take the times at which messages were recorded, not those in their headers.
+        Use the times at which the messages were recorded instead of those in their headers.
     """
 
     image_topic: str | None = None
@@ -69,12 +72,13 @@ def import_recording(
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Make a session folder of a ROS recording (no ROS needed), or of a video and its joint readings.
+    """Convert a ROS recording (no ROS needed), or a video and its joint readings, to a session folder.
 
-    Readings are interpolated to the images' times, never extrapolated. The session has images, but no masks yet.
+    Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, but no
+    masks.
 
-    Examples
-    --------
+    Example:
+
     `dvrk-cmaes import suturing.bag --out session --every 10`
 
     `dvrk-cmaes import suturing.mp4 --camera camera.yaml --joints joints.csv --video-start 12.4 --out session`
@@ -82,29 +86,31 @@ def import_recording(
     Parameters
     ----------
     recording
-        A ROS 1 .bag, a ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads.
+        ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads.
     out
-        The session folder to write; it must be new or empty.
+        Session folder to write; it must be new or empty unless --overwrite is given.
     every
-        Take every Nth image.
+        N: import every Nth image of those between --start and --end.
     start
-        Seconds after the first image at which to begin.
+        Start of the imported part, in seconds after the first image.
     end
-        Seconds after the first image at which to end.
+        End of the imported part, in seconds after the first image.
     tolerance
-        How far, in seconds, the readings before and after an image may be from it; beyond, it gets none.
+        Largest distance in time, in seconds, between an image and the readings before and after it; an image without
+        readings this near gets none.
     camera
-        The camera file; of a ROS recording, instead of its camera_info.
+        Camera file. Required for a video; for a ROS recording it replaces the camera_info.
     joints
-        Readings with times, e.g. CSV with a column time (s); of a ROS recording, instead of its topics.
+        File of readings with times, e.g. CSV with a column time (s). Required for a video; for a ROS recording it
+        replaces the topics of the joints.
     video_start
-        The video's start on the clock of the readings, in seconds.
+        Time of the video's first image on the clock of the readings, in seconds.
     topics
-        Which topics.
+        The topics.
     overwrite
-        Replace an older session folder, all of it.
+        Replace an existing session folder with all its files.
     json
-        Print a summary as JSON, and nothing else, on stdout.
+        Print only a summary, as JSON, on stdout.
     """
     if every < 1:
         raise InputError(f"--every: expected a whole number of at least 1, got {every}")
@@ -138,21 +144,21 @@ def import_recording(
 def _opened(
     path: Path, topics: TopicOptions, camera: Path | None, joints: Path | None, video_start: float
 ) -> AbstractContextManager[Recording]:
-    """Open a recording of whichever kind it is."""
+    """Open a ROS recording (a folder, or a file with its extension), or a video otherwise."""
     from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
-    from dvrk_cmaes.recording.topics import TopicChoice
+    from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.video import open_video
 
     if path.is_dir() or path.suffix.lower() in SUFFIXES:
-        asked = TopicChoice(topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic)
-        return open_bag(path, asked, recorded_times=topics.recorded_times, camera=camera, joints=joints)
+        requested = TopicRequest(topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic)
+        return open_bag(path, requested, recorded_times=topics.recorded_times, camera=camera, joints=joints)
     if topics != _DEFAULT_TOPICS:
         raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
     return open_video(path, camera=camera, joints=joints, start=video_start)
 
 
 def _with_progress(recording: Recording) -> Recording:
-    """Show a bar on stderr, if that is a terminal, as the images go by."""
+    """Add a progress bar to the iteration over the images if stderr is a terminal."""
     from rich.console import Console
     from rich.progress import track
 
@@ -164,7 +170,7 @@ def _with_progress(recording: Recording) -> Recording:
 
 
 def _lines(summary: ImportSummary) -> Iterator[Line]:
-    """Say what was found, what was decided, and how near the readings were."""
+    """Yield the lines of an import: images, notes, and distances in time of the readings used."""
     width, height = summary.size
     yield Line(f"{summary.frames} frames of {summary.images} images, {width} x {height}", "bold")
     for note in summary.notes:

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes inspect``: what the program makes of a file."""
+"""``dvrk-cmaes inspect``: kinds and contents of files, as the program reads them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import DEFAULT_CAMERA, INSTRUMENT, OUTPUT, CameraOptions, Flag, split_packages
-from dvrk_cmaes.cli.terminal import Line, complain, show
+from dvrk_cmaes.cli.terminal import Line, print_error, show
 from dvrk_cmaes.errors import InputError
 
 
@@ -20,10 +20,12 @@ def inspect(
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Say what files are taken for, what is read from them, and by which rule what is ambiguous is decided.
+    """Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous content.
 
-    Cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools, kinematics and registrations,
-    results, and folders: sessions and results. Recordings are named only. Exit code 2 if one could not be read.
+    Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools, kinematics and
+    registrations, and results; folders of sessions and of results. Of a ROS recording only its kind is printed. A
+    folder of frames in the published layout is read with the camera of --camera. Exit codes: 0 ok, 2 a file could not
+    be read.
 
     Example:
 
@@ -34,11 +36,11 @@ def inspect(
     files
         Files or folders of any kind.
     camera
-        How to read cameras; the camera of a session of published frames.
+        How camera files are read; the camera of a folder of frames in the published layout.
     package_path
-        NAME=DIR: where the ROS package NAME of package:// paths lies. May be given several times.
+        NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in a URDF. May be given several times.
     json
-        Print a list with an object for each file, and nothing else, on stdout.
+        Print only a list with one object for each file, as JSON, on stdout.
     """
     from dvrk_cmaes.inspection import Options, inspect_path
     from dvrk_cmaes.io.atomic import json_text
@@ -53,7 +55,7 @@ def inspect(
             code = error.exit_code
             documents.append({"path": str(file), "kind": None, "error": str(error)})
             if not json:
-                complain(str(error))
+                print_error(str(error))
             continue
         documents.append({"path": str(file), **found.to_dict()})
         if not json:

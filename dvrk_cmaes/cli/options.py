@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they stand for."""
+"""Options shared by several commands, and their conversion to settings and data of the package."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.segment.with_instrument import Hints, SegmentSettings
+    from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
 FRAME = Group.create_ordered("Frame")
 CAMERA = Group.create_ordered("Camera")
 INSTRUMENT = Group.create_ordered("Instrument")
 METHOD = Group.create_ordered("Method")
-SEGMENT = Group.create_ordered("Mask, found in the image")
+SEGMENT = Group.create_ordered("Segmentation")
 OUTPUT = Group.create_ordered("Output")
 
 Flag = Annotated[bool, Parameter(negative=())]
@@ -32,17 +32,17 @@ SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions:
-    """The camera, from a file of any kind that calibration tools write.
+    """Options of the camera.
 
     Parameters
     ----------
     camera
-        Intrinsics and lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain YAML. A session
-        folder's own camera.yaml unless given.
+        File of the intrinsics and the lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain
+        YAML. Required for a single frame; a session folder's own camera.yaml by default.
     rectified
-        The images are rectified: use the camera's projection matrix, without distortion.
+        The images are rectified: use the projection matrix of the camera file, and no distortion.
     side
-        Which camera of a stereo pair.
+        Camera to use if the file describes a stereo pair.
     """
 
     camera: Path | None = None
@@ -50,7 +50,7 @@ class CameraOptions:
     side: Literal["left", "right"] = "left"
 
     def read(self, size: Callable[[], tuple[int, int]] | None = None) -> CameraFile:
-        """Read the file; ``size`` finds that of the images, px, for a file that does not state it."""
+        """Read the camera file; ``size`` returns the images' width and height, px, if the file does not state them."""
         from dvrk_cmaes.camera.files import read_camera_file
 
         if self.camera is None:
@@ -58,7 +58,7 @@ class CameraOptions:
         return read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
 
     def read_session(self, folder: Path, *, known: Iterable[str], joints: Sequence[Path] = ()) -> Session:
-        """Read a session folder, seen by this camera; ``known`` and ``joints`` as in `read_session` of the package."""
+        """Read a session folder with this camera; ``known`` and ``joints`` are as in `frames.session_folder`."""
         from dvrk_cmaes.frames.session_folder import read_session
 
         return read_session(
@@ -69,23 +69,24 @@ class CameraOptions:
 @Parameter(name="*", group=INSTRUMENT)
 @dataclass(frozen=True, kw_only=True)
 class InstrumentOptions:
-    """Which instrument is sought, and the arm that carries it.
+    """Options of the instrument and of the arm that carries it.
 
     Parameters
     ----------
     instrument
-        A bundled instrument (lnd, a Large Needle Driver), or the path of a URDF.
+        Name of a bundled instrument (lnd, a Large Needle Driver), or path of a URDF.
     package_path
-        NAME=DIR: where the ROS package NAME of package:// paths lies. May be given several times.
+        NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in the URDF. Other packages are searched
+        for in the URDF's folder and its parents. May be given several times.
     root_link
-        The URDF's link whose pose is sought, with the shaft on it or below it; roll_link unless given.
+        Link of the URDF whose pose is estimated; the shaft must be on it or below it. roll_link by default.
     shaft_radius
-        Radius of the shaft in metres, instead of the one measured on its mesh.
+        Radius of the shaft in metres. Measured on the mesh by default.
     tool
-        The dVRK's description of the tool (JSON): its joint limits instead of the URDF's, and where it lies along the
-        shaft.
+        Description of the tool in the dVRK's format (JSON): its joint limits replace those of the URDF, and its roll
+        offset (length along the shaft) replaces that of the tools 400xxx.
     arm
-        The arm's kinematics, for camera_from_base.
+        Arm whose kinematics are used to compute camera_from_base.
     """
 
     instrument: str = "lnd"
@@ -96,7 +97,7 @@ class InstrumentOptions:
     arm: Literal["classic", "si"] = "classic"
 
     def load(self) -> Body:
-        """Load the instrument and prepare it for rendering."""
+        """Load the instrument, from the instrument cache if it is there, and prepare it for rendering."""
         from dvrk_cmaes.instrument import load_instrument
         from dvrk_cmaes.instrument.dvrk_description import read_tool
         from dvrk_cmaes.instrument.tool import with_tool
@@ -108,7 +109,7 @@ class InstrumentOptions:
             package_paths=split_packages(self.package_path),
             root_link=self.root_link,
             shaft_radius=self.shaft_radius,
-            keep_measured=True,
+            use_cache=True,
         )
         return Body.prepare(loaded if tool is None else with_tool(loaded, tool))
 
@@ -116,20 +117,22 @@ class InstrumentOptions:
 @Parameter(name="*", group=METHOD)
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions:
-    """How the pose is sought. A flag wins over the settings file, the file over the defaults.
+    """Options of the method. An option overrides the settings file, and the settings file overrides the defaults.
 
     Parameters
     ----------
     search
-        The global search: cmaes, crs2, esch, isres, direct-l.
+        Method of the global search: cmaes (default), crs2, esch, isres or direct-l.
     refine
-        The local refinement: gauss-newton, coordinate-descent, bobyqa, sbplx.
+        Method of the local refinement: gauss-newton (default), coordinate-descent, bobyqa or sbplx.
     seed
-        Seed of all random numbers; the same seed gives the same answer.
+        Seed of all random numbers, a whole number of at least 0; 0 by default. The same input and the same seed give
+        the same result.
     threads
-        How many threads to use; the answer does not depend on it.
+        Number of threads (of each worker process in `batch`); 1 by default. The result does not depend on it.
     config
-        A TOML file of settings, named as in a result's `config`.
+        Settings file (TOML) with the keys of a result's `config`; `dvrk-cmaes help settings` lists them. The other
+        options override it.
     """
 
     search: str | None = None
@@ -139,7 +142,13 @@ class MethodOptions:
     config: Path | None = None
 
     def resolve(self) -> EstimateConfig:
-        """Defaults, overridden by the settings file, overridden by the flags; checked."""
+        """Return the settings: the defaults, overridden by the settings file, overridden by the options.
+
+        Raises
+        ------
+        InputError
+            A value is not valid; the message names the option or the settings file.
+        """
         from dvrk_cmaes.config import EstimateConfig
         from dvrk_cmaes.io.toml_file import read_config
         from dvrk_cmaes.pose.config_check import check_config
@@ -176,22 +185,23 @@ DEFAULT_CAMERA = CameraOptions()
 @Parameter(name="*", group=SEGMENT)
 @dataclass(frozen=True, kw_only=True)
 class SegmentOptions:
-    """How a mask is found in an image.
+    """Options of the segmentation of images without a mask.
 
     Parameters
     ----------
     model
-        classic needs nothing but the image; sam2 is Segment Anything 2 (pip install "dvrk-cmaes[sam2]").
+        Segmentation model: classic uses colour and shape and needs no weights; sam2 is Segment Anything 2 (pip install
+        "dvrk-cmaes[sam2]").
     weights
-        Folder of the encoder and decoder of an exported checkpoint, for sam2.
+        Folder with the encoder and the decoder of an exported checkpoint; required for sam2.
     """
 
     model: Literal["classic", "sam2"] = "classic"
     weights: Path | None = None
 
     def resolve(self) -> SegmentSettings:
-        """Check that model and weights belong together."""
-        from dvrk_cmaes.segment.with_instrument import SegmentSettings
+        """Return the settings; InputError if sam2 has no weights, or classic has any."""
+        from dvrk_cmaes.segment.silhouette_prior import SegmentSettings
 
         if self.model == "sam2" and self.weights is None:
             raise InputError("--weights: --model sam2 needs the folder of an exported checkpoint, got none")
@@ -203,16 +213,16 @@ class SegmentOptions:
 @Parameter(name="*", group=SEGMENT)
 @dataclass(frozen=True, kw_only=True)
 class PromptOptions:
-    """Where the instrument is in the image; all of it together, or nothing.
+    """Optional prompts, which state where the instrument is in the image.
 
     Parameters
     ----------
     box
-        A box around the instrument, x0,y0,x1,y1 in pixels.
+        Box around the instrument, x0,y0,x1,y1 in pixels.
     point
-        A pixel u,v on the instrument. May be given several times.
+        Pixel u,v on the instrument. May be given several times.
     not_point
-        A pixel u,v that is not on the instrument. May be given several times.
+        Pixel u,v that is not on the instrument. May be given several times.
     """
 
     box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -220,8 +230,8 @@ class PromptOptions:
     not_point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
 
     def resolve(self) -> Hints:
-        """Parse the numbers."""
-        from dvrk_cmaes.segment.with_instrument import Hints
+        """Return the prompts as numbers; InputError if one is not valid."""
+        from dvrk_cmaes.segment.silhouette_prior import Hints
 
         box = None
         if self.box is not None:
@@ -241,6 +251,7 @@ DEFAULT_PROMPTS = PromptOptions()
 
 
 def _check_name(option: str, name: str, known: Iterable[str]) -> None:
+    """Raise InputError, which lists the known names, unless a name is one of them."""
     from dvrk_cmaes.errors import nearest_first
 
     if name not in known:
@@ -248,12 +259,12 @@ def _check_name(option: str, name: str, known: Iterable[str]) -> None:
 
 
 def split_packages(texts: Iterable[str]) -> dict[str, Path]:
-    """Folders of ROS packages by name, from NAME=DIR each."""
-    return dict(_package(text) for text in texts)
+    """Return the folders of ROS packages by name, from texts of the form NAME=DIR."""
+    return dict(_split_package(text) for text in texts)
 
 
-def _package(text: str) -> tuple[str, Path]:
-    """Split NAME=DIR."""
+def _split_package(text: str) -> tuple[str, Path]:
+    """Split NAME=DIR; InputError if the text has another form or the folder does not exist."""
     name, equals, folder = text.partition("=")
     if not (name and equals and folder):
         raise InputError(f"--package-path: expected NAME=DIR, got {text!r}")
@@ -263,7 +274,7 @@ def _package(text: str) -> tuple[str, Path]:
 
 
 def parse_pixel(option: str, text: str) -> tuple[float, float]:
-    """Parse ``u,v``, a pixel."""
+    """Parse a pixel ``u,v``; InputError, which names the option, if it is not one."""
     try:
         u, v = (float(part) for part in text.split(","))
     except ValueError:

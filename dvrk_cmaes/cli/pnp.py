@@ -1,4 +1,4 @@
-"""``dvrk-cmaes pnp``: the baseline, poses of a session from points, by OpenCV's solvers."""
+"""``dvrk-cmaes pnp``: baseline poses of a session from image points, by OpenCV's PnP solvers."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def pnp(
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
-    """Find the poses of a session from points and readings, as earlier trackers start: a baseline to compare with.
+    """Estimate the poses of a session from image points and readings by PnP, as a baseline for comparisons.
 
-    The joints are those read: points do not correct them. Results go to OUT/frames/FRAME.json, in the schema of an
-    estimate, so that every comparison takes both. Exit codes: 0 ok, 1 every frame failed, 2 wrong usage or input,
-    3 some frame is doubtful or failed.
+    Earlier trackers are initialised in this way. The joints are the readings, without correction. Results are written
+    to OUT/frames/FRAME.json in the schema of `estimate`, so that they can be compared by the same commands. Exit codes:
+    0 ok, 1 every frame failed, 2 wrong usage or input, 3 a frame is doubtful or failed.
 
     Example:
 
@@ -42,21 +42,22 @@ def pnp(
     Parameters
     ----------
     session
-        Session folder; markers.csv in it (frame, marker, u, v), or keypoints.csv and masks for the tips.
+        Session folder with markers.csv (columns frame, marker, u, v) for --points markers, or with keypoints.csv and
+        masks for --points tips.
     out
-        Folder to write frames/FRAME.json to.
+        Folder for frames/FRAME.json.
     points
-        Painted markers that a detector found, or the two jaw tips and the shaft's edges alone.
+        Points to use. markers: detected painted markers. tips: the two jaw tips and the edges of the shaft.
     solver
-        sqpnp: SQPNP on all points, then Levenberg-Marquardt. ransac: random samples of points, then the iterative
-        solver on those that agree. For markers only.
+        PnP solver for markers. sqpnp: SQPNP on all points, then Levenberg-Marquardt. ransac: RANSAC, then the iterative
+        solver on the inliers.
     markers
-        Where the markers lie on the links: JSON of link and position_m (metres) by name. A bundled table of the Large
-        Needle Driver's painted markers unless given.
+        Positions of the markers on the links: JSON of link and position_m (metres) by name of the marker. By default a
+        bundled table of the painted markers of the Large Needle Driver.
     camera
-        Which camera.
+        The camera.
     instrument
-        Which instrument.
+        The instrument.
     """
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.paths import check_output, result_path
@@ -85,6 +86,7 @@ def _by_markers(
     solver: Literal["sqpnp", "ransac"],
     markers: Path | None,
 ) -> Iterator[Result]:
+    """Yield a result for each frame from the markers in the session's markers.csv."""
     from dvrk_cmaes.frames.markers import read_detections, read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
     from dvrk_cmaes.pnp.pnp_frame import pose_from_markers
@@ -102,6 +104,7 @@ def _by_markers(
 
 
 def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions) -> Iterator[Result]:
+    """Yield a result for each frame from its jaw tips and shaft edges."""
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.pnp.pnp_frame import pose_from_tips
 
@@ -110,7 +113,7 @@ def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions)
 
 
 def _lines(results: list[Result], out: Path) -> Iterator[Line]:
-    """Say how each frame went, and where the results are."""
+    """Yield the status of each frame, the number of ok frames, and the folder of the results."""
     for result in results:
         reasons = "".join(f", {reason}" for reason in result.reasons)
         yield Line(f"{result.frame}: {result.status}{reasons}", STATUS_STYLES[result.status] if reasons else "")

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes segment``: from images to masks."""
+"""``dvrk-cmaes segment``: masks of the instrument in images."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.segment import Segmentation
-    from dvrk_cmaes.segment.with_instrument import Hints, SegmentSettings
+    from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings
 
 _DOUBTFUL = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What became of one image: the mask and the files written, or why there is none."""
+class ImageOutcome:
+    """ImageOutcome of one image: its segmentation and the files written, or the reason why there is no mask."""
 
     frame: str
     found: Segmentation | None
@@ -40,7 +40,7 @@ class Outcome:
 
     @property
     def status(self) -> str:
-        """``ok``, ``doubtful`` for a guess, or ``failed``."""
+        """``ok``; ``doubtful`` if the confidence is below that of a guess; ``failed`` without a mask."""
         from dvrk_cmaes.segment.confidence import GUESS
 
         if self.found is None:
@@ -48,7 +48,7 @@ class Outcome:
         return "doubtful" if self.found.confidence < GUESS else "ok"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return plain values for JSON."""
         if self.found is None:
             return {"status": "failed", "reason": self.problem}
         return {
@@ -73,13 +73,16 @@ def segment(
 ) -> int:
     """Find the instrument in an image, or in each image of a folder.
 
-    Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg to judge it by, and, where the model has one, a soft score
-    OUT/scores/FRAME.png (128 and more is instrument). With nothing but the image, an instrument is what is grey before
-    something colourful and comes in from the border: give a box or a point where that is not so.
+    Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
+    OUT/scores/FRAME.png (8-bit; 128 and more is instrument). Without prompts, the model classic takes for instrument
+    what is grey before a colourful background and reaches the image's border; if this does not hold, give a box or a
+    point. In a folder, the same prompts are used for every image.
 
-    `estimate` and `batch` do better, since they know the instrument's shape: they find masks themselves.
+    `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
+    shape.
 
-    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 a mask is a guess, or in a folder, one was not found.
+    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 a mask is a guess (its confidence is low), or no mask was
+    found in an image of a folder.
 
     Example:
 
@@ -88,17 +91,17 @@ def segment(
     Parameters
     ----------
     source
-        An image (PNG or JPEG), a session folder, or a folder of images.
+        Image (PNG or JPEG), session folder, or folder of images.
     model
-        How the mask is found.
+        The segmentation model.
     prompts
-        Where the instrument is; in a folder, the same for every image.
+        Prompts; in a folder, the same for every image.
     threads
-        How many threads to use.
+        Number of threads.
     out
-        Folder to write to. A session's masks are not replaced.
+        Folder for the files written. The command refuses to replace the masks of a session.
     json
-        Print what was found as JSON, and nothing else, on stdout.
+        Print only a summary, as JSON, on stdout.
     """
     if threads < 1:
         raise InputError(f"--threads: expected a whole number of at least 1, got {threads}")
@@ -123,7 +126,7 @@ def segment(
         except DvrkCmaesError as error:
             if single:
                 raise
-            outcomes.append(Outcome(frame, None, {}, problem=str(error)))
+            outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
     if json:
         document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
         print(json_text(document), end="")
@@ -132,8 +135,8 @@ def segment(
     return 0 if all(outcome.status == "ok" for outcome in outcomes) else _DOUBTFUL
 
 
-def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path) -> Outcome:
-    """Segment one image and write what was found, the mask last."""
+def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path) -> ImageOutcome:
+    """Segment one image and write score, overlay and, as the last file, the mask."""
     from time import perf_counter
 
     import numpy as np
@@ -141,13 +144,13 @@ def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, th
     from dvrk_cmaes.frames.images import read_image
     from dvrk_cmaes.io.atomic import write_image
     from dvrk_cmaes.results.paths import mask_path, overlay_path
-    from dvrk_cmaes.segment import segment as find
+    from dvrk_cmaes.segment import segment as segment_image
     from dvrk_cmaes.segment.overlay import draw_segmentation
 
     image = read_image(path)
     started = perf_counter()
-    where: dict[str, Any] = {"box": hints.box, "points": hints.points, "not_points": hints.not_points}
-    found = find(image, model=settings.model, weights=settings.weights, threads=threads, **where)
+    prompts: dict[str, Any] = {"box": hints.box, "points": hints.points, "not_points": hints.not_points}
+    found = segment_image(image, model=settings.model, weights=settings.weights, threads=threads, **prompts)
     seconds = perf_counter() - started
     if not found.mask.any():
         raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
@@ -155,13 +158,13 @@ def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, th
     if found.score is not None:
         written["score"] = out / "scores" / f"{frame}.png"
         write_image(written["score"], np.asarray(np.clip(found.score * 255 + 0.5, 0, 255), np.uint8))
-    write_image(written["overlay"], draw_segmentation(image, found, frame, **where))
+    write_image(written["overlay"], draw_segmentation(image, found, frame, **prompts))
     write_image(written["mask"], found.mask)
-    return Outcome(frame, found, written, seconds)
+    return ImageOutcome(frame, found, written, seconds)
 
 
-def _lines(outcome: Outcome) -> Iterator[Line]:
-    """Say what was found in one image, and where it lies."""
+def _lines(outcome: ImageOutcome) -> Iterator[Line]:
+    """Yield the lines of one image: confidence, area, notes and the files written."""
     if outcome.found is None:
         yield Line(f"{outcome.frame}: failed: {outcome.problem}", STATUS_STYLES["failed"])
         return

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes synth``: sessions with known truth, at levels that can be cited."""
+"""``dvrk-cmaes synth``: synthetic sessions with known truth, at fixed levels of difficulty."""
 
 from __future__ import annotations
 
@@ -34,30 +34,31 @@ def synth(
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
-    """Make a session whose truth is known, in the layout of any session folder.
+    """Write a synthetic session with known true poses, in the layout of a session folder.
 
-    An arm moves the instrument about its remote centre of motion (rcm), with one camera_from_base and outer readings;
-    or each frame shows it anywhere (free). Masks are those of a segmenter with its mistakes, readings are wrong as a
-    robot's are: mostly by one bias a session, in every frame nearer to the truth than to its mirror twin. Beside masks,
-    images and readings there are tips (keypoints.csv), painted markers as a detector finds them (markers.csv), the
-    truth (golden.json) and all figures (synth.json).
+    With --motion rcm an arm moves the instrument about its remote centre of motion: there are one camera_from_base and
+    readings of the outer joints. With --motion free the poses of the frames are independent. Masks have simulated
+    segmentation errors. Readings have errors like those of a robot: mostly one bias in the session, and in every frame
+    they are nearer to the truth than to its mirror twin. Besides masks, images and readings the session has jaw tips
+    (keypoints.csv), simulated detections of painted markers (markers.csv), the truth (golden.json) and all parameters
+    (synth.json).
 
-    Unless another is given, the camera has 640 x 480 pixels and a focal length of 1026 px.
+    Without --camera, the camera has 640 x 480 pixels and a focal length of 1026 px.
 
-    A level's figures, the readings' in deg rms over many sessions (the jaw's is 1.5 times the wrist's; yaw and pitch
-    0.1 deg, insertion 0.4 mm at all levels):
+    Parameters of the levels (errors of the wrist's and the roll's readings in degrees, root mean square over many
+    sessions; the jaw's error is 1.5 times the wrist's; at all levels yaw and pitch 0.1 deg, insertion 0.4 mm):
 
-    - clean: wrist 5, roll 5; mask exact to the pixel; markers 1.0 px.
+    - clean: wrist 5, roll 5; exact masks; markers 1.0 px.
 
-    - easy: wrist 2, roll 2; outline wavers by 0.4 px; markers 1.5 px.
+    - easy: wrist 2, roll 2; correlated noise of the outline 0.4 px; markers 1.5 px.
 
-    - medium: wrist 5, roll 5; outline wavers by 0.9 px, logits of 2 px, 3 lumps or bites of 2 to 5 px, 2 lost
-      highlights; tissue before a jaw in 20 % of the frames, always in ignore/; barrel lens with a round picture, whose
-      edge is ignored; markers 2.5 px.
+    - medium: wrist 5, roll 5; correlated noise of the outline 0.9 px, logits in cells of 2 px, 3 lumps or bites of 2 to
+      5 px, 2 missing highlights; tissue over a jaw in 20 % of the frames, always in ignore/; barrel distortion, and a
+      circular field of view whose surroundings are in ignore/; markers 2.5 px.
 
-    - hard: wrist 8, roll 8; outline wavers by 1.5 px, logits of 4 px, 6 lumps or bites of 3 to 9 px, 4 lost
-      highlights; tissue before a jaw in 70 % of the frames, in ignore/ for half of these; lens as medium; markers
-      4.0 px.
+    - hard: wrist 8, roll 8; correlated noise of the outline 1.5 px, logits in cells of 4 px, 6 lumps or bites of 3 to
+      9 px, 4 missing highlights; tissue over a jaw in 70 % of the frames, in ignore/ for half of these; lens as medium;
+      markers 4.0 px.
 
     Example:
 
@@ -66,23 +67,23 @@ def synth(
     Parameters
     ----------
     out
-        Folder to write the session to, new or empty.
+        Session folder to write; it must be new or empty unless --overwrite is given.
     level
-        How hard it is; cite level, motion, seed and version.
+        Level of difficulty. Cite a session by level, motion, seed and version.
     motion
-        An arm about its remote centre, or free poses without outer joints.
+        rcm: an arm moves about its remote centre of motion. free: independent poses, without readings of outer joints.
     frames
-        How many frames.
+        Number of frames, 1 to 100000.
     seed
-        Seed of all random numbers; the same seed gives the same session.
+        Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
-        Draw images, too.
+        Write images as well.
     overwrite
-        Replace an older made session.
+        Replace an existing synthetic session.
     camera
-        Which camera.
+        The camera.
     instrument
-        Which instrument.
+        The instrument.
     """
     if not 1 <= frames <= _MOST_FRAMES:
         raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")

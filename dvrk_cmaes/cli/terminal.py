@@ -1,4 +1,4 @@
-"""Writing for people: plain lines, with styles where the output is a terminal."""
+"""Text output on stdout and stderr; lines on stdout are styled if it is a terminal."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ class Line(NamedTuple):
 
 
 def prepare_streams() -> None:
-    """Make stdout and stderr fit for all names of files, and for a program that was started without them (``>&-``)."""
+    """Let stdout and stderr accept any file name; open the null device for one that is closed (``>&-``)."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program ends)
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (stays open until the program ends)
         elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # for names that are not text
+            stream.reconfigure(errors="backslashreplace")  # for file names that are not valid text
 
 
-def give_up_stdout() -> None:
-    """Let go of what could not be written to stdout, so that it is not tried again at the end."""
-    with contextlib.suppress(OSError):  # nothing below it, as in tests
+def discard_stdout() -> None:
+    """Redirect stdout to the null device, so that unwritten output does not raise the same error again at exit."""
+    with contextlib.suppress(OSError):  # stdout has no file descriptor, as in tests
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def complain(message: str) -> None:
-    """Say on stderr, in one line, what is wrong; where even that cannot be written, the exit code must do."""
+def print_error(message: str) -> None:
+    """Print an error message as one line on stderr; if stderr cannot be written, only the exit code shows the error."""
     with contextlib.suppress(OSError):
         print("dvrk-cmaes:", " ".join(message.split()), file=sys.stderr)
 
 
 def warn(message: str) -> None:
-    """Say on stderr what somebody should know of a result that is there all the same."""
+    """Print a warning about a result on stderr."""
     print("dvrk-cmaes: warning:", message, file=sys.stderr)
 
 
 def note(message: str) -> None:
-    """Say on stderr how a result came about that goes to stdout alone."""
+    """Print information on stderr, for commands whose stdout contains only the result."""
     print("dvrk-cmaes:", message, file=sys.stderr)
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print lines on stdout, with their styles if that is a terminal."""
+    """Print lines on stdout, with their styles if it is a terminal."""
     if not sys.stdout.isatty():
         for line in lines:
             print(line.text)
@@ -65,6 +65,6 @@ def show(lines: Iterable[Line]) -> None:
         console.print(Text(line.text, style=line.style), soft_wrap=True)
 
 
-def counted(frames: int) -> str:
-    """Say how many frames."""
+def frames_text(frames: int) -> str:
+    """Return a number of frames as text: ``1 frame``, ``2 frames``."""
     return f"{frames} frame{'' if frames == 1 else 's'}"

@@ -1,1 +1,1 @@
-"""Drawings of results over images: overlays and their text, with OpenCV; figures, with matplotlib."""
+"""Drawings of results: overlays over images with OpenCV, and figures with matplotlib."""

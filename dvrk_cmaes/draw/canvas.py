@@ -1,6 +1,6 @@
-"""Drawing on an image: lines finer than its pixels, with dashes and dark rims; text; colours all can tell.
+"""Drawing of antialiased lines, regions and text on an image.
 
-The palette is Okabe and Ito's, which people with any of the common colour-vision deficiencies can tell apart.
+The colours are those of Okabe and Ito's palette, which can be distinguished with the common colour-vision deficiencies.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ WHITE: Colour = (255, 255, 255)
 GREY: Colour = (170, 170, 170)
 DARK: Colour = (28, 24, 22)
 AXES: tuple[tuple[str, Colour], ...] = (("x", VERMILLION), ("y", GREEN), ("z", SKY_BLUE))
-"""A frame's axes."""
+"""Names and colours of a coordinate frame's axes."""
 
-_SHIFT = 4  # bits of OpenCV's fractional coordinates
+_SHIFT = 4  # fractional bits of OpenCV's fixed-point coordinates
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class Canvas:
-    """An image (H, W, 3) uint8 BGR that is drawn on in place.
+    """An image (H, W, 3) uint8 BGR with methods that draw on it in place.
 
-    Coordinates are pixels, centres at integers. Widths and sizes are in ``unit``, px of the canvas, so that drawings
-    look alike at any size.
+    Coordinates are in pixels, with pixel centres at integers. Widths and sizes are multiples of ``unit``, px, so that
+    drawings look alike at any size.
     """
 
     def __init__(self, image: NDArray[np.uint8], unit: float) -> None:
@@ -51,16 +51,29 @@ class Canvas:
         phase: float = 0.0,
         rim: bool = True,
     ) -> None:
-        """Draw a polyline through points (N, 2), antialiased; ``dash`` is the length of strokes and of gaps.
+        """Draw an antialiased polyline.
 
-        Points that are not finite or far outside interrupt it; a dark ``rim`` lifts it off any background.
+        Parameters
+        ----------
+        points
+            (N, 2) px; the line is interrupted at points that are not finite or far outside the image.
+        colour
+            The line's colour.
+        width
+            The line's width.
+        dash
+            Lengths of dashes and of gaps; None for a solid line.
+        phase
+            Length by which the dashes are shifted along the line.
+        rim
+            Whether the line has a dark rim for contrast with the background.
         """
         for part in self._inside(points):
             for stroke in [part] if dash is None else _dashed(part, self.unit * np.array(dash), self.unit * phase):
                 self._stroke(stroke, colour, width, rim)
 
     def outline(self, mask: NDArray[np.bool_], colour: Colour) -> None:
-        """Draw the outlines of a mask of the canvas's size, but for where it meets the border."""
+        """Draw the contours of a mask of the canvas's size, without the parts on the image's border."""
         found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         last = np.array([mask.shape[1] - 1, mask.shape[0] - 1])
         for chain in found:
@@ -83,11 +96,11 @@ class Canvas:
         self.line(at + radius * self.unit * np.stack([np.cos(angle), np.sin(angle)], axis=1), colour, width=2.0)
 
     def tint(self, where: NDArray[np.bool_], colour: Colour, share: float) -> None:
-        """Mix a colour into the pixels (H, W)."""
+        """Blend a colour into the pixels where a mask (H, W) is True; ``share`` is the colour's weight, 0 to 1."""
         self.image[where] = np.rint(self.image[where] * (1 - share) + share * np.array(colour)).astype(np.uint8)
 
     def box(self, corner: tuple[float, float], size: tuple[float, float], colour: Colour) -> None:
-        """Fill a rectangle of a size (width, height) px from its upper left corner."""
+        """Fill a rectangle, given by its upper left corner (u, v) and its size (width, height), px."""
         start = np.rint(corner).astype(int)
         end = np.rint(np.add(corner, size)).astype(int)
         self.image[max(start[1], 0) : end[1], max(start[0], 0) : end[0]] = colour
@@ -95,7 +108,10 @@ class Canvas:
     def text(
         self, text: str, at: tuple[float, float], colour: Colour = WHITE, *, size: float = 0.5, rim: bool = False
     ) -> None:
-        """Write a line of text, its left end and the middle of its height at a point; what is not ASCII as ``?``."""
+        """Write a line of text.
+
+        ``at`` (u, v) is its left end, at the middle of its height. Characters that are not ASCII are written as ``?``.
+        """
         plain = _plain(text)
         place = (round(at[0]), round(at[1] + 10 * size * self.unit))
         if rim:
@@ -103,11 +119,11 @@ class Canvas:
         cv2.putText(self.image, plain, place, _FONT, size * self.unit, colour, self._thickness(1.2), cv2.LINE_AA)
 
     def text_width(self, text: str, size: float = 0.5) -> float:
-        """Width of a line of text, px."""
+        """Return the width of a line of text, px."""
         return float(cv2.getTextSize(_plain(text), _FONT, size * self.unit, self._thickness(1.2))[0][0])
 
     def wrapped(self, text: str, width: float, size: float = 0.5) -> list[str]:
-        """Break a text into lines no wider than ``width`` px, between words where that is possible."""
+        """Break a text between words into lines of at most ``width`` px; a longer word is a line of its own."""
         lines = [""]
         for word in text.split():
             longer = f"{lines[-1]} {word}".strip()
@@ -130,7 +146,7 @@ class Canvas:
         cv2.polylines(self.image, [fixed], False, colour, self._thickness(width), cv2.LINE_AA, _SHIFT)
 
     def _inside(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-        """Stretches of a polyline that are on the canvas or near it: OpenCV's coordinates overflow far outside."""
+        """Yield the parts of a polyline on the canvas or near it; OpenCV's coordinates overflow farther outside."""
         size = np.array([self.image.shape[1], self.image.shape[0]])
         with np.errstate(invalid="ignore"):
             near = np.asarray(((points > -2 * size) & (points < 3 * size)).all(axis=1))
@@ -140,7 +156,7 @@ class Canvas:
 
 
 def _dashed(points: NDArray[np.float64], dash: NDArray[np.float64], phase: float) -> Iterator[NDArray[np.float64]]:
-    """Cut a polyline into strokes."""
+    """Yield the dashes of a polyline (N, 2); ``dash`` (2,) are the lengths of dashes and gaps."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     for start in np.arange(-(phase % dash.sum()), length[-1], dash.sum()):
         first, last = max(start, 0.0), min(start + dash[0], length[-1])
@@ -150,5 +166,5 @@ def _dashed(points: NDArray[np.float64], dash: NDArray[np.float64], phase: float
 
 
 def _plain(text: str) -> str:
-    """OpenCV's letters are ASCII only."""
+    """Replace characters that OpenCV's fonts do not have, those that are not ASCII, by ``?``."""
     return text.encode("ascii", "replace").decode("ascii")

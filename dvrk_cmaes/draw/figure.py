@@ -1,4 +1,4 @@
-"""Figures drawn with matplotlib: none of it is needed unless somebody wants a picture."""
+"""Creating and writing matplotlib figures; matplotlib is optional and imported only when a figure is made."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STABLE: Final[dict[str, dict[str, Any]]] = {".pdf": {"CreationDate": None}, ".s
 
 
 def check_figure_path(path: Path) -> None:
-    """Refuse, before any work is done, a picture's name of another ending than ``FORMATS``; InputError."""
+    """Raise InputError if a figure's file name does not end in one of ``FORMATS``."""
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"{path}: expected a picture's name to end in {', '.join(FORMATS)}, got {path.suffix!r}")
 
@@ -41,7 +41,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def write_figure(path: str | Path, figure: Figure, dots_per_inch: int = 110) -> None:
-    """Write a figure in the format that its name ends in; errors as in ``dvrk_cmaes.io.atomic.write_bytes``."""
+    """Write a figure in the format of the file name's suffix; errors as in ``dvrk_cmaes.io.atomic.write_bytes``."""
     suffix = Path(path).suffix.lower()
     buffer = io.BytesIO()
     figure.savefig(buffer, format=suffix[1:], dpi=dots_per_inch, metadata=_STABLE.get(suffix))

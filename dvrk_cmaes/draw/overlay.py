@@ -1,8 +1,8 @@
-"""The picture of a result that shows at a glance whether it is right.
+"""Overlay of a result over its frame.
 
-On the image, or on a dark ground: the mask's contour and the silhouette's, what only one of them covers tinted, the
-shaft's edges and the jaw tips as found and as projected, the skeleton and the root's axes. Above: the verdict and its
-reasons. Below: the legend, and the joints against their readings.
+On the image, or on a dark background, it shows the contours of the mask and of the silhouette, the pixels in only one
+of the two, the shaft's edges and the jaw tips as found and as projected, the skeleton and the root's axes. A strip
+above gives the status and the reasons; a strip below gives the legend, and the joints with their readings.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ LEGEND = (
     ("root axes", WHITE, "axes"),
 )
 
-_SMALLEST, _LARGEST = 1000, 2000  # px, the width of the drawing
-_AXIS = 0.006  # m
-_FAINT = 0.22  # of white, for the mask where there is no image
+_SMALLEST, _LARGEST = 1000, 2000  # px, width of the drawing
+_AXIS = 0.006  # m, length of the drawn axes
+_FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
 
 
 def draw_overlay(
@@ -70,26 +70,27 @@ def draw_overlay(
     Parameters
     ----------
     result
-        What was estimated; without a pose only the mask is drawn.
+        The estimate; without a pose only the mask is drawn.
     mask
         (H, W) bool, the instrument.
     camera
-        Of the mask's size.
+        The camera, of the mask's size.
     body
         The instrument, prepared for rendering.
     image
-        (H', W', 3) uint8 BGR of the mask's aspect, to draw on.
+        (H', W', 3) uint8 BGR with the mask's aspect ratio, the drawing's background.
     ignore
-        (H, W) bool, pixels that count neither way; hatched.
+        (H, W) bool, pixels that are not compared; hatched.
     keypoints
-        (2, 2) px, the jaw tips where they were given.
+        (2, 2) px, the jaw tips, if they were given.
     evidence
-        What was found in the mask; gathered anew from mask, ``ignore`` and ``keypoints`` if not given.
+        Evidence found in the mask; by default gathered from mask, ``ignore`` and ``keypoints``.
 
     Returns
     -------
     (h, w, 3) uint8, BGR
-        The frame between two strips of text, drawn large enough for thin lines to be told apart.
+        The frame between two strips of text. Frames narrower than 1000 px are enlarged by a whole factor, those wider
+        than 2000 px reduced.
     """
     if evidence is None:
         evidence = gather_evidence(mask, camera, body.instrument, ignore=ignore, keypoints=keypoints, seed=result.seed)
@@ -109,7 +110,7 @@ def draw_overlay(
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """The canvas, and how it lies over the mask's pixels."""
+    """The canvas, the camera of the mask, and the canvas's pixels per pixel of the mask."""
 
     canvas: Canvas
     camera: Camera
@@ -129,11 +130,11 @@ class _Frame:
         return _Frame(Canvas(drawn, size[0] / 1280), camera, size[0] / width)
 
     def at(self, pixels: Float64) -> Float64:
-        """Pixels of the mask on the canvas."""
+        """Convert pixels (N, 2) of the mask to pixels of the canvas."""
         return np.asarray((pixels + 0.5) * self.scale - 0.5)
 
     def enlarged(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Bring a mask to the canvas's size, its outline without stairs."""
+        """Resize a mask (H, W) to the canvas with a smoothed outline."""
         height, width = self.canvas.image.shape[:2]
         smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
         return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
@@ -183,7 +184,7 @@ def _axes(frame: _Frame, pose: Float64) -> None:
 
 
 def _hatch(canvas: Canvas, where: NDArray[np.bool_]) -> None:
-    """Hatch the pixels that count neither way."""
+    """Hatch the pixels where a mask (h, w) is True."""
     v, u = np.indices(where.shape)
     period = max(4, round(14 * canvas.unit))
     canvas.tint(where & ((u + v) % period < max(1, period // 6)), GREY, 0.8)

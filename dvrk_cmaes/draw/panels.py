@@ -1,4 +1,4 @@
-"""The strips of text above and below an overlay: the verdict with its reasons, the legend, the joints."""
+"""Strips of text above and below an overlay: status and reasons; legend and joints."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ BADGES: dict[str, tuple[str, Colour]] = {
     "failed": ("FAILED", VERMILLION),
 }
 
-_GROUND: Colour = (52, 46, 43)
+_BACKGROUND: Colour = (52, 46, 43)
 _LINE = 26.0  # units of the canvas from line to line
-_MARGIN = 14.0
-_MOST_REASONS = 4  # lines
+_MARGIN = 14.0  # units of the canvas
+_MOST_REASONS = 4  # lines of reasons
 
 
 def _strip(width: int, lines: float, unit: float) -> Canvas:
     height = max(1, round((lines * _LINE + 12) * unit))
-    return Canvas(np.full((height, width, 3), _GROUND, dtype=np.uint8), unit)
+    return Canvas(np.full((height, width, 3), _BACKGROUND, dtype=np.uint8), unit)
 
 
 def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
-    """Draw the verdict: status, frame, overlap and outline, and the reasons to doubt it."""
+    """Draw the strip above: status, frame, IoU, contour distances and the result's reasons, (h, width, 3) BGR."""
     probe = _strip(width, 1, unit)
     margin = _MARGIN * unit
     reasons = [line for reason in result.reasons for line in probe.wrapped(f"- {reason}", width - 2 * margin)]
@@ -56,7 +56,7 @@ def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
 
 
 def footer(result: Result, legend: Sequence[tuple[str, Colour, str]], width: int, unit: float) -> NDArray[np.uint8]:
-    """Draw the legend and the joints: found, with standard deviation, and read."""
+    """Draw the strip below: the legend, and each joint's estimate and reading, (h, width, 3) BGR."""
     probe = _strip(width, 1, unit)
     rows = _flow([_entry_width(probe, text) for text, _, _ in legend], width, unit)
     joints = [_joint(result, name) for name in result.joints]
@@ -79,7 +79,7 @@ def footer(result: Result, legend: Sequence[tuple[str, Colour, str]], width: int
 
 
 def _joint(result: Result, name: str) -> str:
-    """One joint in words: value and standard deviation, and what was read."""
+    """Return one joint as text: estimate and standard deviation, reading, and their difference."""
     std = (result.std_joints_deg or {}).get(name)
     spread = "" if std is None else f" +- {std:.1f}"
     found, read = np.degrees(result.joints[name]), result.readings.get(name)
@@ -92,7 +92,7 @@ def _entry_width(canvas: Canvas, text: str) -> float:
 
 
 def _flow(widths: Sequence[float], width: float, unit: float) -> list[list[tuple[int, float]]]:
-    """Lay out entries of given widths from left to right, in as many rows as needed: index and left end of each."""
+    """Lay out entries of given widths, px, in rows; each row lists the index and the left end of its entries."""
     rows: list[list[tuple[int, float]]] = []
     left = np.inf
     for index, wide in enumerate(widths):
@@ -105,7 +105,7 @@ def _flow(widths: Sequence[float], width: float, unit: float) -> list[list[tuple
 
 
 def _sample(canvas: Canvas, kind: str, colour: Colour, left: float, middle: float) -> None:
-    """Draw what a legend's entry looks like, 26 units wide."""
+    """Draw the sample of a legend's entry, 26 units wide."""
     unit = canvas.unit
     ends = np.array([[left, middle], [left + 26 * unit, middle]])
     centre = ends.mean(axis=0)

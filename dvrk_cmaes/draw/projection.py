@@ -1,4 +1,4 @@
-"""Where parts of an instrument appear in an image: lines in pixels, cut off before the camera's plane."""
+"""Projection of an instrument's shaft edges and skeleton to lines in an image, clipped in front of the camera."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]
 
-_NEAREST = 0.005  # m before the camera; nearer than any instrument can be seen
-_SAMPLES = 300  # points along an edge, which a lens may bend
+_NEAREST = 0.005  # m, least depth of a point that is drawn; instruments are farther away
+_SAMPLES = 300  # points along an edge, which is curved by lens distortion
 
 
 def project_visible(camera: Camera, points: Float64) -> Float64:
-    """Project points (N, 3), m, in the camera's frame to pixels (N, 2); not a number where they are not before it."""
+    """Project points (N, 3), m, in the camera's frame to pixels (N, 2); NaN for points with a depth below 5 mm."""
     pixels = np.full((len(points), 2), np.nan)
     before = points[:, 2] > _NEAREST
     pixels[before] = camera.project(points[before])
@@ -26,9 +26,14 @@ def project_visible(camera: Camera, points: Float64) -> Float64:
 
 
 def projected_edges(instrument: Instrument, camera_from_root: Float64, camera: Camera) -> list[Float64]:
-    """Both edges of the shaft's straight part in the image, (N, 2) px each; none where there is no shaft to be seen.
+    """Project both edges of the shaft's straight part to the image.
 
-    Each is where the plane through the eye that touches the cylinder does so: a straight line in space.
+    Each edge is the line in which a plane through the camera's centre touches the cylinder.
+
+    Returns
+    -------
+    list of (N, 2)
+        Pixels of the two edges; empty without a shaft, or if the camera's centre is inside the cylinder.
     """
     shaft = instrument.shaft
     if shaft is None:
@@ -38,7 +43,7 @@ def projected_edges(instrument: Instrument, camera_from_root: Float64, camera: C
     edges = []
     for normal in project_cylinder(point, direction, shaft.radius):
         if not np.isfinite(normal).all():
-            return []  # The eye is inside the cylinder.
+            return []  # the camera's centre is inside the cylinder
         outward = normal / np.linalg.norm(normal) * (-1.0 if normal @ point > 0 else 1.0)
         along = np.linspace(shaft.distal_end, shaft.proximal_end, _SAMPLES)
         edges.append(project_visible(camera, point + shaft.radius * outward + along[:, None] * direction))
@@ -46,7 +51,7 @@ def projected_edges(instrument: Instrument, camera_from_root: Float64, camera: C
 
 
 def found_edges(edges: ShaftEdges, camera: Camera) -> list[Float64]:
-    """Both edges found in a mask, (N, 2) px each, between the ends where they were seen; ``camera`` is the mask's."""
+    """Return both edges found in a mask, (N, 2) px each, between their visible ends; ``camera`` is that of the mask."""
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     share = np.linspace(0, 1, _SAMPLES)[:, None]
     return [
@@ -57,7 +62,7 @@ def found_edges(edges: ShaftEdges, camera: Camera) -> list[Float64]:
 def skeleton_lines(
     instrument: Instrument, camera_from_root: Float64, joints: Float64, camera: Camera
 ) -> tuple[Float64, Float64]:
-    """Skeleton in the image, px: a polyline (N, 2) from the shaft to the wrist, and the jaw tips (0 or 2, 2)."""
+    """Project the skeleton: a polyline (N, 2) px from the shaft to the wrist, and the jaw tips (0 or 2, 2) px."""
     pixels = project_visible(camera, apply(camera_from_root, instrument.skeleton(joints)))
     count = len(pixels) - len(instrument.jaw_tips)
     return pixels[:count], pixels[count:]

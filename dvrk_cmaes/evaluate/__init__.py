@@ -1,1 +1,4 @@
-"""Comparing results: with each other, with the paper's figures, and with the poses of an earlier method."""
+"""Evaluation of results: errors against golden poses, and agreement of a session's frames with each other.
+
+The module `paper` has the numbers that the paper reports.
+"""

@@ -1,4 +1,4 @@
-"""All measures of agreement of one set of results, and as plain values for JSON."""
+"""All measures of agreement of the frames of one set of results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,12 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How well the frames of a set agree; ``rcm`` needs the insertion of every frame, ``base`` all outer joints."""
+    """Agreement of the frames of a set.
+
+    axes : convergence of the shafts' axes.
+    rcm : the frames' RCMs, None unless the insertion of every frame is known.
+    base : the frames' poses of the arm's base, None unless all outer joints of every frame are known.
+    """
 
     results: ResultSet
     axes: Convergence
@@ -30,7 +35,7 @@ class Agreement:
     base: BaseSpread | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON: m and degrees, positions in the camera."""
+        """Return plain values for JSON: m and degrees, positions in the camera's frame."""
         results, rcm, base = self.results, self.rcm, self.base
         return {
             "results": results.name,
@@ -57,20 +62,20 @@ class Agreement:
 
 
 def measure_agreement(results: ResultSet, *, arm: Arm | None = None, roll_offset: float | None = None) -> Agreement:
-    """Measure all that a set allows.
+    """Compute the measures of agreement for which a set has the readings.
 
     Parameters
     ----------
     results
         At least three frames.
     arm, roll_offset
-        Kinematics of the outer arm, m; as the results state them unless given, and if they state none, those of the
-        Classic and of a tool 400xxx.
+        The arm, and the DH parameter d of the tool's roll joint, m; by default those stated in the results, or else
+        those of the Classic with a tool 400xxx.
 
     Raises
     ------
     InputError
-        Naming the set, where its axes cannot be said to meet.
+        Fewer than three frames or parallel axes; the message names the set.
     """
     arm = arm or results.arm or "classic"
     if roll_offset is None:
@@ -90,5 +95,5 @@ def measure_agreement(results: ResultSet, *, arm: Arm | None = None, roll_offset
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers to nine decimals, as results have them."""
+    """Round a number or the numbers of nested lists to nine decimals, as in results."""
     return [_rounded(v) for v in value] if isinstance(value, list) else round(float(value), 9)

@@ -1,9 +1,10 @@
-"""How well the frames of a session agree, without any truth: what must be one and the same in all of them.
+"""Consistency of a session's frames, measured without true poses.
 
-While the arm moves about its remote centre of motion (RCM), the shaft passes through one point. So the axes of all
-frames should meet (the paper's Table I, from poses alone); the RCM that each frame's axis and insertion give, and with
-all outer readings the arm's base, should be the same in every frame. A pose may be consistent and wrong all the same:
-frames solved together agree by construction.
+The arm moves about its remote centre of motion (RCM), through which the shaft always passes. Hence in all frames of a
+session (1) the shafts' axes should meet in one point (the paper's Table I, from poses alone), (2) the RCM computed from
+the axis and the insertion should be the same, and (3) the pose of the arm's base, computed from all outer readings,
+should be the same. Consistent poses may still be wrong: frames that were solved together are consistent by
+construction.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, Arm, base_f
 
 Float64 = NDArray[np.float64]
 
-FEWEST = 3
-"""Frames below which a spread says nothing."""
+LEAST_FRAMES = 3
+"""Least number of frames for a measure of consistency."""
 
-_LEAST_SPREAD = 1e-6  # of the axes' directions: smallest eigenvalue of the mean of I - d d^T
+_LEAST_SPREAD = 1e-6  # least eigenvalue of the mean of I - d d^T; axes with a smaller one are called parallel
 
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """Where N axes meet, and how nearly.
+    """Point nearest to N axes in the least-squares sense, and its distances from them.
 
-    point : (3,) x*, the point nearest to all axes, m in the camera.
-    distances : (N,) of x* from each axis, perpendicular to it, m.
-    turn : root mean square angle of the axes from their mean direction, rad. Axes that hardly turn fix x* only across
-    them: it slides along.
+    point : (3,) x*, m in the camera's frame.
+    distances : (N,) perpendicular distances of x* from the axes, m.
+    turn : root mean square angle of the axes from their mean direction, rad. If it is small, x* is poorly determined
+        along the axes.
     """
 
     point: Float64
@@ -41,9 +42,9 @@ class Convergence:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the distances, m: the figure of the paper's Table I.
+        """Standard deviation of the distances, m, as in the paper's Table I.
 
-        It forgives a constant distance; `rms` does not.
+        Unlike `rms`, it is zero if all distances are equal.
         """
         return float(self.distances.std())
 
@@ -55,10 +56,7 @@ class Convergence:
 
 @dataclass(frozen=True, eq=False)
 class PointSpread:
-    """Points (N, 3), m, that should be one.
-
-    ``centre`` (3,) is their mean, ``rms`` their root mean square distance from it, m.
-    """
+    """Estimates (N, 3), m, of one point, and their scatter."""
 
     points: Float64
 
@@ -75,9 +73,10 @@ class PointSpread:
 
 @dataclass(frozen=True, eq=False)
 class BaseSpread:
-    """Poses of the arm's base that should be one: ``camera_from_base`` (N, 4, 4).
+    """Estimates ``camera_from_base`` (N, 4, 4) of one pose of the arm's base, and the scatter of their rotations.
 
-    ``angles`` (N,), rad: of each frame's rotation from that of the most central frame, the one with the smallest sum.
+    ``angles`` (N,), rad, are those between each frame's rotation and that of the most central frame, which is the frame
+    with the smallest sum of angles to all others.
     """
 
     camera_from_base: Float64
@@ -100,7 +99,7 @@ class BaseSpread:
 
 
 def converge(points: ArrayLike, directions: ArrayLike) -> Convergence:
-    """Find where axes meet: x* = (N I - sum d d^T)^-1 sum (I - d d^T) p (the paper's Table I).
+    """Find the point nearest to all axes: x* = (N I - sum d d^T)^-1 sum (I - d d^T) p (the paper's Table I).
 
     Parameters
     ----------
@@ -115,8 +114,8 @@ def converge(points: ArrayLike, directions: ArrayLike) -> Convergence:
         Fewer than three axes, or axes that are all parallel.
     """
     p, d = np.asarray(points, dtype=np.float64), np.asarray(directions, dtype=np.float64)
-    if len(p) < FEWEST:
-        raise InputError(f"axes: expected those of at least {FEWEST} frames, got {len(p)}")
+    if len(p) < LEAST_FRAMES:
+        raise InputError(f"axes: expected those of at least {LEAST_FRAMES} frames, got {len(p)}")
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
     if np.linalg.eigvalsh(across.mean(axis=0))[0] < _LEAST_SPREAD:
         raise InputError("axes: expected a shaft that turned between the frames, got parallel axes, which meet nowhere")
@@ -128,16 +127,16 @@ def converge(points: ArrayLike, directions: ArrayLike) -> Convergence:
 
 
 def converge_shafts(camera_from_root: Float64) -> Convergence:
-    """Find where the shafts' axes of poses (N, 4, 4) meet: the root's z axis through its origin; as `converge`."""
+    """Find the point nearest to the shafts' axes of poses (N, 4, 4), the root's z axes; errors as in `converge`."""
     return converge(camera_from_root[:, :3, 3], camera_from_root[:, :3, 2])
 
 
 def rcm_spread(
     camera_from_root: Float64, insertion: ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
 ) -> PointSpread:
-    """Find the RCM of each frame in the camera, from its pose (N, 4, 4) and the insertion read, (N,) m.
+    """Compute the RCM of each frame in the camera's frame, from its pose (N, 4, 4) and its insertion reading (N,), m.
 
-    ``roll_offset`` is the D of the tool's roll joint, m.
+    ``roll_offset`` is the DH parameter d of the tool's roll joint, m.
     """
     beyond = np.asarray(insertion, dtype=np.float64) + INSERTION_OFFSET[arm] + roll_offset
     return PointSpread(camera_from_root[:, :3, 3] - beyond[:, None] * camera_from_root[:, :3, 2])
@@ -146,12 +145,12 @@ def rcm_spread(
 def base_spread(
     camera_from_root: Float64, outer: ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
 ) -> BaseSpread:
-    """Find the arm's base in each frame, from its pose (N, 4, 4) and the outer readings (N, 4), rad and m."""
+    """Compute the arm's base in each frame from its pose (N, 4, 4) and its outer readings (N, 4), rad and m."""
     reached = base_from_root(outer, arm, roll_offset=roll_offset)
     return spread_of_bases(np.asarray(camera_from_root @ inverse(reached)))
 
 
 def spread_of_bases(camera_from_base: Float64) -> BaseSpread:
-    """Compare the arm's bases of frames, (N, 4, 4), with the most central of them."""
+    """Compare the frames' poses of the arm's base (N, 4, 4) with that of the most central frame."""
     apart = rotation_angle(camera_from_base[:, None], camera_from_base[None, :])
     return BaseSpread(camera_from_base, apart[int(apart.sum(axis=1).argmin())])

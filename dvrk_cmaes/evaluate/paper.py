@@ -1,4 +1,4 @@
-"""Figures that the paper reports, to set beside ours: Liang, Chiu, Richter and Yip, 2025, arXiv 2503.05953."""
+"""Numbers that the paper reports, for comparison: Liang, Chiu, Richter and Yip, 2025, arXiv 2503.05953."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class TableOneRow:
-    """Standard deviation of the axes about their converging point, m: the paper's method and PnP, ten frames each."""
+    """Standard deviations of the axes' distances from their converging point, m: the paper's method, and PnP."""
 
     sigma_m: float
     pnp_sigma_m: float
@@ -19,7 +19,7 @@ TABLE_ONE: Final = {
     "medium": TableOneRow(0.00243, 0.06173),
     "hard": TableOneRow(0.00253, 0.06761),
 }
-"""The paper's Table I."""
+"""The paper's Table I, ten frames each."""
 
 TABLE_TWO: Final = {
     "gauze": ((0.01, 11, 11), (0.035, 9, 10), (0.07, 10, 10)),

@@ -1,4 +1,4 @@
-"""A result held against a golden pose: a row for each quantity, and a table that says what is off."""
+"""Comparison of a result with a golden pose: one row for each quantity, and a table of text that marks large errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Pose = tuple[Float64, Mapping[str, float]]
 
 
 class Row(NamedTuple):
-    """A quantity found and expected, mm or deg (several numbers for a point or a direction), and its error."""
+    """A quantity's error, with its values found and expected, mm or deg (three numbers for a point or a direction)."""
 
     measured: Measured
     found: Sequence[float]
@@ -29,28 +29,34 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PoseCheck:
-    """A comparison: its rows, and whether it is with the golden pose's mirror twin.
+    """Comparison of one frame's result with its golden pose.
 
-    ``no_pose`` says in words why there is nothing to compare; there are no rows then.
-    ``twin_would_do``: only the mirror twin is within tolerance, and it was not asked for.
+    rows : one for each quantity; empty if there is nothing to compare.
+    is_twin : whether the rows compare with the mirror twin of the golden pose.
+    twin_within_tolerance : whether the mirror twin is within tolerance while the golden pose is not, and twins were not
+        accepted.
+    no_pose : message that says why there is nothing to compare, otherwise empty.
     """
 
     frame: str
     rows: tuple[Row, ...]
     is_twin: bool = False
-    twin_would_do: bool = False
+    twin_within_tolerance: bool = False
     no_pose: str = ""
 
     @property
     def right(self) -> bool:
-        """Whether all is within its tolerance."""
+        """Whether there is a pose and all its errors are within tolerance."""
         return not self.no_pose and not any(row.measured.exceeds for row in self.rows)
 
 
 def check_pose(
     result: Result, golden: FrameTruth, instrument: Instrument, tolerance: Tolerance, *, modulo_twin: bool = False
 ) -> PoseCheck:
-    """Compare a result with a golden pose; ``modulo_twin`` lets the golden pose's mirror twin count as well."""
+    """Compare a result with a golden pose.
+
+    With ``modulo_twin``, the result is compared with the golden pose's mirror twin instead if that is nearer in roll.
+    """
     if result.camera_from_root is None:
         return PoseCheck(result.frame, (), no_pose=f"no pose: {'; '.join(result.reasons) or result.status}")
     names = instrument.joint_names
@@ -67,11 +73,11 @@ def check_pose(
     turned = PoseCheck(result.frame, _rows(instrument, found, twin, tolerance), is_twin=True)
     if modulo_twin and _roll(turned) < _roll(straight):
         return turned
-    return PoseCheck(result.frame, straight.rows, twin_would_do=turned.right)
+    return PoseCheck(result.frame, straight.rows, twin_within_tolerance=turned.right)
 
 
 def table(check: PoseCheck) -> Iterator[str]:
-    """Lines of a table of what was found, expected and allowed; rows that are off are marked."""
+    """Yield the lines of a table of values found and expected, errors and tolerances; large errors are marked."""
     if check.no_pose:
         yield check.no_pose
         return
@@ -85,7 +91,7 @@ def table(check: PoseCheck) -> Iterator[str]:
         )
     if check.is_twin:
         yield "expected is the mirror twin of the golden pose"
-    if check.twin_would_do:
+    if check.twin_within_tolerance:
         yield "the mirror twin of the golden pose would be within tolerance (modulo_twin)"
 
 
@@ -100,7 +106,7 @@ def _rows(instrument: Instrument, found: Pose, expected: Pose, tolerance: Tolera
 
 
 def _values(instrument: Instrument, pose: Float64, joints: Mapping[str, float]) -> dict[str, Sequence[float]]:
-    """Show of a pose its positions in the camera, mm, the direction of the root's z axis, and its joints, deg."""
+    """Return the values of a pose by quantity: positions in the camera, mm, direction of the shaft, joints, deg."""
     values: dict[str, Sequence[float]] = {"root": (1e3 * pose[:3, 3]).tolist(), "shaft": pose[:3, 2].tolist()}
     if instrument.jaw_tips and all(name in joints for name in instrument.joint_names):
         tips = instrument.tips([joints[name] for name in instrument.joint_names])

@@ -1,4 +1,4 @@
-"""How far a pose is from the truth, in millimetres and degrees, and whether that is within stated tolerances."""
+"""Errors of a pose against the true pose, in millimetres and degrees, and their tolerances."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Largest errors of an answer that counts as right, mm and deg.
+    """Largest errors of a pose that counts as right, mm and deg.
 
-    ``shaft_deg`` is between the directions of the root's z axis, ``roll_deg`` about it.
+    ``shaft_deg`` is the angle between the directions of the root's z axis, ``roll_deg`` the angle about it.
     """
 
     root_mm: float = 0.5
@@ -32,7 +32,7 @@ class Tolerance:
 
 
 class Measured(NamedTuple):
-    """A quantity's error, at least zero, and the largest that is allowed, in its unit (mm or deg)."""
+    """A quantity's error, not negative, and its tolerance ``at_most``, both in ``unit`` (mm or deg)."""
 
     quantity: str
     unit: str
@@ -41,7 +41,7 @@ class Measured(NamedTuple):
 
     @property
     def exceeds(self) -> bool:
-        """Whether the error is too large; what is not a number is, too."""
+        """Whether the error is larger than its tolerance, or NaN."""
         return not self.error <= self.at_most
 
 
@@ -49,10 +49,11 @@ class Measured(NamedTuple):
 class PoseError:
     """Errors of a pose.
 
-    ``root_mm``: of the root's origin. ``tip_mm``: of the jaw tips, mean of the two; None without jaws or
-    without all true joints.
-    ``rotation_deg``: whole angle; ``shaft_deg`` and ``roll_deg``: of the shaft's direction, and about it.
-    ``joints_deg``: found less true, by name.
+    root_mm : distance between the positions of the root's origin.
+    tip_mm : mean distance between the positions of the two jaw tips; None without jaws or without all true joints.
+    rotation_deg : angle of the whole rotation error.
+    shaft_deg, roll_deg : angle between the shaft's directions, and about the shaft.
+    joints_deg : found less true, by name.
     """
 
     root_mm: float
@@ -63,7 +64,7 @@ class PoseError:
     joints_deg: dict[str, float]
 
     def measured(self, tolerance: Tolerance) -> list[Measured]:
-        """Each quantity with what is allowed; joints other than the jaw as pitch and yaw."""
+        """List each quantity's error with its tolerance; that of joints other than the jaw is ``pitch_yaw_deg``."""
         found = [Measured("root", "mm", self.root_mm, tolerance.root_mm)]
         if self.tip_mm is not None:
             found.append(Measured("tip", "mm", self.tip_mm, tolerance.tip_mm))
@@ -75,7 +76,7 @@ class PoseError:
         return found
 
     def beyond(self, tolerance: Tolerance) -> list[str]:
-        """Say what exceeds its tolerance, in words; nothing where the pose counts as right."""
+        """List a message for each quantity that exceeds its tolerance; empty if the pose counts as right."""
         return [
             f"{one.quantity} {one.error:.2f} {one.unit} (at most {one.at_most:g})"
             for one in self.measured(tolerance)
@@ -90,7 +91,7 @@ def compare_poses(
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
     (pose, joints), (true_pose, true_joints) = found, truth
-    # The error's rotation, in the true root's axes, as a swing of its z axis after a turn about it.
+    # swing-twist decomposition of the rotation error, in the true root's frame, about its z axis
     x, y, z, w = Rotation.from_matrix(true_pose[:3, :3].T @ pose[:3, :3]).as_quat()
     roll = 2 * np.arctan2(z, w)
     swing = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, w))

@@ -1,7 +1,7 @@
-"""Poses of one session from wherever they come, as the measures of agreement want them.
+"""Reading of one session's poses for the measures of agreement.
 
-A set is a folder of results (any program's, with ``camera_from_root``, ``joints`` and ``seconds``), or a published.csv:
-the paper's poses as a table of axis-angle vectors and translations.
+A set is a folder of results (of any program, with ``camera_from_root``, ``joints`` and ``seconds``), or a
+published.csv: the paper's poses as a table of axis-angle vectors and translations.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ TOGETHER = "together"
 class ResultSet:
     """Frames of one session that have a pose.
 
-    frames : names, N of them. camera_from_root : (N, 4, 4).
-    solved : ``one by one`` or ``together``, or how many of each.
+    name : path of the folder or file.
+    frames : names of the N frames. camera_from_root : (N, 4, 4).
+    solved : ``one by one``, ``together``, or "k of N together".
     readings : by frame and joint, rad and m, as far as known.
-    failed : names of the frames without a pose. doubtful : of those with one that is not to be trusted.
-    arm, roll_offset : kinematics of the outer arm that the results state, m; None where they state none.
-    alone : where the same frames solved one by one are, if they were solved together and that is known.
+    failed : names of further frames, without a pose. doubtful : names of the frames whose status is doubtful.
+    arm, roll_offset : the arm, and the DH parameter d of the tool's roll joint, m; None if the results state none.
+    alone : folder of the same frames solved one by one, if frames were solved together and that folder exists.
     """
 
     name: str
@@ -54,11 +55,11 @@ class ResultSet:
 
     @property
     def by_construction(self) -> bool:
-        """Whether frames were solved together, so that their agreement says nothing about their accuracy."""
+        """Whether frames were solved together, in which case their agreement does not measure their accuracy."""
         return self.solved != ONE_BY_ONE
 
     def outer(self, *joints: str) -> Float64 | None:
-        """Give the readings (N, K) of K outer joints, or None unless all of them are known in every frame."""
+        """Return the readings (N, K) of K outer joints, or None unless all of them are known in every frame."""
         rows = [self.readings.get(frame, {}) for frame in self.frames]
         if any(joint not in row for row in rows for joint in joints):
             return None
@@ -73,13 +74,13 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
     path
         A folder of results, or a published.csv.
     readings_from
-        A session folder or a joints.csv whose readings count, instead of those in the results; those beside a
-        published.csv otherwise.
+        A session folder or a joints.csv whose readings are used. By default the readings are those in the results, or
+        for a published.csv those of a joints.csv beside it.
 
     Raises
     ------
     InputError
-        A file that is missing or wrong, naming it; no frame with a pose.
+        A file that is missing or cannot be read (the message names it); no frame with a pose.
     """
     given = None if readings_from is None else read_readings(readings_from)
     if path.suffix.lower() == ".csv":
@@ -111,7 +112,7 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
 
 
 def _stated_kinematics(results: Iterable[Result]) -> dict[str, Any]:
-    """Give the arm and the roll's offset that the first result states which states both."""
+    """Return ``arm`` and ``roll_offset`` of the first result that states both; empty if none does."""
     for result in results:
         stated = result.config.get("instrument")
         if isinstance(stated, dict) and stated.get("arm") in INSERTION_OFFSET:
@@ -122,7 +123,7 @@ def _stated_kinematics(results: Iterable[Result]) -> dict[str, Any]:
 
 
 def read_readings(path: Path) -> Readings:
-    """Read the readings of a session folder or a joints.csv, by frame; InputError as their readers raise it."""
+    """Read the joint readings of a session folder or a joints.csv, by frame; errors as in their readers."""
     if path.is_dir() and not (path / "joints.csv").exists():
         return {frame.name: frame.readings for frame in read_session(path).frames}
     return read_joint_table(path / "joints.csv" if path.is_dir() else path)

@@ -1,4 +1,4 @@
-"""Outline of a cylinder in the image: the two lines in which a pinhole camera sees its edges."""
+"""Projection of a cylinder: the two lines that bound it in the image of a pinhole camera."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ Float64 = NDArray[np.float64]
 
 
 def project_cylinder(point: Float64, direction: Float64, radius: float) -> Float64:
-    """Both outline edges of a cylinder as homogeneous lines A X + B Y + C = 0 in normalised coordinates, (..., 2, 3).
+    """Compute both outline edges of a cylinder as homogeneous lines in normalised coordinates, (..., 2, 3).
 
-    ``point`` (..., 3) on the axis, m, ``direction`` (..., 3) unit, in the camera's frame. Not a number where the eye
-    is inside the cylinder.
+    A line (A, B, C) is the set of points with A X + B Y + C = 0. ``point`` (..., 3) on the axis, m, and the unit vector
+    ``direction`` (..., 3) are in the camera's frame; ``radius`` is in m. The result is NaN where the camera centre is
+    inside the cylinder.
     """
     k = (point * direction).sum(axis=-1, keepdims=True)
     square = (point * point).sum(axis=-1, keepdims=True) - k**2 - radius**2

@@ -1,4 +1,4 @@
-"""Distances in masks: outside one, by fast marching as in the paper or by a faster transform on request, and within."""
+"""Distance transforms of masks: outside a mask by one of three methods, and inside a mask."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError, nearest_first
 
 FIELDS = ("fmm", "exact", "chamfer")
-"""Fast marching (scikit-fmm), SciPy's exact Euclidean transform, OpenCV's 5 x 5 chamfer."""
+"""Methods: fast marching (scikit-fmm), as in the paper; SciPy's exact Euclidean transform; OpenCV's 5 x 5 chamfer."""
 
-_FARTHEST = 1000.0  # px; beyond, single precision cannot tell the squares of distances apart
+_FARTHEST = 1000.0  # px; the squares of larger distances are not exact in single precision
 
 
 def distance_field(mask: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.float64]:
-    """Distance in pixels from each pixel to the mask (H, W), 0 inside.
+    """Compute the distance, px, from each pixel to the mask (H, W), (H, W); 0 inside.
 
-    Distances are measured from the mask's outline, half a pixel outside its outermost pixels' centres. The mask may be
-    neither empty nor full. Raises `InputError` for an unknown method.
+    Distances are measured from the mask's outline, half a pixel outside the centres of its outermost pixels. The mask
+    must be neither empty nor full. Raises `InputError` for an unknown method.
     """
     if method == "fmm":
         import skfmm
@@ -35,10 +35,11 @@ def distance_field(mask: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.f
 
 
 def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Distance in pixels from each pixel of a mask (H, W) to the nearest centre outside it, at most 1000; 0 outside.
+    """Compute the distance, px, from each pixel of a mask (H, W) to the nearest pixel outside, at most 1000; 0 outside.
 
-    The same wherever in memory the mask lies: OpenCV takes square roots of whole numbers in two ways, one of them not
-    exactly, and where an array begins decides which pixels get which.
+    OpenCV computes square roots with either of two methods of different accuracy, depending on the memory alignment of
+    the array. The squared distances are therefore rounded to integers and their roots taken again, so that the result
+    depends on the mask alone.
     """
     distance = cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     near = np.minimum(distance, np.float32(_FARTHEST))

@@ -1,4 +1,4 @@
-"""What one frame says about the pose: the mask and what can be found on it."""
+"""Collection of the image evidence of one frame: the mask and the features found in it."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Everything that one frame says.
+    """The image evidence of one frame.
 
-    mask : (H, W) bool, the instrument.
-    weight : (H, W) float32, 0 where a pixel counts neither way, 1 elsewhere.
-    contour : the mask's outline between pixels.
-    shaft_edges : pairs of lines that may be the shaft's two edges, the likeliest first; none where not found.
-    tips : (2, 2) px, the jaw tips in either order, None where they were neither given nor found.
-    tips_given : whether the tips are the user's.
-    unused : what was left out and why, in words.
+    mask : (H, W) bool, True on the instrument.
+    weight : (H, W) float32, 0 for ignored pixels, 1 for all others.
+    contour : the mask's contour with subpixel accuracy.
+    shaft_edges : pairs of lines that may be the shaft's two edges, best supported first; empty if none was found.
+    tips : (2, 2) px, the jaw tips in either order; None if they were neither given nor found.
+    tips_given : whether the tips were given by the user.
+    unused : descriptions of evidence that is missing, with the reason.
     """
 
     camera: Camera
@@ -51,9 +51,9 @@ def gather_evidence(
 ) -> Evidence:
     """Collect the evidence of one frame.
 
-    ``mask`` and ``ignore`` are (H, W) of the camera's size; ``keypoints`` (2, 2) are jaw tips in pixels, in either
-    order. What the mask says of ignored pixels makes no difference. Raises `InputError` where the mask is of another
-    size, empty or full, and where ``ignore`` or ``keypoints`` have another shape or are not finite.
+    ``mask`` and ``ignore`` are (H, W), of the camera's size; ``keypoints`` (2, 2) are jaw tips in pixels, in either
+    order. The mask's values at ignored pixels have no effect. Raises `InputError` if the mask has another size, is
+    empty or full, or if ``ignore`` or ``keypoints`` have another shape or are not finite.
     """
     if mask.shape != (camera.height, camera.width):
         raise InputError(
@@ -102,12 +102,12 @@ def gather_evidence(
 
 
 def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """Average an image (H, W) down to another size."""
+    """Downsample an image (H, W) to another size by area averaging."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def window_around(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
-    """Left, top, width, height of a mask's bounding box with a margin, px, within the image; it may not be empty."""
+    """Return left, top, width and height, px, of the bounding box of a non-empty mask, with a margin, in the image."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, mask.shape[0])
     left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, mask.shape[1])

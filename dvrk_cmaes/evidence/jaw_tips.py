@@ -1,4 +1,4 @@
-"""The two jaw tips on a mask: the ends farthest from the shaft."""
+"""Detection of the two jaw tips in a mask, as the contour points farthest from the shaft."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges
 
 Float64 = NDArray[np.float64]
 
-_APART = 8.0  # px between two tips, with background in between
+_LEAST_TIP_DISTANCE = 8.0  # px between two separate tips
 
 
 def distal_direction(mask: NDArray[np.bool_], edges: ShaftEdges) -> Float64:
-    """Find the unit vector (2,) in the ideal image along the shaft towards the jaws.
+    """Find the unit vector (2,) along the shaft towards the jaws, in the undistorted image.
 
-    The instrument enters from the image border, so of the edges' two ends the one farther from the mask's border
-    pixels is the distal one; without any border pixel, the one towards which the mask narrows.
+    The instrument enters the image at its border, so it points away from the mask's pixels on the image border. If the
+    mask has fewer than five of these, it points to the side on which the mask reaches farther from the middle of the
+    edges.
     """
     axis = edges.ends[0, 1] - edges.ends[0, 0]
     axis = axis / np.linalg.norm(axis)
@@ -41,9 +42,10 @@ def find_tips(
     camera: Camera,
     ignore: NDArray[np.bool_] | None,
 ) -> Float64 | str:
-    """Locate the jaw tips, (2, 2) px, or say in words why they cannot be found.
+    """Locate the jaw tips, (2, 2) px; returns the reason, in words, if they cannot be found.
 
-    The contour's farthest points from where the shaft ends; jaws that look closed give the same point twice.
+    The tips are the contour points farthest from the shaft's distal end. If no second tip is separated from the first
+    by background, the first is returned twice.
     """
     if edges is None:
         return "without the shaft's edges there is no telling which end is distal"
@@ -62,10 +64,10 @@ def find_tips(
     column, row = np.rint(tip).astype(int)
     if ignore is not None and ignore[max(row - 7, 0) : row + 8, max(column - 7, 0) : column + 8].any():
         return "the farthest point of the mask lies at an ignored region"
-    # A second tip: another far point, with the contour coming back towards the shaft in between.
+    # The second tip is another distant point; at least half of the line between the two must lie outside the mask.
     far = distal[np.argsort(-away, kind="stable")][: int((away > 0.6 * away.max()).sum())]
-    others = contour.pixels[far[np.linalg.norm(contour.pixels[far] - tip, axis=1) > _APART]]
+    others = contour.pixels[far[np.linalg.norm(contour.pixels[far] - tip, axis=1) > _LEAST_TIP_DISTANCE]]
     share = np.linspace(0.1, 0.9, 17)[:, None]
     column, row = np.rint(tip + share * (others[:, None] - tip)).astype(int).transpose(2, 0, 1)
-    apart = np.flatnonzero(mask[row, column].mean(axis=1) < 0.5)
-    return np.stack([tip, others[apart[0]] if len(apart) else tip])
+    separate = np.flatnonzero(mask[row, column].mean(axis=1) < 0.5)
+    return np.stack([tip, others[separate[0]] if len(separate) else tip])

@@ -1,8 +1,8 @@
-"""How far off a mask's outline is, and over what length its errors hang together, seen against a fitted silhouette.
+"""Standard deviation and correlation length of the errors of a mask's contour, from a fitted silhouette.
 
-A segmenter's outline wavers over many pixels, so a thousand contour points are far fewer measurements. Both the spread
-of the outline's error and its correlation length are read from the residuals along the contour; they set what the
-outline is worth against the readings, and the covariance.
+The contour errors of a segmentation are correlated over many pixels, so a thousand contour points hold far fewer
+independent measurements. Both parameters are estimated from the residuals along the contour. They determine the weight
+of the outline relative to the readings, and the covariance of the pose.
 """
 
 from __future__ import annotations
@@ -18,42 +18,45 @@ from dvrk_cmaes.evidence.shaft_edges import Contour
 
 Float64 = NDArray[np.float64]
 
-_LEAST_SIGMA = 0.25  # px: what the pixel grid alone does to an exact mask
-_LENGTHS = (2.0, 40.0)  # px
-_SAMPLED_TOGETHER = 512  # OpenCV limits each side of what it samples at once
-_CLIP = 3.0  # standard deviations; beyond lies a segmenter's mistake
+_LEAST_SIGMA = 0.25  # px; that of an exact mask, from quantisation to pixels
+_LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length
+_REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that it samples
+_CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
 
 
 @dataclass(frozen=True)
 class OutlineNoise:
-    """Standard deviation of the outline's error, px, and the length of contour that makes one measurement, px."""
+    """Errors of a mask's contour: standard deviation, px, and correlation length, px.
+
+    One correlation length of contour counts as one independent measurement.
+    """
 
     sigma: float
     length: float
 
     @property
     def inflation(self) -> float:
-        """By how much a covariance that takes the errors for small and Gaussian must grow to hold the truth.
+        """Factor on the covariance of a pose that was computed for small Gaussian errors.
 
-        A rough outline's errors are neither. Fitted to 240 made frames of all levels, where the 90 % intervals then
-        hold the truth in 85 to 100 % of each level's frames.
+        The errors of a rough contour are neither small nor Gaussian. The factor was fitted to 240 synthetic frames of
+        all levels; with it, the 90 % intervals contain the truth in 85 to 100 % of the frames of each level.
         """
         return 1.0 + (self.sigma / 1.2) ** 2
 
 
 def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Distance in px to a mask's outline, negative inside, (H, W); the mask must be neither empty nor full."""
+    """Compute the signed distance, px, to a mask's outline, negative inside, (H, W); neither empty nor full."""
     return np.where(mask, 0.5 - distance_within(mask), distance_within(~mask) - 0.5).astype(np.float32)
 
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
-    """Values of an image (H, W) at pixels (N, 2), bilinear, (N,)."""
-    rows = -(-len(at) // _SAMPLED_TOGETHER)
+    """Sample an image (H, W) at pixels (N, 2) with bilinear interpolation, (N,)."""
+    rows = -(-len(at) // _REMAP_WIDTH)
     if rows == 0:
         return np.zeros(0)
-    spots = np.zeros((rows * _SAMPLED_TOGETHER, 2), dtype=np.float32)
-    spots[: len(at)] = at
-    u, v = spots.reshape(rows, _SAMPLED_TOGETHER, 2).transpose(2, 0, 1)
+    padded = np.zeros((rows * _REMAP_WIDTH, 2), dtype=np.float32)
+    padded[: len(at)] = at
+    u, v = padded.reshape(rows, _REMAP_WIDTH, 2).transpose(2, 0, 1)
     values = cv2.remap(
         image, np.ascontiguousarray(u), np.ascontiguousarray(v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
@@ -61,13 +64,13 @@ def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
 
 
 def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoise:
-    """Measure the noise of a mask's contour against the silhouette (H, W) fitted to it."""
+    """Estimate the noise of a mask's contour from its distances to the silhouette (H, W) fitted to it."""
     if len(contour.pixels) < 40 or silhouette.all() or not silhouette.any():
         return OutlineNoise(sigma=2.0, length=_LENGTHS[1])
     error = sampled(signed_distance(silhouette), contour.pixels)
     sigma = max(1.4826 * float(np.median(np.abs(error))), _LEAST_SIGMA)
     error = np.clip(error, -_CLIP * sigma, _CLIP * sigma)
-    spread = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
+    rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
     spacing = float(np.median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1)))
     most = min(int(_LENGTHS[1]), len(error) // 4)
     variance = float(np.mean(error**2)) + 1e-12
@@ -77,4 +80,4 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoi
         if correlation < 0.1:
             break
         length += 2 * correlation * spacing
-    return OutlineNoise(spread, float(np.clip(length, *_LENGTHS)))
+    return OutlineNoise(rms, float(np.clip(length, *_LENGTHS)))

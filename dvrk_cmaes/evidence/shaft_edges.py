@@ -1,9 +1,10 @@
-"""The two straight edges of the shaft in a mask, and the axis in space that they and the radius fix.
+"""Detection of the shaft's two straight edges in a mask, and the shaft's axis in space from edges and radius.
 
-Sturdier than the two longest Hough lines of a Canny image: oriented contour points vote for lines, and lines are only
-taken in pairs that could bound a cylinder, so a bent wrist, a blob or a broken edge does not pass for the shaft. Lines
-are kept in normalised coordinates, where no lens bends them: A X + B Y + C = 0, with (A, B, C) of unit length and
-pointing out of the shaft; as a vector it is the normal of the plane through the eye that touches the shaft there.
+Oriented contour points vote for lines, and lines are accepted only in pairs that could bound a cylinder. A bent wrist,
+an isolated region or an interrupted edge is therefore not mistaken for the shaft, as it may be with the two longest
+Hough lines of a Canny image. Lines are stored in undistorted normalised coordinates: A X + B Y + C = 0, where (A, B, C)
+has unit length and points out of the shaft. This vector is also the normal of the plane through the camera centre that
+touches the shaft along the edge.
 """
 
 from __future__ import annotations
@@ -18,29 +19,30 @@ from dvrk_cmaes.camera import Camera
 
 Float64 = NDArray[np.float64]
 
-_BLUR = 1.5  # px, of the mask before its contour is placed between pixels
-_NORMAL_BLUR = 3.0  # px more, before its normals are taken
-_BORDER = 3.0  # px beside the image border that say nothing about the instrument
-_NEAR_LINE = 1.2  # px, spread of a contour point about an edge while lines are sought
-_FACING = 0.93  # cosine between an edge's normal and a contour point's
-_LARGEST_GAP = 40.0  # px along an edge
-_FEWEST = 12  # contour points of an edge
-_AT_BORDER = 25.0  # px
-_HYPOTHESES = 450
-_VOTERS = 400  # contour points that lines are drawn through and voted for by
-_KEPT_LINES = 28
-_SHORTEST = 0.7  # of an edge's length, in widths of the shaft
-_MOST_APART = np.deg2rad(35.0)  # between the two edges in the image
-_DEPTHS = (0.02, 0.5)  # m, from the eye to the middle of the visible shaft
+_BLUR = 1.5  # px, standard deviation of the blur before the contour is located between pixels
+_NORMAL_BLUR = 3.0  # px, of the additional blur before the normals are computed
+_BORDER = 3.0  # px; contour nearer to the image border is left out
+_NEAR_LINE = 1.2  # px, standard deviation of contour points about an edge during the search for lines
+_FACING = 0.93  # least cosine between an edge's normal and that of a contour point on it
+_LARGEST_GAP = 40.0  # px without contour points along an edge
+_LEAST_POINTS = 12  # contour points of an edge
+_AT_BORDER = 25.0  # px from the image border, for an edge that ends there
+_HYPOTHESES = 450  # lines through two contour points
+_VOTERS = 400  # contour points that define lines and vote for them, about
+_KEPT_LINES = 28  # distinct lines with the most votes
+_LEAST_LENGTH = 0.7  # of an edge, in widths of the shaft
+_LARGEST_ANGLE = np.deg2rad(35.0)  # between the two edges in the image
+_DEPTHS = (0.02, 0.5)  # m, least and largest depth of the middle of the visible shaft
 
 
 @dataclass(frozen=True, eq=False)
 class Contour:
     """Outer contour points of a mask.
 
-    ``pixels`` (N, 2) lie between pixel centres where the blurred mask is one half; ``ideal`` (N, 2) are the same
-    without the lens's distortion, in pixels of a pinhole of the same matrix; ``normals`` (N, 2) point out of the mask
-    in that ideal image. Points beside the image border or an ignored region are left out.
+    ``pixels`` (N, 2) are subpixel positions where the blurred mask equals one half. ``ideal`` (N, 2) are the same
+    points without lens distortion, in pixels of a pinhole camera with the same matrix; ``normals`` (N, 2) are unit
+    vectors that point out of the mask in this undistorted image. Points near the image border or an ignored region are
+    left out.
     """
 
     pixels: Float64
@@ -53,8 +55,9 @@ class ShaftEdges:
     """The shaft's two edges in a mask.
 
     ``planes`` (2, 3): homogeneous lines in normalised coordinates, unit vectors pointing out of the shaft.
-    ``ends`` (2, 2, 2): the first and last point on each edge, ideal pixels.
-    ``sigma`` (2,): spread of the contour about each edge, px. ``support`` (2,): how many contour points lie on it.
+    ``ends`` (2, 2, 2): the first and last point on each edge, undistorted pixels.
+    ``sigma`` (2,): standard deviation of the contour about each edge, px.
+    ``support`` (2,): number of contour points on each edge.
     """
 
     planes: Float64
@@ -64,10 +67,10 @@ class ShaftEdges:
 
 
 def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.bool_] | None = None) -> Contour:
-    """Outer contours of a mask (H, W), between pixels, without the stretches along the image border."""
+    """Find the outer contours of a mask (H, W) with subpixel accuracy, without the parts along the image border."""
     height, width = mask.shape
     image = mask.astype(np.float32)
-    # Replicated borders: the instrument goes on outside the image.
+    # Replicated borders, because the instrument continues outside the image.
     blurred = cv2.GaussianBlur(image, (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
     found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     chains = [chain[:, 0, :] for chain in found if len(chain) >= 20]
@@ -100,20 +103,20 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
 
 
 def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:
-    """How strongly points of the contour support a line: a length in points."""
+    """Compute the support of a line by contour points: the sum of their weights, 1 for a point on the line."""
     return float(np.exp(-0.5 * ((contour.ideal[index] @ line[:2] + line[2]) / _NEAR_LINE) ** 2).sum())
 
 
 def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
-    """Lines (n, 3) through pairs of contour points that agree with both normals, the best supported ones first."""
+    """Find distinct lines (n, 3) through pairs of contour points with matching normals, best supported first."""
     every = max(1, len(contour.ideal) // _VOTERS)
     points, normals = contour.ideal[::every], contour.normals[::every]
     count = len(points)
     first = rng.integers(count, size=_HYPOTHESES * 4)
     second = rng.integers(count, size=_HYPOTHESES * 4)
-    way = points[second] - points[first]
-    length = np.linalg.norm(way, axis=1)
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
+    delta = points[second] - points[first]
+    length = np.linalg.norm(delta, axis=1)
+    normal = np.stack([-delta[:, 1], delta[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
     normal *= np.sign((normal * normals[first]).sum(axis=1))[:, None]
     agree = np.minimum((normal * normals[first]).sum(axis=1), (normal * normals[second]).sum(axis=1))
     good = np.flatnonzero((length > 15) & (agree > _FACING))[:_HYPOTHESES]
@@ -125,8 +128,8 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     middle = (votes.T @ points) / np.maximum(support, 1e-9)[:, None]
     kept: list[int] = []
     for i in np.argsort(-support, kind="stable"):
-        known = lines[kept]
-        same = (known[:, :2] @ lines[i, :2] > 0.9985) & (np.abs(known[:, :2] @ middle[i] + known[:, 2]) < 3)
+        better = lines[kept]
+        same = (better[:, :2] @ lines[i, :2] > 0.9985) & (np.abs(better[:, :2] @ middle[i] + better[:, 2]) < 3)
         if not same.any():
             kept.append(int(i))
         if len(kept) == _KEPT_LINES:
@@ -135,7 +138,7 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
 
 
 def _on_line(contour: Contour, line: Float64, reach: float) -> NDArray[np.intp]:
-    """Contour points on a line, along its longest stretch that has no large gap."""
+    """Find the contour points within ``reach`` px of a line, on its longest stretch without a large gap."""
     near = (np.abs(contour.ideal @ line[:2] + line[2]) < reach) & (contour.normals @ line[:2] > _FACING)
     index = np.flatnonzero(near)
     if len(index) < 2:
@@ -147,15 +150,15 @@ def _on_line(contour: Contour, line: Float64, reach: float) -> NDArray[np.intp]:
     return np.asarray(index[max(stretches, key=len)])
 
 
-def _fit_line(contour: Contour, line: Float64, rounds: int = 3) -> tuple[Float64, NDArray[np.intp], float]:
-    """Fit a line robustly to the contour points near it: the line, its points, and their spread in px."""
+def _fit_line(contour: Contour, line: Float64, iterations: int = 3) -> tuple[Float64, NDArray[np.intp], float]:
+    """Fit a line robustly to the contour points near it: the line, its points, their standard deviation in px."""
     index = _on_line(contour, line, 2.5 * _NEAR_LINE)
     sigma = _NEAR_LINE
-    for _ in range(rounds):
+    for _ in range(iterations):
         points = contour.ideal[index]
         away = points @ line[:2] + line[2]
         weight = np.maximum(1 - (away / (3 * sigma)) ** 2, 0) ** 2  # Tukey
-        if len(index) < _FEWEST or weight.sum() < 0.5 * _FEWEST:
+        if len(index) < _LEAST_POINTS or weight.sum() < 0.5 * _LEAST_POINTS:
             break
         mean = weight @ points / weight.sum()
         centred = points - mean
@@ -163,21 +166,25 @@ def _fit_line(contour: Contour, line: Float64, rounds: int = 3) -> tuple[Float64
         normal = np.linalg.eigh(scatter)[1][:, 0]
         normal = normal * np.sign(normal @ line[:2])
         line = np.array([*normal, -normal @ mean])
-        spread = 1.4826 * float(np.median(np.abs(points @ normal + line[2])))
-        sigma = float(np.clip(spread, 0.3, _NEAR_LINE))
+        deviation = 1.4826 * float(np.median(np.abs(points @ normal + line[2])))
+        sigma = float(np.clip(deviation, 0.3, _NEAR_LINE))
         index = _on_line(contour, line, max(3 * sigma, 1.5))
     return line, index, sigma
 
 
 def _to_planes(lines: Float64, camera: Camera) -> Float64:
-    """Lines (n, 3) in ideal pixels as unit plane normals in normalised coordinates."""
+    """Convert lines (n, 3) in undistorted pixels to unit plane normals (n, 3) in normalised coordinates."""
     planes = lines @ camera.matrix
     return np.asarray(planes / np.linalg.norm(planes, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)
 class _Edge:
-    """A straight stretch of the contour: its line (3,), its contour points, their spread and support, its two ends."""
+    """A straight piece of the contour.
+
+    ``line`` (3,) in undistorted pixels; ``index`` (N,) of its contour points; ``sigma``, px, their standard deviation;
+    ``ends`` (2, 2), undistorted pixels; ``votes``, the support of the line.
+    """
 
     line: Float64
     index: NDArray[np.intp]
@@ -187,25 +194,25 @@ class _Edge:
 
     @staticmethod
     def fit(contour: Contour, line: Float64) -> _Edge | None:
-        """Fit a line to the contour; None where too little of it is straight there."""
+        """Fit a line to the contour near a first guess; None if too few contour points lie on it."""
         line, index, sigma = _fit_line(contour, line)
-        if len(index) < _FEWEST:
+        if len(index) < _LEAST_POINTS:
             return None
         points = contour.ideal[index]
         position = points @ np.array([-line[1], line[0]])
-        two = points[[int(position.argmin()), int(position.argmax())]]
-        ends = two - (two @ line[:2] + line[2])[:, None] * line[:2]
+        outermost = points[[int(position.argmin()), int(position.argmax())]]
+        ends = outermost - (outermost @ line[:2] + line[2])[:, None] * line[:2]
         return _Edge(line, index, sigma, ends, _votes(contour, line, index))
 
 
 def find_shaft_edges(
     mask: NDArray[np.bool_], contour: Contour, camera: Camera, radius: float, *, seed: int = 0, most: int = 3
 ) -> tuple[ShaftEdges, ...] | str:
-    """Find the shaft's two edges in a mask, or say in words why they cannot be found.
+    """Find the shaft's two edges in a mask; returns the reason, in words, if they cannot be found.
 
-    Pairs of straight contour stretches that face away from each other, have mask between them, and would bound a
-    cylinder of ``radius`` (m) at a distance at which an endoscope sees anything: the best supported pair first, then
-    up to ``most - 1`` others that share no more than one edge with a better one.
+    Candidates are pairs of straight pieces of the contour whose normals point away from each other, with mask between
+    them, that would bound a cylinder of ``radius`` (m) at a plausible depth for an endoscope. Returns up to ``most``
+    pairs, best supported first; each differs from every better one in at least one edge.
     """
     if len(contour.ideal) < 40:
         return "the mask has too little contour inside the image"
@@ -216,7 +223,7 @@ def find_shaft_edges(
         (_pair_support(edges[j], edges[i], mask.shape), edges[j], edges[i])
         for i in range(len(edges))
         for j in range(i)
-        if edges[i].line[:2] @ edges[j].line[:2] < -np.cos(_MOST_APART)
+        if edges[i].line[:2] @ edges[j].line[:2] < -np.cos(_LARGEST_ANGLE)
     ]
     chosen: list[ShaftEdges] = []
     best = 0.0
@@ -241,15 +248,15 @@ def find_shaft_edges(
 
 
 def _pair_support(first: _Edge, second: _Edge, shape: tuple[int, ...]) -> float:
-    """Contour length that two edges explain together as those of the shaft; 0 where they do not lie side by side."""
+    """Compute the support of two edges as those of the shaft; 0 if they do not lie side by side."""
     direction = np.array([-first.line[1], first.line[0]])
     a, b = first.ends @ direction, (second.ends @ direction)[::-1]  # the edges run in opposite directions
     overlap = min(a[1], b[1]) - max(a[0], b[0])
     middle = (first.ends.sum(axis=0) + second.ends.sum(axis=0)) / 4
     width = -(first.line[:2] @ middle + first.line[2] + second.line[:2] @ middle + second.line[2])
-    if width < 6 or overlap < -0.5 * width or min(a[1] - a[0], b[1] - b[0]) < _SHORTEST * width:
+    if width < 6 or overlap < -0.5 * width or min(a[1] - a[0], b[1] - b[0]) < _LEAST_LENGTH * width:
         return 0.0
-    # The shaft comes in over the image border: edges that begin there are worth more.
+    # The shaft enters at the image border, so edges that end there have a larger weight.
     limit = np.array([shape[1] - 1, shape[0] - 1])
     at_border = sum(float(np.minimum(edge.ends, limit - edge.ends).min()) < _AT_BORDER for edge in (first, second))
     shorter, longer = sorted((first.votes, second.votes))
@@ -257,30 +264,30 @@ def _pair_support(first: _Edge, second: _Edge, shape: tuple[int, ...]) -> float:
 
 
 def _bounds_cylinder(mask: NDArray[np.bool_], camera: Camera, radius: float, first: _Edge, second: _Edge) -> bool:
-    """Whether a cylinder between two edges lies at a likely distance, with instrument between them."""
+    """Return whether a cylinder between two edges has a plausible depth, and the mask fills the area between them."""
     ends = np.stack([first.ends, second.ends[::-1]])
     middle = ends.mean(axis=(0, 1))
     direction, point = shaft_axis(_to_planes(np.stack([first.line, second.line]), camera), radius)
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     ray = np.array([*((middle - centre) / focal), 1.0])
     normal = np.cross(direction, np.cross(ray, direction))
-    depth = float(normal @ point / (normal @ ray))  # at which the axis passes the middle of the edges
+    depth = float(normal @ point / (normal @ ray))  # of the axis where it passes the middle of the edges
     if not _DEPTHS[0] < depth < _DEPTHS[1]:
         return False
     s, t = (g.reshape(-1, 1) for g in np.meshgrid(np.linspace(0.05, 0.95, 10), np.linspace(0.1, 0.9, 5)))
     sides = ends[:, 0, None] + s * (ends[:, 1] - ends[:, 0])[:, None]
     inside = sides[0] + t * (sides[1] - sides[0])
     pixels = np.rint(camera.distort((inside - centre) / focal) * focal + centre).astype(int)
-    seen = (pixels >= 0).all(axis=1) & (pixels < [mask.shape[1], mask.shape[0]]).all(axis=1)
-    return bool(seen.any() and mask[pixels[seen, 1], pixels[seen, 0]].mean() >= 0.85)
+    in_image = (pixels >= 0).all(axis=1) & (pixels < [mask.shape[1], mask.shape[0]]).all(axis=1)
+    return bool(in_image.any() and mask[pixels[in_image, 1], pixels[in_image, 0]].mean() >= 0.85)
 
 
 def shaft_axis(planes: Float64, radius: float) -> tuple[Float64, Float64]:
-    """Axis in space of a cylinder that touches two planes through the eye.
+    """Compute the axis of a cylinder that touches two planes through the camera centre.
 
-    ``planes`` (2, 3) are unit normals pointing out of the cylinder. Returns its unit direction (of either sign) and
-    the axis's point nearest to the eye, m, both (3,): the direction lies in both planes, and the axis is ``radius``
-    inside of both.
+    ``planes`` (2, 3) are unit normals pointing out of the cylinder; ``radius`` is in m. Returns the axis's unit
+    direction (of either sign) and its point nearest to the camera centre, m, both (3,) in the camera's frame. The
+    direction lies in both planes, and the axis is at distance ``radius`` from both, on the inner side.
     """
     direction = np.cross(planes[0], planes[1])
     direction /= np.linalg.norm(direction)
@@ -289,12 +296,14 @@ def shaft_axis(planes: Float64, radius: float) -> tuple[Float64, Float64]:
 
 
 def axis_tilt_error(edges: ShaftEdges, camera: Camera, radius: float) -> float:
-    """Return the standard deviation, rad, of the axis's direction that the edges leave: mostly its tilt to the eye.
+    """Compute the standard deviation, rad, of the direction of the axis that follows from the errors of the edges.
 
-    Short edges fix it badly. Each edge's own angle is uncertain by its spread over its length, eight px of contour
-    making one independent point; the axis is computed again with each turned by that much about its middle.
+    It is mostly the error of the tilt towards the camera, and large for short edges. The angle of each edge has a
+    standard deviation that follows from its ``sigma`` and its length, with one independent point per 8 px of contour.
+    The axis is computed again with each edge turned by that angle about its middle, and the changes are added in
+    quadrature.
     """
-    straight, _ = shaft_axis(edges.planes, radius)
+    unturned, _ = shaft_axis(edges.planes, radius)
     total = 0.0
     for i in range(2):
         length = float(np.linalg.norm(edges.ends[i, 1] - edges.ends[i, 0]))
@@ -306,5 +315,5 @@ def axis_tilt_error(edges: ShaftEdges, camera: Camera, radius: float) -> float:
         normal = np.array([cosine * line[0] - sine * line[1], sine * line[0] + cosine * line[1]])
         turned = edges.planes.copy()
         turned[i] = _to_planes(np.array([[*normal, -normal @ edges.ends[i].mean(axis=0)]]), camera)[0]
-        total += float(np.arccos(np.clip(abs(shaft_axis(turned, radius)[0] @ straight), -1, 1))) ** 2
+        total += float(np.arccos(np.clip(abs(shaft_axis(turned, radius)[0] @ unturned), -1, 1))) ** 2
     return float(np.sqrt(total))

@@ -1,9 +1,9 @@
-"""Where a mask was cut off straight: by a crop, a box, the edge of a tile, whatever shows half an instrument.
+"""Detection of masks that are cut off along a straight line, by a crop, a box or the edge of a tile.
 
-A cut leaves the whole mask on one side of a line, and a stretch of its outline exactly on it. The shaft's own edges
-and the jaws' do so as well, but there the silhouette of the right pose is straight too. Half an instrument finds a pose
-that hides what is missing, whose silhouette must end somewhere near the cut; what ends there are jaws or a wrist, and
-their outline is not straight.
+A cut leaves the whole mask on one side of a line, and part of its outline exactly on that line. This also holds for the
+edges of the shaft and of the jaws, but there the silhouette of the correct pose is straight as well. For a mask that
+lacks part of the instrument, the fitted silhouette ends near the cut with the jaws or the wrist, whose outline is not
+straight. The test is therefore how far the silhouette deviates from a straight line along the cut.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]
 
-_BAND = 1.0  # px, how far inside of the line an outline may lie that runs along it
-_GAP = 5.0  # px along the line without an outline, at most
-_SHORTEST = 0.75  # of a straight stretch, in widths of the shaft: a cut across it is at least one long
-_SIDE = 0.25  # of the shortest stretch: the shortest side of the convex hull that gives a line its direction
+_BAND = 1.0  # px, largest distance from the line of outline points that count as lying on it
+_LARGEST_GAP = 5.0  # px along the line without outline points
+_LEAST_LENGTH = 0.75  # of a straight stretch, in widths of the shaft; a cut across the shaft has at least one
+_LEAST_SIDE = 0.25  # of a side of the convex hull that defines a line, in least lengths of a stretch
 
 
 def shaft_width(instrument: Instrument, camera: Camera, camera_from_root: Float64) -> float | None:
-    """Width of the shaft in the image, px, at the root's distance; None without a shaft or behind the camera.
+    """Compute the width of the shaft in the image, px, at the depth of the root.
 
-    ``camera_from_root`` is (4, 4).
+    ``camera_from_root`` is (4, 4). Returns None for an instrument without a shaft or a root behind the camera.
     """
     depth = float(camera_from_root[2, 3])
     if instrument.shaft is None or depth <= 0:
@@ -35,13 +35,14 @@ def shaft_width(instrument: Instrument, camera: Camera, camera_from_root: Float6
 
 
 def largest_bend(outline: Float64, distances: Float64, width: float) -> float:
-    """Range, px, over which the silhouette leaves the mask's outline where that bounds the whole mask straight.
+    """Compute the largest deviation, px, of the silhouette from a straight line along straight stretches of the mask.
 
-    ``outline`` (N, 2) px are points on the mask's outline, ``distances`` (N,) px those from the silhouette's, negative
-    inside; ``width`` px is the shaft's. Of all straight stretches the one with the largest range; shift and turn of the
-    silhouette against the stretch do not count. 0 where nothing is straight for long enough.
+    ``outline`` (N, 2) px are points on the mask's outline; ``distances`` (N,) px are their signed distances to the
+    silhouette's outline, negative inside; ``width`` px is that of the shaft. For each straight stretch of outline that
+    has the whole mask on one side, a line is fitted to the distances, which removes shift and rotation, and the range
+    of the residuals is taken. Returns the largest range, or 0 if no stretch is long enough.
     """
-    largest, shortest = 0.0, _SHORTEST * width
+    largest, shortest = 0.0, _LEAST_LENGTH * width
     for points, along in _straight_stretches(outline, shortest):
         line = np.polynomial.polynomial.polyfit(along, distances[points], 1)
         largest = max(largest, float(np.ptp(distances[points] - line[0] - line[1] * along)))
@@ -49,20 +50,23 @@ def largest_bend(outline: Float64, distances: Float64, width: float) -> float:
 
 
 def _straight_stretches(outline: Float64, shortest: float) -> list[tuple[NDArray[np.intp], Float64]]:
-    """Stretches of an outline along lines that have all of it on one side: their points, and where on the line, px."""
+    """Find straight stretches of an outline that have all of it on one side.
+
+    Returns for each, of at least ``shortest`` px, the indices of its points and their positions along the line, px.
+    """
     found: list[tuple[NDArray[np.intp], Float64]] = []
     if len(outline) < 3:
         return found
     corners = cv2.convexHull(outline.astype(np.float32), clockwise=True)[:, 0].astype(np.float64)
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(sides, axis=1)
-    for k in np.flatnonzero(lengths >= max(_SIDE * shortest, 1.0)):
-        way = sides[k] / lengths[k]
-        inside = np.abs((outline - corners[k]) @ np.array([way[1], -way[0]]))
+    for k in np.flatnonzero(lengths >= max(_LEAST_SIDE * shortest, 1.0)):
+        direction = sides[k] / lengths[k]
+        inside = np.abs((outline - corners[k]) @ np.array([direction[1], -direction[0]]))
         near = np.flatnonzero(inside < _BAND)
-        near = near[np.argsort(outline[near] @ way, kind="stable")]
-        along = outline[near] @ way
-        for piece in np.split(np.arange(len(near)), np.flatnonzero(np.diff(along) > _GAP) + 1):
+        near = near[np.argsort(outline[near] @ direction, kind="stable")]
+        along = outline[near] @ direction
+        for piece in np.split(np.arange(len(near)), np.flatnonzero(np.diff(along) > _LARGEST_GAP) + 1):
             if along[piece[-1]] - along[piece[0]] >= shortest:
                 found.append((near[piece], along[piece] - along[piece[0]]))
     return found

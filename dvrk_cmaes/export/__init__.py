@@ -1,4 +1,5 @@
-"""Results in the formats of other programs, a module each. Functions return text or arrays; ``run`` writes files.
+"""Export of results and session calibrations to the formats of other programs, one module for each format.
 
-Every name says its direction: ``camera_from_base`` maps points of the arm's base into the camera.
+The functions return the contents of the files by name and write nothing. Transforms are named by their direction:
+``camera_from_base`` maps points from the frame of the arm's base to the camera frame.
 """

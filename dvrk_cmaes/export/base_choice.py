@@ -1,11 +1,12 @@
-"""One ``camera_from_base`` for the exports that want one, chosen by a stated rule.
+"""Choice of the ``camera_from_base`` to export.
 
-1. Of a session calibration, its own.
-2. Of one frame (a result by itself, or a frame that was asked for), that frame's.
-3. Of a folder of results, the frames' median: of those marked ok that have one, if they are at least three; of fewer,
-   the doubtful ones count as well, which is said. Failed frames never count.
+1. From a session calibration: its ``camera_from_base``.
+2. From one frame (a single result, or a frame selected by name): that frame's ``camera_from_base``.
+3. From a folder of results: the median over the frames with status ok that have one, if there are at least three;
+   otherwise the median over the ok and the doubtful frames, with a warning. Failed frames are not used.
 
-A frame's own comes from its readings of the outer joints as they are, with their offsets; a session's is without them.
+The ``camera_from_base`` of a frame is computed from the uncorrected readings of the outer joints; that of a session
+calibration is corrected for their offsets.
 """
 
 from __future__ import annotations
@@ -15,28 +16,45 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import rotation_angle, transform
-from dvrk_cmaes.io.fields import Fields
+from dvrk_cmaes.io.typed_document import Texts, Transform, convert_document
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 
-_WIDE_MM, _WIDE_DEG = 5.0, 5.0  # a median spread beyond which somebody should look
-_ENOUGH = 3  # ok frames that make a median by themselves
-_STEPS = 200  # of the medians; they settle long before
-_NEAR = 1e-9  # m and rad: keeps weights finite
+_WIDE_MM, _WIDE_DEG = 5.0, 5.0  # median distances beyond which a warning is given
+_ENOUGH = 3  # least number of ok frames for a median without doubtful ones
+_ITERATIONS = 200  # more than are needed for convergence
+_NEAR = 1e-9  # m and rad; least distance in a weight, so that weights are finite
+
+
+class _Session(Struct):
+    camera_from_base: Transform
+    frames: Texts | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenBase:
-    """The choice: ``camera_from_base`` (4, 4), in words where it comes from, and what to beware of.
+    """The chosen ``camera_from_base``.
 
-    ``frames`` are those used; ``spread_mm`` and ``spread_deg`` the median distance of theirs from the choice, of the
-    base's origin (the RCM) and of its rotation, None where there was nothing to choose from.
+    Parameters
+    ----------
+    camera_from_base : (4, 4)
+        The pose of the arm's base in the camera.
+    origin
+        Description of its source.
+    frames
+        The frames used.
+    spread_mm, spread_deg
+        Median distance between the frames' poses and the chosen one, of the base's origin (the RCM), mm, and of the
+        rotation, degrees; None unless it is a median.
+    warnings
+        Warnings about its reliability.
     """
 
     camera_from_base: Float64
@@ -47,7 +65,7 @@ class ChosenBase:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return the choice as plain values for JSON."""
         return {
             "camera_from_base": np.round(self.camera_from_base, 9).tolist(),
             "origin": self.origin,
@@ -59,21 +77,19 @@ class ChosenBase:
 
 
 def base_of_session(where: str, document: Mapping[str, Any]) -> ChosenBase:
-    """Take a session calibration's; ``where`` names its file in errors (`InputError`)."""
-    fields = Fields(where, document)
-    camera_from_base = fields.pose("camera_from_base", required=True)
-    assert camera_from_base is not None
-    frames = fields.texts("frames")
-    return ChosenBase(camera_from_base, f"the session calibration {where} of {len(frames)} frames", frames)
+    """Take the ``camera_from_base`` of a session calibration; InputError, which begins with ``where``, without one."""
+    session = convert_document(where, document, _Session)
+    frames = session.frames or ()
+    return ChosenBase(session.camera_from_base, f"the session calibration {where} of {len(frames)} frames", frames)
 
 
 def base_of_frame(where: str, result: Result) -> ChosenBase:
-    """Take one frame's.
+    """Take the ``camera_from_base`` of one frame.
 
     Raises
     ------
     InputError
-        It has none.
+        The frame has none; the message begins with ``where``.
     """
     if result.camera_from_base is None:
         raise InputError(
@@ -90,12 +106,12 @@ def base_of_frame(where: str, result: Result) -> ChosenBase:
 
 
 def base_of_frames(where: str, results: Sequence[Result]) -> ChosenBase:
-    """Take the median of several frames; one frame's if only one has any.
+    """Take the median ``camera_from_base`` of several frames, or that of the only frame that has one.
 
     Raises
     ------
     InputError
-        None of the frames that did not fail has one.
+        No frame has one, or only failed frames; the message begins with ``where``.
     """
     usable = [result for result in results if result.camera_from_base is not None and result.status != "failed"]
     chosen = [result for result in usable if result.status == "ok"]
@@ -128,14 +144,14 @@ def base_of_frames(where: str, results: Sequence[Result]) -> ChosenBase:
 
 
 def median_pose(poses: Float64) -> Float64:
-    """Geometric medians of translations and of rotations, (N, 4, 4) to (4, 4).
+    """Compute the geometric medians of the translations and of the rotations of poses, (N, 4, 4) to (4, 4).
 
-    The point, and the rotation, whose distances (angles) to the others have the least sum, by Weiszfeld's iteration:
-    up to half of the poses may be anything.
+    The geometric median minimises the sum of distances (rotations: angles) to all poses; it is found by Weiszfeld's
+    iteration. It is robust to outliers as long as they are fewer than half of the poses.
     """
     rotations, points = Rotation.from_matrix(poses[:, :3, :3]), poses[:, :3, 3]
     point, rotation = np.median(points, axis=0), rotations.mean()
-    for _ in range(_STEPS):
+    for _ in range(_ITERATIONS):
         near = 1 / np.maximum(np.linalg.norm(points - point, axis=1), _NEAR)
         point = near @ points / near.sum()
         angles = (rotation.inv() * rotations).magnitude()

@@ -1,7 +1,7 @@
-"""Results as the BOP benchmark takes them: ``camera_from_root`` in mm, a line an image.
+"""Export of results in the format of the BOP benchmark: ``camera_from_root`` in mm, one line per image.
 
-``im_id`` is the frame's number. Where a frame's name is no number, or two names are the same number, all frames are
-numbered by their rows in ``im_ids.csv``, written beside.
+``im_id`` is the number that is the frame's name. If a name is not a number, or two names are the same number, frames
+are numbered consecutively, and a file ``im_ids.csv`` maps the numbers to frames.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from dvrk_cmaes.export.pose_table import table_text
 from dvrk_cmaes.results.result import Result
 
 RESULTS = "dvrk-cmaes_dvrk-test.csv"
-"""BOP's tools read the method, the data set and the split off a file's name."""
+"""File name; BOP's tools parse method, data set and split from it."""
 
 IM_IDS = "im_ids.csv"
+"""Name of the file that maps ``im_id`` to frames."""
 
 
 def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dict[str, str]:
-    """Texts of the results, and where needed of the map from frames to im_id, by the files' names.
+    """Return the texts of the results file and, if needed, of ``im_ids.csv``, by file name.
 
-    Frames without a pose have no line. The score is the overlap (IoU), 1 where a result does not say; the time is in s.
+    Frames without a pose have no line. The score is the overlap (IoU), or 1 for a result without one; the time is in s.
     """
     numbers = image_numbers([result.frame for result in results])
     lines = ["scene_id,im_id,obj_id,score,R,t,time"]
@@ -38,14 +39,14 @@ def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dic
 
 
 def image_numbers(frames: Sequence[str]) -> Mapping[str, int]:
-    """Give each frame a number: its name or, where that does not do for all, its row."""
+    """Return a number for each frame: its name if all names are different numbers, otherwise its index."""
     if _numbered(frames):
         return {frame: int(frame) for frame in frames}
     return {frame: row for row, frame in enumerate(frames)}
 
 
 def _numbered(frames: Sequence[str]) -> bool:
-    """Whether all names are numbers, each another."""
+    """Whether all names are numbers and all numbers are different."""
     if not all(frame.isascii() and frame.isdigit() and len(frame) <= 9 for frame in frames):
         return False
     return len({int(frame) for frame in frames}) == len(frames)

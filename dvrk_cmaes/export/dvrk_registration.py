@@ -1,8 +1,9 @@
-"""The dVRK's camera registration: ``camera_from_base`` as ``ARM-registration-*.json``.
+"""Export of ``camera_from_base`` as the dVRK's camera registration, ``ARM-registration-*.json``.
 
-dvrk_camera_registration writes two files. ``open-cv`` has the camera's axes as everywhere here: x right, y down,
-z forward. ``dVRK`` is what the console's configuration takes as ``base-frame``: the camera seen with x left, y up,
-z forward, so diag(-1, -1, 1, 1) stands on the left. Both map points of the arm's base into the camera, in m.
+As with dvrk_camera_registration, there are two files. ``open-cv`` has the camera axes used in this package: x right,
+y down, z forward. ``dVRK``, which the console's configuration uses as ``base-frame``, has the camera axes x left, y up,
+z forward: ``camera_from_base`` is multiplied by diag(-1, -1, 1, 1) from the left. Both transforms map points from the
+frame of the arm's base to the camera frame, in m.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.io.atomic import json_text
 
 DVRK_FROM_OPEN_CV: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""The dVRK's camera axes from OpenCV's: x and y the other way round."""
+"""Transform from OpenCV's camera axes to the dVRK's, which have x and y reversed."""
 
 
 def registration_files(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
-    """Texts of both files by their names, from ``camera_from_base`` (4, 4) in OpenCV's axes, m."""
+    """Return the texts of both files by file name, from ``camera_from_base`` (4, 4) in OpenCV's camera axes, m."""
     return {
         f"{names.arm}-registration-open-cv.json": _registration(
             camera_from_base, names.camera, "OpenCV: camera_from_base, m; camera x right, y down, z forward"
@@ -34,5 +35,6 @@ def registration_files(camera_from_base: NDArray[np.float64], names: FrameNames)
 
 
 def _registration(camera_from_base: NDArray[np.float64], camera: str, convention: str) -> str:
-    rows = (camera_from_base + 0.0).tolist()  # no -0.0
+    """Return the text of one file."""
+    rows = (camera_from_base + 0.0).tolist()  # turns -0.0 into 0.0
     return json_text({"base-frame": {"reference-frame": camera, "transform": rows}, "convention": convention})

@@ -1,7 +1,8 @@
-"""A calibration as easy_handeye2 keeps it: ``NAME.calib``, type eye_on_base.
+"""Export of ``camera_from_base`` as a calibration of easy_handeye2, ``NAME.calib``, of type eye_on_base.
 
-Its transform is ``base_from_camera``: the camera's pose in the robot's base, the inverse of what all other exports say.
-Its publisher broadcasts it from the robot's base frame (parent) to the camera's (child).
+The file's transform is ``base_from_camera``, the camera's pose in the robot's base frame, which is the inverse of the
+transform in all other exports. easy_handeye2 publishes it with the robot's base frame as parent and the camera frame as
+child.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dvrk_cmaes.geometry import inverse
 
 
 def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
-    """Text of the file by its name; it belongs into ``~/.ros2/easy_handeye2/calibrations``."""
+    """Return the text of the file by file name; easy_handeye2 reads it from ``~/.ros2/easy_handeye2/calibrations``."""
     names.check_tf()
     name = f"{names.arm}_camera"
     base_from_camera = inverse(camera_from_base)

@@ -1,4 +1,4 @@
-"""All formats by name: what each says, in which direction, and the files that it makes of a source."""
+"""The export formats by name: direction and unit of the transform, and the files made from a source."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ _BASE_FILES = {"dvrk": registration_files, "easy-handeye": calibration_file, "tf
 
 @dataclass(frozen=True, eq=False)
 class Exported:
-    """Contents of files by name, the choice of ``camera_from_base`` where they hold one, and frames without a pose."""
+    """The files of an export.
+
+    ``files`` are the contents by file name, ``base`` is the choice of ``camera_from_base`` if the format has one, and
+    ``left_out`` are the frames without a pose.
+    """
 
     files: dict[str, bytes]
     base: ChosenBase | None = None
@@ -39,12 +43,12 @@ class Exported:
 
 
 def export(source: ExportSource, to: Format, names: FrameNames, *, scene: int = 0, obj: int = 1) -> Exported:
-    """Make the files of a format; ``scene`` and ``obj`` are BOP's ids.
+    """Make the files of a format; ``scene`` and ``obj`` are the ids in the BOP format.
 
     Raises
     ------
     InputError
-        There is no ``camera_from_base`` or no frame, where the format wants it, or a name that it cannot take.
+        The source has no ``camera_from_base`` or no frames and the format requires them, or a name is not valid in it.
     """
     if to in _BASE_FILES:
         base = source.base()

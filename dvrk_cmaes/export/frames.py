@@ -1,4 +1,4 @@
-"""Names that other programs give to coordinate frames."""
+"""Names of coordinate frames in exported files, and conversions of rotations."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from dvrk_cmaes.io.short_text import shown
 
 @dataclass(frozen=True)
 class FrameNames:
-    """An arm (``PSM1``), the camera's optical frame (x right, y down, z forward), and the arm's base frame.
+    """Names of the arm, of the camera's optical frame (x right, y down, z forward) and of the arm's base frame.
 
     Raises
     ------
     InputError
-        A name that is empty or holds a blank, a control character or, for the arm, a slash.
+        A name is empty or contains a blank or a control character, or the arm's name contains a slash.
     """
 
     arm: str = "PSM1"
@@ -34,18 +34,18 @@ class FrameNames:
             raise InputError(f"--arm: expected a name that can begin a file's, e.g. PSM1, got {shown(self.arm)}")
 
     def check_tf(self) -> None:
-        """Refuse what tf2 refuses: names that begin with a slash."""
+        """Raise InputError for a name that begins with a slash, which tf2 does not accept."""
         for option, name in (("--camera-frame", self.camera), ("--base-frame", self.base)):
             if name.startswith("/"):
                 raise InputError(f"{option}: expected a name as tf2 knows them, without a leading slash, got {name!r}")
 
 
 def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
-    """Turn the rotation of a pose (4, 4) into x, y, z, w, the order of ROS and SciPy; w is not negative."""
+    """Convert the rotation of a pose (4, 4) to a quaternion x, y, z, w, the order of ROS and SciPy, with w >= 0."""
     quaternion: list[float] = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True).tolist()
     return quaternion
 
 
 def rotation_vector(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn the rotation of a pose (4, 4) into axis times angle (3,), rad; the angle is at most pi."""
+    """Convert the rotation of a pose (4, 4) to axis times angle (3,), rad; the angle is at most pi."""
     return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(), dtype=np.float64)

@@ -1,8 +1,9 @@
-"""A table of poses for spreadsheets: one row a frame, one column a number, with the unit in the column's name.
+"""Export of results as a table: one row per frame, one number per column, with the unit in the column's name.
 
-``camera_from_root_*`` and ``camera_from_base_*`` map points of the instrument's root link and of the arm's base into
-the camera (OpenCV's axes): translation in mm, quaternion in ROS's order. ``std_t*`` and ``std_r*`` are along and about
-the root's own axes. Joints are as found, ``*_read_*`` as read, in deg, insertion in mm.
+``camera_from_root_*`` and ``camera_from_base_*`` map points from the frames of the instrument's root link and of the
+arm's base to the camera frame (OpenCV's axes): translation in mm, quaternion in the order of ROS. ``std_t*`` and
+``std_r*`` are standard deviations along and about the axes of the root link. Joint columns are estimated values,
+``*_read_*`` are readings, in deg, insertion in mm.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from dvrk_cmaes.export.frames import quaternion_xyzw
 from dvrk_cmaes.results.result import POSE_AXES, Result
 
 _PRISMATIC = ("insertion",)
-_DIGITS = 6  # a nanometre
+_DIGITS = 6  # decimals; of mm, a nanometre
 
 
 def pose_rows(results: Iterable[Result]) -> list[dict[str, Any]]:
-    """Rows of the table, all with the same columns in the same order; None where there is no value.
+    """Return the rows of the table, all with the same columns in the same order; None for a missing value.
 
-    A joint has its columns if any of the results knows it.
+    A joint has columns if at least one result has a value for it.
     """
     results = list(results)
     joints = list(dict.fromkeys(name for result in results for name in result.joints))
@@ -34,7 +35,7 @@ def pose_rows(results: Iterable[Result]) -> list[dict[str, Any]]:
 
 
 def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Write rows of equal columns as CSV, None as a blank cell; empty for no rows."""
+    """Format rows with equal columns as CSV, None as a blank cell; an empty text for no rows."""
     if not rows:
         return ""
     text = io.StringIO()
@@ -45,6 +46,7 @@ def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the columns and values of one result."""
     quality = result.quality
     yield "frame", result.frame
     yield "status", result.status
@@ -68,6 +70,7 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iter
 
 
 def _pose(name: str, pose: NDArray[np.float64] | None) -> Iterator[tuple[str, float | None]]:
+    """Yield the columns and values of a pose (4, 4), or None values without a pose."""
     translation = [None] * 3 if pose is None else np.round(1e3 * pose[:3, 3], _DIGITS).tolist()
     quaternion = [None] * 4 if pose is None else np.round(quaternion_xyzw(pose), 9).tolist()
     yield from ((f"{name}_{axis}_mm", value) for axis, value in zip("xyz", translation, strict=True))
@@ -75,12 +78,13 @@ def _pose(name: str, pose: NDArray[np.float64] | None) -> Iterator[tuple[str, fl
 
 
 def _scaled(name: str, suffix: str, value: float | None) -> tuple[str, float | None]:
-    """Column of a joint's value, rad or m, in deg or mm."""
+    """Return the column and value of a joint, converted from rad or m to deg or mm."""
     unit, factor = ("mm", 1e3) if name in _PRISMATIC else ("deg", float(np.degrees(1.0)))
     return f"{name}{suffix}_{unit}", None if value is None else round(factor * value, _DIGITS)
 
 
 def _deviations(result: Result, joints: Sequence[str]) -> Iterator[tuple[str, float | None]]:
+    """Yield the columns and values of the standard deviations."""
     translation, rotation, joint = result.std_translation_mm, result.std_rotation_deg, result.std_joints_deg or {}
     blank = [None] * 3
     values = [

@@ -1,4 +1,4 @@
-"""What is exported: a folder of results, one result, or a session calibration, found by looking."""
+"""Reading of the source of an export: a folder of results, one result, or a session calibration."""
 
 from __future__ import annotations
 
@@ -20,9 +20,18 @@ _EXPECTED = "a result or a session calibration (JSON), or a folder of them"
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """Results in the order of their names, none for a calibration alone, and the calibration's document, if any.
+    """The results and session calibration to export.
 
-    ``single`` says that there is one result because only one was asked for.
+    Parameters
+    ----------
+    path
+        Path of the source.
+    results
+        Results sorted by frame name; empty for a session calibration without results.
+    session
+        Document of the session calibration, or None.
+    single
+        Whether one result was selected, as a file or by frame name.
     """
 
     path: Path
@@ -31,7 +40,7 @@ class ExportSource:
     single: bool
 
     def poses(self) -> Sequence[Result]:
-        """Results, of which there must be some whose names can be a file's; raises `InputError` otherwise."""
+        """Return the results; InputError if there are none or a frame's name is not valid as a file's name."""
         if not self.results:
             raise InputError(f"{self.path}: expected results of frames, got a session calibration only")
         for result in self.results:
@@ -39,7 +48,7 @@ class ExportSource:
         return self.results
 
     def base(self) -> ChosenBase:
-        """Choose ``camera_from_base`` by the rule of ``base_choice``; raises `InputError` where there is none."""
+        """Choose ``camera_from_base`` by the rules of ``base_choice``; InputError if there is none."""
         if self.session is not None:
             return base_of_session(str(self.path / SESSION if self.path.is_dir() else self.path), self.session)
         if self.single:
@@ -48,14 +57,14 @@ class ExportSource:
 
 
 def read_source(path: Path, frame: str | None = None) -> ExportSource:
-    """Read what lies at a path; with ``frame``, that frame's result only.
+    """Read the source at a path; with ``frame``, the result of that frame only.
 
-    A JSON file without ``camera_from_root`` that has a ``camera_from_base`` is a session calibration.
+    A JSON file with ``camera_from_base`` and without ``camera_from_root`` is a session calibration.
 
     Raises
     ------
     InputError
-        As the readers; a frame that is not among the results.
+        A file is not valid, or the frame is not among the results.
     """
     if path.is_dir():
         return _folder(path, frame)
@@ -73,6 +82,7 @@ def read_source(path: Path, frame: str | None = None) -> ExportSource:
 
 
 def _folder(path: Path, frame: str | None) -> ExportSource:
+    """Read a folder of results, with or without a session calibration."""
     if frame is None and (path / SESSION).exists() and not result_paths(path):
         session = read_json_object(path / SESSION, expected="a session calibration (session.json)")
         return ExportSource(path, (), session, single=False)

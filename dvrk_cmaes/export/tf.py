@@ -1,4 +1,4 @@
-"""``camera_from_base`` as a static transform of ROS 2: parent the camera's optical frame, child the arm's base."""
+"""Export of ``camera_from_base`` as a ROS 2 static transform; the parent is the camera frame, the child the base."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
 
 
 def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) -> str:
-    """Give the shell command, one line, that publishes it; m, quaternion xyzw."""
+    """Return the shell command, one line, that publishes the transform (translation in m, quaternion xyzw)."""
     names.check_tf()
     values = [*camera_from_base[:3, 3].tolist(), *quaternion_xyzw(camera_from_base)]
     options = (
@@ -27,5 +27,5 @@ def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) 
 
 
 def publisher_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
-    """Text of a file with the command, by the file's name."""
+    """Return the text of a shell script with the command, by file name."""
     return {f"{names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}

@@ -1,8 +1,8 @@
-"""Where a tracker may start: the NumPy files that online_dvrk_tracking reads, a folder a frame.
+"""Export of the initial state of a tracker: the NumPy files of online_dvrk_tracking, one folder per frame.
 
 ``optimized_ctr.npy`` (6,): ``camera_from_root`` as axis times angle (rad), then translation (m).
-``optimized_joint_angles.npy`` (4,): wrist pitch, wrist yaw, and the jaws' own angles, jaw_2 before jaw_1, each from the
-middle plane, so that the opening ``jaw`` is their sum; rad. Both float32, as that program writes them.
+``optimized_joint_angles.npy`` (4,): wrist pitch, wrist yaw, and the angles of jaw_2 and jaw_1 from the middle plane, so
+that the opening ``jaw`` is their sum; rad. Both arrays are float32, as in that program.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ POSE, JOINTS = "optimized_ctr.npy", "optimized_joint_angles.npy"
 
 
 def tracker_files(results: Sequence[Result]) -> dict[str, bytes]:
-    """Contents of the files by ``FRAME/NAME``; frames without a pose have none.
+    """Return the contents of the files by ``FRAME/NAME``; frames without a pose have no files.
 
     Raises
     ------
     InputError
-        A result without wrist pitch, wrist yaw or jaw: the tracker knows no other instruments.
+        A result has no wrist pitch, wrist yaw or jaw, which the tracker requires.
     """
     files: dict[str, bytes] = {}
     for result in results:
@@ -37,20 +37,21 @@ def tracker_files(results: Sequence[Result]) -> dict[str, bytes]:
 
 
 def pose_vector(camera_from_root: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Axis times angle, rad, then translation, m, (6,), of a pose (4, 4)."""
+    """Convert a pose (4, 4) to axis times angle, rad, and translation, m, (6,)."""
     return np.concatenate([rotation_vector(camera_from_root), camera_from_root[:3, 3]]).astype(np.float32)
 
 
 def joint_vector(result: Result) -> NDArray[np.float32]:
-    """Wrist pitch, wrist yaw, jaw_2, jaw_1 (4,), rad; raises as ``tracker_files``."""
+    """Return wrist pitch, wrist yaw, jaw_2 and jaw_1 (4,), rad; InputError as for ``tracker_files``."""
     missing = [name for name in ("wrist_pitch", "wrist_yaw", "jaw") if name not in result.joints]
     if missing:
         raise InputError(f"{result.frame}: joints: expected wrist_pitch, wrist_yaw and jaw, got no {missing[0]}")
-    half = result.joints["jaw"] / 2  # this program's jaws open alike
+    half = result.joints["jaw"] / 2  # the jaws open symmetrically
     return np.array([result.joints["wrist_pitch"], result.joints["wrist_yaw"], half, half], dtype=np.float32)
 
 
 def _npy(array: NDArray[np.float32]) -> bytes:
+    """Return an array in the .npy format."""
     data = io.BytesIO()
     np.save(data, array, allow_pickle=False)
     return data.getvalue()

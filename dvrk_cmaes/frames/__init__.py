@@ -1,1 +1,1 @@
-"""Frames and session folders: which files a frame has, and what is read from them."""
+"""Frames of a session and their files: masks, images, readings, keypoints, markers and known poses."""

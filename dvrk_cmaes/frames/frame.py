@@ -1,6 +1,7 @@
-"""The files of one frame, and what is in them: mask, readings, and if there are any, image and ignored pixels.
+"""The files of one frame and their content: mask, readings and, where there are any, image and ignored pixels.
 
-`FrameFiles` says where things lie; `read_frame` reads them and checks that they belong together.
+`FrameFiles` has the paths. `read_frame` reads a frame with a mask, `read_frame_image` one that has only an image; both
+check that the sizes of the files fit each other and the camera.
 """
 
 from __future__ import annotations
@@ -8,31 +9,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import Size
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
-from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.segment.field_of_view import outside_view
 
 _LARGEST = 400_000_000  # bytes
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFiles:
-    """Where the parts of a frame lie; a frame without a mask has an image that is still to be segmented.
+    """Paths of the files of a frame, and its readings.
 
-    ``readings`` are by joint, rad or m; ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and
-    ``pick`` say which part of the mask is the instrument, as in ``read_mask``. ``notes`` say what was decided about
-    camera and readings when they were found, ``problem`` why the frame cannot be used: others of its session may be.
+    A frame without a mask has an image, in which the instrument is to be segmented. ``readings`` are by joint name, rad
+    (insertion: m); ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and ``pick`` select the
+    instrument in the mask, as in ``read_mask``. ``notes`` state how camera and readings were chosen; ``problem`` states
+    why this frame cannot be used, None if it can.
     """
 
     name: str
@@ -52,8 +50,7 @@ class FrameData:
     """A frame in memory.
 
     ``mask`` and ``ignore`` are (H, W) bool, ``image`` (H', W', 3) uint8 BGR of the mask's aspect; ``camera`` has the
-    mask's size. ``notes`` say in words what was done to make the parts fit. Where the mask was found in the image,
-    ``segmentation`` is how, and ``segment_seconds`` what that took.
+    mask's size. ``notes`` say what was done to make the parts fit, e.g. that the intrinsics were rescaled.
     """
 
     mask: NDArray[np.bool_]
@@ -61,65 +58,66 @@ class FrameData:
     ignore: NDArray[np.bool_] | None
     image: NDArray[np.uint8] | None
     notes: tuple[str, ...]
-    segmentation: Segmentation | None = None
-    segment_seconds: float = 0.0
 
 
-class FindsMask(Protocol):
-    """Finds the instrument in an image (H, W, 3) BGR of the camera's size; joints by name, rad or m."""
+@dataclass(frozen=True, eq=False)
+class FrameImage:
+    """A frame without a mask in memory: its image (H, W, 3) uint8 BGR, in which the instrument is to be segmented.
 
-    def __call__(
-        self,
-        image: NDArray[np.uint8],
-        camera: Camera,
-        joints: Mapping[str, float],
-        ignore: NDArray[np.bool_] | None = None,
-    ) -> Segmentation:
-        """Return the mask; errors as in `dvrk_cmaes.segment.with_instrument.segment_with_instrument`."""
+    ``ignore`` is (H, W) bool, ``camera`` has the image's size; ``path`` is the image's file, ``notes`` as in
+    `FrameData`.
+    """
+
+    path: Path
+    image: NDArray[np.uint8]
+    camera: Camera
+    ignore: NDArray[np.bool_] | None
+    notes: tuple[str, ...]
+
+    def with_mask(self, mask: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> FrameData:
+        """Return the frame with a mask (H, W) that was found in its image, and notes added."""
+        return FrameData(mask, self.camera, self.ignore, self.image, (*self.notes, *notes))
 
 
-def read_frame(files: FrameFiles, camera: Camera, segmenter: FindsMask | None = None) -> FrameData:
-    """Read a frame taken by a camera, whose intrinsics are rescaled where the frame is of another size.
-
-    A frame without a mask is handed to the ``segmenter``.
+def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
+    """Read a frame taken by a camera; the intrinsics are rescaled if the mask is of another size.
 
     Raises
     ------
     InputError
-        A file that cannot be read, or of a size that does not fit the others: names the file. No mask, and no image or
-        no segmenter to find one in it.
-    DvrkCmaesError
-        No instrument was found in the image: names the file.
+        A file that cannot be read, or of a size that does not fit the others: names the file. No mask.
     """
     if files.problem is not None:
         raise InputError(files.problem)
-    if files.mask is not None:
-        mask = read_mask(files.mask, label=files.label, pick=files.pick)
-        fitted, notes = _fit(camera, mask.shape, files.mask, "mask")
-        ignore = _ignored(files, mask.shape, "mask")
-        image = None if files.image is None else read_image(files.image)
-        if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
-            raise InputError(
-                f"{files.image}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
-                f"got {_size(image.shape)}"
-            )
-        return FrameData(mask, fitted, ignore, image, (*files.notes, *notes))
-    if files.image is None or segmenter is None:
+    if files.mask is None:
         raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
+    mask = read_mask(files.mask, label=files.label, pick=files.pick)
+    fitted, notes = _fit(camera, mask.shape, files.mask, "mask")
+    ignore = _ignored(files, mask.shape, "mask")
+    image = None if files.image is None else read_image(files.image)
+    if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
+        raise InputError(
+            f"{files.image}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
+            f"got {_size(image.shape)}"
+        )
+    return FrameData(mask, fitted, ignore, image, (*files.notes, *notes))
+
+
+def read_frame_image(files: FrameFiles, camera: Camera) -> FrameImage:
+    """Read a frame that has an image and no mask; the intrinsics are rescaled if the image is of another size.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read, or of a size that does not fit the others: names the file. No image.
+    """
+    if files.problem is not None:
+        raise InputError(files.problem)
+    if files.image is None:
+        raise InputError(f"frame {files.name}: expected a mask, got neither mask nor image")
     image = read_image(files.image)
     fitted, notes = _fit(camera, image.shape, files.image, "image")
-    ignore = _ignored(files, image.shape, "image")
-    outside = outside_view(image)
-    if outside.any():
-        ignore = outside if ignore is None else ignore | outside
-        notes = (*notes, "the image is a round picture in black: what is outside of it is ignored")
-    started = perf_counter()
-    try:
-        found = segmenter(image, fitted, files.readings, ignore)
-    except DvrkCmaesError as error:
-        raise type(error)(f"{files.image}: {error}") from None
-    seconds = perf_counter() - started
-    return FrameData(found.mask, fitted, ignore, image, (*files.notes, *notes, *found.notes), found, seconds)
+    return FrameImage(files.image, image, fitted, _ignored(files, image.shape, "image"), (*files.notes, *notes))
 
 
 def _fit(camera: Camera, shape: tuple[int, ...], path: Path | None, what: str) -> tuple[Camera, tuple[str, ...]]:

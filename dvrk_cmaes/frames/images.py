@@ -1,7 +1,7 @@
-"""Masks and images, from PNG or JPEG files to arrays.
+"""Reader of masks and images from PNG or JPEG files.
 
-The header is read first, by hand: a file that claims more than 100 megapixels is refused before any memory is taken
-for it. Turning by EXIF is not done: pixels are the camera's, as stored.
+The header is parsed before the image is decoded: a file whose header states more than 100 megapixels is refused before
+memory is allocated for it. An EXIF orientation is ignored, so that pixels are those of the camera, as stored.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ def read_mask(
     Parameters
     ----------
     path
-        8-bit grey image, or colour with equal channels; above 127 is instrument.
+        8-bit grey image, or colour image with equal channels; values above 127 are instrument.
     label
-        The file is a mask of labels: instrument is where a pixel has just this value, 0 to 255.
+        For a mask of labels: the value, 0 to 255, of the instrument's pixels.
     pick
-        Pixel (u, v): only the connected component there, corners touching included, is kept.
+        A pixel (u, v): only its 8-connected component of the mask is returned.
 
     Returns
     -------
     (H, W) bool
-        True on the instrument; neither empty nor full.
+        True on the instrument; neither all False nor all True.
 
     Raises
     ------
     InputError
-        Naming the file and what was expected.
+        The file is not a valid mask; the message names the file and what was expected.
     """
     grey = _read_grey(path, "a mask", values=label is not None)
     if label is None:
@@ -63,14 +63,25 @@ def read_mask(
 
 
 def read_ignore(path: str | Path) -> NDArray[np.bool_]:
-    """Read the pixels that count neither way, (H, W) bool: 8-bit, above 127; may be empty. InputError as a mask's."""
+    """Read a mask of ignored pixels, (H, W) bool: True where the 8-bit value is above 127; it may be empty.
+
+    Raises
+    ------
+    InputError
+        The file is not an 8-bit grey image.
+    """
     return np.asarray(_read_grey(path, "a mask of ignored pixels") > _THRESHOLD)
 
 
 def read_image(path: str | Path, *, halved: bool = False) -> NDArray[np.uint8]:
-    """Read an image as (H, W, 3) uint8, BGR; grey is expanded. InputError if it cannot be.
+    """Read an image as (H, W, 3) uint8, BGR; a grey image is converted.
 
-    ``halved``: at half its size, which for a JPEG is decoded in a third of the time.
+    With ``halved``, the image is decoded at half its size, which takes a third of the time for a JPEG.
+
+    Raises
+    ------
+    InputError
+        The file is not a PNG or JPEG that can be decoded.
     """
     data, _ = _read_file(path, "an image")
     colour = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR
@@ -78,26 +89,26 @@ def read_image(path: str | Path, *, halved: bool = False) -> NDArray[np.uint8]:
 
 
 def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tuple[Camera, str | None]:
-    """Fit a camera to the size of a mask or an image.
+    """Rescale a camera's intrinsics to the size of a mask or an image.
 
     Parameters
     ----------
     camera
-        As calibrated.
+        The calibrated camera.
     shape
         Height and width in pixels.
     what
-        How messages call what has that size.
+        Name of the mask or image in messages.
 
     Returns
     -------
     Camera, str or None
-        The camera at that size, and a line that says so if it had to be rescaled.
+        The camera of that size, and a note if its intrinsics were rescaled.
 
     Raises
     ------
     InputError
-        The aspects differ by more than 0.5 %: it is cropped, or another camera's.
+        The aspect ratios differ by more than 0.5 %: the image is cropped or of another camera.
     """
     height, width = shape
     if (width, height) == (camera.width, camera.height):
@@ -110,7 +121,7 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
 
 
 def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
-    """Read the bytes and the header of a PNG or JPEG of a bearable size."""
+    """Read the bytes and the header of a PNG or JPEG of at most `MOST_PIXELS` pixels."""
     expected = f"{what} (PNG or JPEG)"
     data = read_bytes(path, expected=expected, largest=_LARGEST)
     header = read_header(data)
@@ -126,6 +137,7 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
 
 
 def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.uint8]:
+    """Decode an image with OpenCV's flags; InputError if it cannot be decoded."""
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
@@ -136,7 +148,7 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.
 
 
 def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[np.uint8]:
-    """Read an 8-bit image of one channel, or of equal ones, (H, W); ``values``: they must be the file's very own."""
+    """Read an 8-bit grey image (H, W), or one with equal channels; with ``values``, palette images are refused."""
     data, header = _read_file(path, what)
     if values and header.palette:
         raise InputError(f"{path}: label: expected a mask of labels in plain grey, got one with a palette")
@@ -154,7 +166,7 @@ def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[
 
 
 def _component(path: str | Path, mask: NDArray[np.bool_], pick: tuple[float, float]) -> NDArray[np.bool_]:
-    """Keep the connected component of a mask at a pixel."""
+    """Return the 8-connected component of a mask at a pixel (u, v); InputError if the pixel is not in the mask."""
     height, width = mask.shape
     if not (math.isfinite(pick[0]) and math.isfinite(pick[1])):
         raise InputError(f"{path}: pick: expected two finite numbers u,v in pixels, got {pick[0]},{pick[1]}")

@@ -1,7 +1,7 @@
-"""Markers painted on an instrument: where they lie on its links (a JSON table), and where a detector saw them (CSV).
+"""Markers painted on an instrument: their positions on its links (JSON), and their detections in images (CSV).
 
-The table: ``{"markers": {name: {"link": text, "position_m": [x, y, z]}}}``, or that inner object by itself. The
-detections, a session's markers.csv: columns ``frame, marker, u, v``, pixels; a frame has as many rows as were seen.
+The table of positions is ``{"markers": {name: {"link": text, "position_m": [x, y, z]}}}``, or the inner object alone.
+The detections of a session, markers.csv, have the columns ``frame, marker, u, v`` in pixels, one row per detection.
 """
 
 from __future__ import annotations
@@ -9,33 +9,39 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
-from dvrk_cmaes.io.fields import Fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.typed_document import Point, convert_document, refused
 
 Float64 = NDArray[np.float64]
 
 _COLUMNS: Final = ("frame", "marker", "u", "v")
 
 
+class _Entry(Struct):
+    link: Annotated[str, Meta(min_length=1, description="the name of a link")]
+    position_m: Annotated[Point, Meta(description="3 finite numbers in metres")]
+
+
 @dataclass(frozen=True, eq=False)
 class Marker:
-    """A point on an instrument: the URDF's link, and its position (3,) in that link's frame, m."""
+    """A point on an instrument: the name of a link of the URDF, and the position (3,) in that link's frame, m."""
 
     link: str
     position: Float64
 
 
 def read_marker_table(path: str | Path) -> dict[str, Marker]:
-    """Read where markers lie on an instrument, by name.
+    """Read the positions of markers on an instrument, by name.
 
     Raises
     ------
@@ -46,27 +52,23 @@ def read_marker_table(path: str | Path) -> dict[str, Marker]:
     entries = document.get("markers", document)
     if not isinstance(entries, dict) or not entries:
         raise InputError(f"{path}: markers: expected an object of link and position_m by name, got {shown(entries)}")
-    return {name: _marker(Fields.of(f"{path}: {shown(name)}", entry)) for name, entry in entries.items()}
+    return {name: _read_marker(f"{path}: {shown(name)}", entry) for name, entry in entries.items()}
 
 
-def _marker(fields: Fields) -> Marker:
-    link, position = fields.text("link"), fields.array("position_m", (3,))
-    if not link:
-        raise fields.refuse("link", "the name of a link")
-    if position is None:
-        raise fields.refuse("position_m", "3 finite numbers in metres")
-    if np.abs(position).max() > 1:
-        raise fields.refuse("position_m", "metres; this looks like millimetres")
-    return Marker(link, position)
+def _read_marker(where: str, document: Any) -> Marker:
+    entry = convert_document(where, document, _Entry)
+    if np.abs(entry.position_m).max() > 1:
+        raise refused(where, "position_m", "metres; this looks like millimetres", document["position_m"])
+    return Marker(entry.link, entry.position_m)
 
 
 def read_detections(path: str | Path) -> dict[str, dict[str, Float64]]:
-    """Read a markers.csv: pixel (2,) of each marker seen, by frame and name.
+    """Read a markers.csv: the pixel (2,) of each detected marker, by frame and name.
 
     Raises
     ------
     InputError
-        Naming the file and the line, and what was expected; a marker seen twice in a frame.
+        Naming the file and the line, and what was expected; also for a marker that occurs twice in a frame.
     """
     header, rows = read_csv_rows(path, expected="detections of markers (markers.csv)")
     if header != list(_COLUMNS):
@@ -84,12 +86,12 @@ def read_detections(path: str | Path) -> dict[str, dict[str, Float64]]:
 
 
 def place_markers(instrument: Instrument, joints: Float64, table: Mapping[str, Marker]) -> dict[str, Float64]:
-    """Positions (3,) of markers in the root link's frame, m, with the joints (J,) as given.
+    """Compute the positions (3,) of markers in the root link's frame, m, for joint values (J,).
 
     Raises
     ------
     InputError
-        A marker on a link that the instrument has not.
+        The link of a marker is not in the instrument.
     """
     children = {joint.child: index for index, joint in enumerate(instrument.chain.joints)}
     links = {instrument.root_link: -1, **children}

@@ -1,7 +1,7 @@
-"""The layout in which real dVRK frames were published: a folder a frame, with readings as NumPy files.
+"""The folder layout of published dVRK frames: one folder per frame, with readings as NumPy files.
 
-frameNNNN.png the image, 0NNNN.jpg the mask (a soft JPEG), joint_NNNN.npy (yaw, pitch, insertion, roll, wrist pitch,
-wrist yaw; rad and m) and jaw_NNNN.npy. There is no camera file: it has to be named.
+A folder has frameNNNN.png (the image), 0NNNN.jpg (the mask, with JPEG artefacts), joint_NNNN.npy (yaw, pitch,
+insertion, roll, wrist pitch, wrist yaw; rad and m) and jaw_NNNN.npy (rad). There is no camera file; it has to be given.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ _MASK = re.compile(r"(\d+)\.(png|jpe?g)", re.IGNORECASE)
 
 
 def is_published_layout(root: Path) -> bool:
-    """Whether a folder is a frame of this layout, or holds folders that are."""
+    """Whether a folder is a frame folder of this layout, or contains such folders."""
     return next(_images(root), None) is not None
 
 
 def find_published_frames(root: Path) -> tuple[FrameFiles, ...]:
-    """Frames of a folder of this layout, in the order of their names.
+    """Find the frames of a folder of this layout, sorted by name.
 
-    A frame is called as its image is numbered, with its folder's name before it where two folders have one number.
-    Unusable readings are the frame's ``problem``.
+    A frame's name is the number of its image, prefixed with the folder's name if two folders have the same number. An
+    error in its readings is recorded as the frame's ``problem``.
     """
     images = list(_images(root))
     numbers = [number for number, _ in images]
@@ -39,7 +39,7 @@ def find_published_frames(root: Path) -> tuple[FrameFiles, ...]:
 
 
 def _images(root: Path) -> Iterator[tuple[str, Path]]:
-    """Find number and path of all images of a folder and of the folders in it."""
+    """Yield the number and path of each image in a folder and in its subfolders."""
     for folder in (root, *sorted(path for path in root.iterdir() if path.is_dir())):
         try:
             paths = sorted(folder.iterdir())
@@ -52,16 +52,16 @@ def _images(root: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _frame(name: str, number: str, image: Path) -> FrameFiles:
-    """Find what belongs to an image, by its number."""
+    """Find the mask and the readings of an image by its number."""
     masks = [path for path in sorted(image.parent.iterdir()) if _MASK.fullmatch(path.name)]
-    own = [path for path in masks if int(path.stem) == int(number)]
+    matching = [path for path in masks if int(path.stem) == int(number)]
     problem, readings = None, {}
     try:
-        if len(own) > 1:
-            raise InputError(f"{own[1]}: expected one mask for frame {name}, got {own[0].name} too")
+        if len(matching) > 1:
+            raise InputError(f"{matching[1]}: expected one mask for frame {name}, got {matching[0].name} too")
         paths = [image.with_name(f"{kind}_{number}.npy") for kind in ("joint", "jaw")]
         files = [read_joint_file(path) for path in paths if path.exists()]
         readings = frame_readings(files, name, single=True).readings
     except InputError as error:
         problem = str(error)
-    return FrameFiles(name, own[0] if own else None, readings, image, problem=problem)
+    return FrameFiles(name, matching[0] if matching else None, readings, image, problem=problem)

@@ -1,8 +1,8 @@
-"""The poses that the paper's authors published, as a table: one row a frame, published.csv.
+"""Read published.csv: the poses that the paper's authors published, one row per frame.
 
-Columns ``frame, rx, ry, rz`` (axis-angle, rad), ``tx, ty, tz`` (m) of camera_from_root, then the joints
-``wrist_pitch, wrist_yaw, jaw_2, jaw_1`` (rad): the two jaws have an angle each, so that the opening is their sum and
-half their difference belongs to the wrist's yaw.
+The columns are ``frame, rx, ry, rz`` (axis-angle, rad), ``tx, ty, tz`` (m) of camera_from_root, and the joints
+``wrist_pitch, wrist_yaw, jaw_2, jaw_1`` (rad). Each jaw has an angle of its own: the opening is the sum of the two, and
+half of their difference is added to the wrist's yaw.
 """
 
 from __future__ import annotations

@@ -1,10 +1,15 @@
-"""A session folder: frames of one camera with their masks, readings, and what else there is.
+"""Reader of session folders: the frames of one camera with their masks, images and readings.
 
-camera.yaml, joints.csv, masks/<frame>.png, images/<frame>.png|jpg (one of the two)
-optional: images.csv (frame, time), ignore/<frame>.png, keypoints.csv, golden.json
+A session folder contains::
 
-Or the layout of published frames (see ``published_layout``). Which of the two it is, is found by looking. Instead of
-joints.csv there may be dumps of the arm's topics, called as these are: measured_js.yaml, jaw_measured_js.csv, ...
+    camera.yaml
+    joints.csv
+    masks/<frame>.png or images/<frame>.png|jpg, or both
+    images.csv (frame, time), ignore/<frame>.png, keypoints.csv, golden.json (each optional)
+
+Instead of joints.csv, there may be files of the arm's topics, named after them: measured_js.yaml,
+jaw_measured_js.csv and so on. The layout of published frames (see ``published_layout``) is read as well; the layout is
+recognised by the files in the folder.
 """
 
 from __future__ import annotations
@@ -26,15 +31,15 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
-_PICTURES = (".png", ".jpg", ".jpeg")
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A session: its camera, its frames in the order of their names, and the truth where it is known.
+    """A session: its folder, its camera, and its frames sorted by name.
 
-    ``notes`` say in words what the folder, its camera and its readings were taken for.
+    ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
     """
 
     folder: Path
@@ -54,36 +59,37 @@ def read_session(
     joints: Sequence[Path] = (),
     tolerance: int = TIME_TOLERANCE,
 ) -> Session:
-    """Find the frames of a session folder and read all of it but the pictures.
+    """Find the frames of a session folder and read its files, except masks and images.
 
-    A frame is a file in ``masks`` or in ``images``; one without a row in joints.csv has no readings. A frame whose
-    readings cannot be used has a ``problem``.
+    Every file in ``masks`` or ``images`` is a frame. A frame without a row in joints.csv has no readings. An error in a
+    frame's readings is recorded as its ``problem``.
 
     Parameters
     ----------
     folder
-        The session, of either layout.
+        The session folder, of either layout.
     camera
-        The camera file, if it is not the session's own camera.yaml.
+        The camera file; the session's camera.yaml by default.
     rectified, side
         Whether the images are rectified, and which camera of a stereo pair, as in ``read_camera_file``.
     known
-        Names of the instrument's own joints, as in ``read_joints``.
+        Names of the instrument's joints, as in ``read_joints``.
     joints
-        Files of readings, if they are not the session's own.
+        Files of readings; by default those in the session folder.
     tolerance
-        How far readings may be from the time of an image, ns.
+        Largest distance in time between an image and the readings before and after it, ns.
 
     Raises
     ------
     InputError
-        A file that is missing or wrong, naming it; no frames; a name twice; no frame that can be used.
+        A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
+        no frame can be used.
     """
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
-    if _is_own_layout(root) or not is_published_layout(root):
-        frames, notes = _own_frames(root, tuple(known), joints, tolerance)
+    if _is_session_layout(root) or not is_published_layout(root):
+        frames, notes = _session_frames(root, tuple(known), joints, tolerance)
         notes = ("a session folder", *notes)
     else:
         frames, notes = find_published_frames(root), ("frames in the published layout, a folder each",)
@@ -101,19 +107,20 @@ def read_session(
     )
 
 
-def _is_own_layout(root: Path) -> bool:
+def _is_session_layout(root: Path) -> bool:
+    """Whether a folder has a folder ``masks`` or ``images``."""
     return (root / "masks").is_dir() or (root / "images").is_dir()
 
 
-def _own_frames(
+def _session_frames(
     root: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
 ) -> tuple[tuple[FrameFiles, ...], tuple[str, ...]]:
-    """Frames of our own layout, and what its readings were taken for."""
-    masks, images, ignore = (_pictures(root / name) for name in ("masks", "images", "ignore"))
+    """Find the frames of the session layout; also return notes on the formats of the readings."""
+    masks, images, ignore = (_image_files(root / name) for name in ("masks", "images", "ignore"))
     if not masks and not images:
         raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
     files = [read_joint_file(path, known=known) for path in joints or _joint_files(root)]
-    # lexists: a broken link is damage, not absence
+    # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
     frames, farthest = [], None
@@ -132,21 +139,22 @@ def _own_frames(
 
 
 def _joint_files(root: Path) -> list[Path]:
-    """Files of readings of a session: its joints.csv, or else whatever is called as a topic of an arm."""
-    own = root / "joints.csv"
-    if os.path.lexists(own):
-        return [own]
+    """List the files of readings of a session: its joints.csv, or else the files named after topics of an arm."""
+    joints_csv = root / "joints.csv"
+    if os.path.lexists(joints_csv):
+        return [joints_csv]
     folders = [root, *(path for path in (root / "jaw",) if path.is_dir())]
     dumps = [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]
-    return dumps or [own]
+    return dumps or [joints_csv]
 
 
 def _described(files: Sequence[JointFile]) -> tuple[str, ...]:
+    """Return notes on the formats of files of readings."""
     return tuple(text for file in files for text in (f"readings: {file.kind}", *file.notes))
 
 
 def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
-    """Note how far in time the readings were from the images."""
+    """Return a note on the largest distance in time between readings and images; none without interpolation."""
     if farthest is None:
         return ()
     return (
@@ -156,34 +164,34 @@ def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
 
 
 def find_images(folder: str | Path) -> dict[str, Path]:
-    """Images of a session of either layout, or all pictures of a folder that is none, by frame; sorted.
+    """Find the images of a session of either layout, or all images of another folder, by frame name, sorted.
 
-    Needs no camera, masks or readings.
+    The folder need not have a camera, masks or readings.
 
     Raises
     ------
     InputError
-        No such folder, no image in it, or two for one frame.
+        There is no such folder, it has no images, or it has two images of one frame.
     """
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected images, or a session with images")
-    if not _is_own_layout(root) and is_published_layout(root):
+    if not _is_session_layout(root) and is_published_layout(root):
         found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
     else:
-        found = dict(_pictures(root / "images" if (root / "images").is_dir() else root))
+        found = dict(_image_files(root / "images" if (root / "images").is_dir() else root))
     if not found:
         raise InputError(f"{folder}: expected images (PNG or JPEG), got none")
     return found
 
 
-def _pictures(folder: Path) -> Mapping[str, Path]:
-    """PNG and JPEG files of a folder by the frame that they are named after; none where there is no folder."""
+def _image_files(folder: Path) -> Mapping[str, Path]:
+    """Find the PNG and JPEG files of a folder by frame name, their stem; none if the folder does not exist."""
     if not folder.is_dir():
         return {}
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in _PICTURES or path.name.startswith("."):
+        if path.suffix.lower() not in _IMAGE_SUFFIXES or path.name.startswith("."):
             continue
         if path.stem in found:
             raise InputError(f"{path}: expected one file for frame {path.stem}, got {found[path.stem].name} too")

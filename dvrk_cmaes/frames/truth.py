@@ -1,4 +1,4 @@
-"""Known truth of a session's frames, or poses kept to compare later ones with: ``golden.json``.
+"""Read and write ``golden.json``: ground truth of a session's frames, or poses to compare later results with.
 
 ``frames``, by name: ``T_camera_roll_link`` 4 x 4 (camera_from_root), ``joints`` by name, ``tips_camera_m`` if known.
 ``camera_from_base``: 4 x 4 or null.
@@ -12,18 +12,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.fields import Fields
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.rounding import rounded_array, rounded_values
+from dvrk_cmaes.io.typed_document import Number, PointPair, Transform, convert_document, present_fields
 
 _EXPECTED = "the truth of a session (golden.json)"
 
 
+class _Entry(Struct):
+    T_camera_roll_link: Transform
+    joints: dict[str, Number]
+    tips_camera_m: PointPair | None = None
+
+
+class _Document(Struct):
+    frames: dict[str, Any]
+    camera_from_base: Transform | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """True ``camera_from_root`` (4, 4), joints, rad or m, and if known the jaw tips (2, 3) in the camera, m."""
+    """True ``camera_from_root`` (4, 4), joints (rad or m) and, if known, jaw tips (2, 3) in the camera's frame, m."""
 
     camera_from_root: NDArray[np.float64]
     joints: Mapping[str, float]
@@ -32,7 +45,7 @@ class FrameTruth:
 
 @dataclass(frozen=True, eq=False)
 class SessionTruth:
-    """Truth of each frame by name, and ``camera_from_base`` (4, 4) where it is known."""
+    """Truth of the frames by name, and ``camera_from_base`` (4, 4) if it is known."""
 
     frames: Mapping[str, FrameTruth] = field(default_factory=dict)
     camera_from_base: NDArray[np.float64] | None = None
@@ -46,43 +59,34 @@ def read_golden(path: str | Path) -> SessionTruth:
     InputError
         Naming the file, the frame and the field, and what was expected.
     """
-    fields = Fields(str(path), read_json_object(path, expected=_EXPECTED))
-    frames = fields.inner("frames", required=True)
-    assert frames is not None
-    return SessionTruth(
-        frames={name: _frame(Fields.of(f"{path}: frame {name}", entry)) for name, entry in frames.values.items()},
-        camera_from_base=fields.pose("camera_from_base"),
-    )
+    document = convert_document(str(path), read_json_object(path, expected=_EXPECTED), _Document)
+    frames = {name: _read_frame(f"{path}: frame {name}", entry) for name, entry in document.frames.items()}
+    return SessionTruth(frames, document.camera_from_base)
 
 
 def write_golden(path: str | Path, truth: SessionTruth) -> None:
-    """Write a golden.json, whole or not at all; errors as `dvrk_cmaes.io.atomic.write_bytes`."""
+    """Write a golden.json atomically; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
     base = truth.camera_from_base
     write_json(
         path,
         {
             "frames": {name: _entry(frame) for name, frame in truth.frames.items()},
-            "camera_from_base": None if base is None else _rounded(base),
+            "camera_from_base": None if base is None else rounded_array(base),
         },
     )
 
 
-def _frame(fields: Fields) -> FrameTruth:
-    joints = fields.numbers("joints", required=True)
-    pose = fields.pose("T_camera_roll_link", required=True)
-    assert pose is not None
-    tips = fields.array("tips_camera_m", (2, 3)) if fields.values.get("tips_camera_m") else None  # a hook has none
-    return FrameTruth(pose, joints, tips)
+def _read_frame(where: str, document: object) -> FrameTruth:
+    fields = present_fields(where, document)
+    if not fields.get("tips_camera_m"):
+        fields.pop("tips_camera_m", None)  # an empty list for an instrument without jaws
+    entry = convert_document(where, fields, _Entry)
+    return FrameTruth(entry.T_camera_roll_link, entry.joints, entry.tips_camera_m)
 
 
 def _entry(frame: FrameTruth) -> dict[str, Any]:
     entry = {
-        "T_camera_roll_link": _rounded(frame.camera_from_root),
-        "joints": {name: round(float(value), 9) for name, value in frame.joints.items()},
+        "T_camera_roll_link": rounded_array(frame.camera_from_root),
+        "joints": rounded_values(frame.joints),
     }
-    return entry if frame.tips is None else {**entry, "tips_camera_m": _rounded(frame.tips)}
-
-
-def _rounded(array: NDArray[np.float64]) -> Any:
-    """Numbers to a nanometre, as results have them."""
-    return np.round(array, 9).tolist()
+    return entry if frame.tips is None else {**entry, "tips_camera_m": rounded_array(frame.tips)}

@@ -1,4 +1,4 @@
-"""What a file is taken for, and what is read from it: for people who wonder what the program makes of their files."""
+"""Inspection of files and folders: recognised format, content read, and rules applied to ambiguous content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Camera files in words."""
+"""Inspection of camera files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from dvrk_cmaes.inspection.finding import Finding, Options
 
 
 def inspect_camera(path: Path, options: Options) -> Finding:
-    """Read a camera file; InputError if it cannot be."""
+    """Describe a camera file; InputError if it is not valid."""
     found = read_intrinsics(path, rectified=options.rectified, side=options.side)
     notes = list(found.notes)
-    bent = found.model == "equidistant" or any(found.distortion)
+    distorted = found.model == "equidistant" or any(found.distortion)
     if found.size is None:
         size = "image size not stated"
         notes.append("without a stated image size, that of the masks or images is taken")
@@ -29,7 +29,7 @@ def inspect_camera(path: Path, options: Options) -> Finding:
         notes.append("images are taken for raw ones unless --rectified says otherwise")
     if "stereo" in found.kind or "camchain" in found.kind:
         notes.append("the left camera is taken unless --side says otherwise")
-    lens = f"{found.model} {' '.join(f'{c:.6g}' for c in found.distortion)}" if bent else "no distortion"
+    lens = f"{found.model} {' '.join(f'{c:.6g}' for c in found.distortion)}" if distorted else "no distortion"
     read = asdict(found)
     del read["kind"], read["notes"]
     return Finding(

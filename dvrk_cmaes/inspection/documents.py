@@ -1,12 +1,13 @@
-"""JSON documents in words: registrations, results, truth and what else this program and the dVRK write."""
+"""Inspection of JSON documents: dVRK descriptions and registrations, results, known poses, session calibrations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -17,14 +18,33 @@ from dvrk_cmaes.inspection.cameras import inspect_camera
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.instruments import inspect_kinematics, inspect_tool
 from dvrk_cmaes.instrument.dvrk_description import is_description
-from dvrk_cmaes.io.fields import Fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.typed_document import Number, Transform, convert_document
 from dvrk_cmaes.results.file import read_result
 
 
+class _BaseFrame(Struct, rename="kebab"):
+    transform: Transform
+    reference_frame: str | None = None
+
+
+class _Registration(Struct, rename="kebab"):
+    base_frame: _BaseFrame
+    convention: str | None = None
+
+
+class _Summary(Struct):
+    counts: dict[str, Any] | None = None
+
+
+class _Session(Struct):
+    camera_from_base: Transform | None = None
+    offsets: dict[str, Number] | None = None
+
+
 def inspect_json(path: Path, options: Options) -> Finding:
-    """Read a JSON document of any known kind; InputError if it is of none."""
+    """Describe a JSON document of any known format; InputError if it is of none."""
     document = read_json_object(path, expected="a JSON document", comments=True)
     if is_description(document):
         names = [joint.get("name") for joint in document["DH"].get("joints", ()) if isinstance(joint, dict)]
@@ -33,68 +53,70 @@ def inspect_json(path: Path, options: Options) -> Finding:
         return inspect_camera(path, options)
     if document and all(isinstance(value, dict) and "position_m" in value for value in document.values()):
         return _markers(path)
-    for sign, read in _KINDS.items():
-        if sign in document:
-            return read(path, Fields.of(str(path), document))
+    for key, describe in _BY_KEY.items():
+        if key in document:
+            return describe(path, document)
     raise InputError(
         f"{path}: expected a dVRK tool, kinematics or registration, a result, a session or golden.json, "
         f"got the fields {listed(document) or '(none)'}"
     )
 
 
-def _registration(path: Path, fields: Fields) -> Finding:
-    frame = fields.inner("base-frame", required=True)
-    assert frame is not None
-    pose = frame.pose("transform", required=True)
-    assert pose is not None
-    convention = fields.text("convention")
+def _registration(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe a dVRK camera registration."""
+    registration = convert_document(str(path), document, _Registration)
+    pose, reference = registration.base_frame.transform, registration.base_frame.reference_frame or ""
+    convention = registration.convention
     notes = () if convention else ("the camera's axes are not stated: OpenCV's, or the dVRK's with x and y reversed",)
-    reference = frame.text("reference-frame")
     return Finding(
         "dVRK registration",
-        (f"{convention or 'the base'} in {reference or 'an unnamed frame'}", _pose_in_words(pose)),
+        (f"{convention or 'the base'} in {reference or 'an unnamed frame'}", _pose_text(pose)),
         {"reference_frame": reference, "transform": pose.tolist(), "convention": convention or None},
         notes,
     )
 
 
-def _result(path: Path, fields: Fields) -> Finding:
+def _result(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe the result of a frame."""
     result = read_result(path)
     lines = [f"frame {result.frame or '(unnamed)'}, {result.status}, {result.instrument or 'unnamed instrument'}"]
     if result.camera_from_root is not None:
-        lines.append(f"{result.root_link or 'root'} in the camera: {_pose_in_words(result.camera_from_root)}")
+        lines.append(f"{result.root_link or 'root'} in the camera: {_pose_text(result.camera_from_root)}")
     lines += result.reasons
     read = {"frame": result.frame, "status": result.status, "joints": result.joints, "readings": result.readings}
     return Finding("result", tuple(lines), read)
 
 
-def _golden(path: Path, fields: Fields) -> Finding:
-    if any(
-        "status" in entry for entry in (fields.inner("frames") or fields).values.values() if isinstance(entry, dict)
-    ):
-        return _summary(path, fields)
+def _golden(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe a golden.json, or a summary of a batch, which has the field ``frames`` too."""
+    frames = document["frames"]
+    if isinstance(frames, dict) and any("status" in entry for entry in frames.values() if isinstance(entry, dict)):
+        return _summary(path, document)
     truth = read_golden(path)
-    base = "no base" if truth.camera_from_base is None else f"base: {_pose_in_words(truth.camera_from_base)}"
+    base = "no base" if truth.camera_from_base is None else f"base: {_pose_text(truth.camera_from_base)}"
     line = f"poses and joints of {counted(len(truth.frames), 'frame')}: {listed(truth.frames)}"
     return Finding("known poses (golden.json)", (line, base), {"frames": list(truth.frames)})
 
 
-def _summary(path: Path, fields: Fields) -> Finding:
-    counts = fields.inner("counts") or Fields(str(path), {})
-    text = ", ".join(f"{name} {count}" for name, count in counts.values.items())
-    return Finding("summary of a batch", (text or "no counts",), {"counts": dict(counts.values)})
+def _summary(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe the summary of a batch."""
+    counts = convert_document(str(path), document, _Summary).counts or {}
+    text = ", ".join(f"{name} {count}" for name, count in counts.items())
+    return Finding("summary of a batch", (text or "no counts",), {"counts": counts})
 
 
 def _markers(path: Path) -> Finding:
+    """Describe a table of marker positions."""
     markers = read_marker_table(path)
     line = f"{counted(len(markers), 'painted marker')} on {', '.join(dict.fromkeys(m.link for m in markers.values()))}"
     return Finding("marker positions", (line,), {"markers": {name: m.position.tolist() for name, m in markers.items()}})
 
 
-def _session(path: Path, fields: Fields) -> Finding:
-    base = fields.pose("camera_from_base")
-    offsets = fields.numbers("offsets")
-    lines = [f"base in the camera: {'not known' if base is None else _pose_in_words(base)}"]
+def _session(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe a session calibration."""
+    session = convert_document(str(path), document, _Session)
+    base, offsets = session.camera_from_base, session.offsets or {}
+    lines = [f"base in the camera: {'not known' if base is None else _pose_text(base)}"]
     lines += [
         f"offset of {name}: {1e3 * value:.2f} mm"
         if name == "insertion"
@@ -104,7 +126,7 @@ def _session(path: Path, fields: Fields) -> Finding:
     return Finding("session calibration (session.json)", tuple(lines), {"offsets": offsets})
 
 
-_KINDS: dict[str, Callable[[Path, Fields], Finding]] = {
+_BY_KEY: dict[str, Callable[[Path, Mapping[str, Any]], Finding]] = {
     "base-frame": _registration,
     "camera_from_root": _result,
     "rcm": _session,
@@ -112,11 +134,12 @@ _KINDS: dict[str, Callable[[Path, Fields], Finding]] = {
 }
 
 
-def _pose_in_words(pose: NDArray[Any]) -> str:
-    """Say a pose (4, 4) as a position in mm and an axis-angle in degrees."""
+def _pose_text(pose: NDArray[Any]) -> str:
+    """Format a pose (4, 4) as a position, mm, and an axis-angle, degrees."""
     turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True)
     return f"position {_triple(1e3 * pose[:3, 3])} mm, axis-angle {_triple(turn)} deg"
 
 
 def _triple(values: NDArray[Any]) -> str:
+    """Format numbers with two decimals, separated by blanks."""
     return " ".join(f"{value:.2f}" for value in values)

@@ -1,4 +1,4 @@
-"""What was found in one file."""
+"""Result and options of an inspection."""
 
 from __future__ import annotations
 
@@ -12,10 +12,18 @@ from dvrk_cmaes.camera.fields import Side
 
 @dataclass(frozen=True)
 class Finding:
-    """What a file was taken for.
+    """Result of the inspection of one file or folder.
 
-    ``kind`` is a word or two, ``lines`` say what was read, in mm and degrees. ``read`` is the same as plain values
-    for JSON, in m and rad. ``notes`` name the rules by which what is ambiguous was decided.
+    Parameters
+    ----------
+    kind
+        Name of the recognised format.
+    lines
+        The content as text, in mm and degrees.
+    read
+        The content as plain values for JSON, in m and rad.
+    notes
+        The rules applied where the content is ambiguous.
     """
 
     kind: str
@@ -24,13 +32,13 @@ class Finding:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return the finding as plain values for JSON."""
         return {"kind": self.kind, "in_words": list(self.lines), "read": self.read, "notes": list(self.notes)}
 
 
 @dataclass(frozen=True)
 class Options:
-    """How ambiguous files are to be read, as in the other commands' options."""
+    """Options for reading ambiguous files, with the meaning of the same options of the other commands."""
 
     rectified: bool = False
     side: Side = "left"
@@ -39,5 +47,5 @@ class Options:
 
 
 def counted(number: int, what: str) -> str:
-    """Say how many there are of something."""
+    """Format a number with a noun, in the plural unless the number is one."""
     return f"{number} {what}{'' if number == 1 else 's'}"

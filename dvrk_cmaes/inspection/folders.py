@@ -1,4 +1,4 @@
-"""Folders in words: sessions, results, and recordings by their names only."""
+"""Inspection of folders: sessions and results, and recordings, which are recognised by name only."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _DESCRIPTIONS = ("readings: ", "camera: ")
 
 
 def inspect_folder(path: Path, options: Options) -> Finding:
-    """Tell what a folder is by what lies in it; InputError if it is of no known kind."""
+    """Describe a folder, recognised by the names in it; InputError if it is of no known kind."""
     if (path / "masks").is_dir() or (path / "images").is_dir():
         return _session(path, options)
     if (path / "frames").is_dir():
         return _results(path)
     if (path / "metadata.yaml").is_file():
-        return recording(path)
+        return inspect_recording(path)
     if is_published_layout(path):
         if options.camera is None and not (path / "camera.yaml").exists():
             return _without_camera(path)
@@ -36,13 +36,14 @@ def inspect_folder(path: Path, options: Options) -> Finding:
     )
 
 
-def recording(path: Path) -> Finding:
-    """Name a recording, which is not opened."""
+def inspect_recording(path: Path) -> Finding:
+    """Describe a recording by its name, without opening it."""
     kind = "video" if path.suffix.lower() in VIDEOS else "ROS bag"
     return Finding(kind, ("told by its name only: dvrk-cmaes import reads it",), {})
 
 
 def _session(path: Path, options: Options) -> Finding:
+    """Describe a session folder."""
     session = read_session(path, camera=options.camera, rectified=options.rectified, side=options.side)
     frames = session.frames
     problems = {frame.name: frame.problem for frame in frames if frame.problem is not None}
@@ -69,7 +70,7 @@ def _session(path: Path, options: Options) -> Finding:
 
 
 def _without_camera(path: Path) -> Finding:
-    """Describe published frames whose camera is not known here."""
+    """Describe frames in the published layout without a camera file."""
     frames = find_published_frames(path)
     lines = (
         f"{counted(len(frames), 'frame')} in the published layout: {listed(frame.name for frame in frames)}",
@@ -80,6 +81,7 @@ def _without_camera(path: Path) -> Finding:
 
 
 def _results(path: Path) -> Finding:
+    """Describe a folder of results."""
     results = read_results(path)
     statuses = Counter(result.status for result in results.frames.values())
     counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))

@@ -1,4 +1,4 @@
-"""Instruments, meshes and the dVRK's descriptions of tools and arms in words."""
+"""Inspection of instruments, meshes, and the dVRK's descriptions of tools and arms."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ MESHES = (".stl", ".obj", ".dae", ".ply")
 
 
 def inspect_urdf(path: Path, options: Options) -> Finding:
-    """Load an instrument; InputError if it cannot be."""
+    """Describe an instrument; InputError if it cannot be loaded."""
     found = load_instrument(path, package_paths=options.package_paths)
     faces = {link.name: len(link.faces) for link in found.links}
     shaft = found.shaft
     limits = {
         name: (float(low), float(high)) for name, (low, high) in zip(found.joint_names, found.limits, strict=True)
     }
-    straight = "no straight shaft found"
+    shaft_text = "no straight shaft found"
     if shaft is not None:
-        straight = f"shaft of {2e3 * shaft.radius:.2f} mm diameter, straight over {1e3 * shaft.length:.0f} mm"
+        shaft_text = f"shaft of {2e3 * shaft.radius:.2f} mm diameter, straight over {1e3 * shaft.length:.0f} mm"
     return Finding(
         "instrument (URDF)",
         (
             f"{found.name}, pose sought of {found.root_link}",
             f"links with meshes: {', '.join(f'{name} ({count} triangles)' for name, count in faces.items())}",
             *_limits(limits),
-            straight,
+            shaft_text,
             "a pair of jaws" if found.jaw_tips else "no pair of jaws",
             "looks alike in its mirror twin" if found.has_twin else "does not look alike in its mirror twin",
         ),
@@ -51,7 +51,7 @@ def inspect_urdf(path: Path, options: Options) -> Finding:
 
 
 def inspect_mesh(path: Path) -> Finding:
-    """Read a mesh; InputError if it cannot be."""
+    """Describe a mesh; InputError if it is not valid."""
     vertices, faces = read_mesh(path)
     extent = np.ptp(vertices, axis=0)
     sides = " x ".join(f"{1e3 * side:.2f}" for side in extent)
@@ -64,7 +64,7 @@ def inspect_mesh(path: Path) -> Finding:
 
 
 def inspect_tool(path: Path) -> Finding:
-    """Read a tool's description; InputError if it cannot be."""
+    """Describe a dVRK tool description; InputError if it is not valid."""
     tool = read_tool(path)
     return Finding(
         "dVRK tool",
@@ -78,7 +78,7 @@ def inspect_tool(path: Path) -> Finding:
 
 
 def inspect_kinematics(path: Path) -> Finding:
-    """Read an arm's description; InputError if it cannot be."""
+    """Describe a dVRK kinematic description; InputError if it is not valid."""
     arm = read_kinematics(path)
     which = "neither the Classic's nor the Si's" if arm.arm is None else f"that of --arm {arm.arm}"
     return Finding(
@@ -89,7 +89,7 @@ def inspect_kinematics(path: Path) -> Finding:
 
 
 def _limits(limits: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
-    """Limits of joints, in mm or degrees."""
+    """Format the limits of joints, in mm or degrees."""
     texts = []
     for name, (low, high) in limits.items():
         scale, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")

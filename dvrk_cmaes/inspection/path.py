@@ -1,4 +1,4 @@
-"""Which kind a file is: by its first bytes and its fields; by its name only where it is too large to be opened."""
+"""Recognition of a file's format by its first bytes and fields; recordings, meshes and settings by their suffix."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection.cameras import inspect_camera
 from dvrk_cmaes.inspection.documents import inspect_json
 from dvrk_cmaes.inspection.finding import Finding, Options
-from dvrk_cmaes.inspection.folders import RECORDINGS, VIDEOS, inspect_folder, recording
+from dvrk_cmaes.inspection.folders import RECORDINGS, VIDEOS, inspect_folder, inspect_recording
 from dvrk_cmaes.inspection.instruments import MESHES, inspect_mesh, inspect_urdf
-from dvrk_cmaes.inspection.pictures import inspect_picture
+from dvrk_cmaes.inspection.pictures import inspect_image
 from dvrk_cmaes.inspection.tables import (
     inspect_detections,
     inspect_image_times,
@@ -28,20 +28,20 @@ from dvrk_cmaes.joints.npy import MAGIC as NUMPY
 
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
-_PICTURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
-_START = 65536  # bytes, enough to tell text of one kind from another
+_IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
+_START = 65536  # bytes read to recognise the format
 _ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
-_TIMES = {"frame", "time"}
+_IMAGE_TIMES = {"frame", "time"}
 _TRACKER = re.compile(r".*_ctr|optimized_joint_angles")
 
 
 def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
-    """Say what a file or folder is taken for, and what was read from it.
+    """Recognise the format of a file or folder and describe its content.
 
     Raises
     ------
     InputError
-        It does not exist, is of no known kind, or is damaged; the message is that of its own reader.
+        The path does not exist, or the file is of no known format or not valid (with the message of its reader).
     """
     settings = Options() if options is None else options
     file = Path(path)
@@ -54,31 +54,31 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
     except OSError as error:
         raise InputError(f"{path}: not readable ({error.strerror}); expected {_EXPECTED}") from None
     if file.suffix.lower() in (*RECORDINGS, *VIDEOS):
-        return recording(file)
+        return inspect_recording(file)
     if file.suffix.lower() in MESHES:
         return inspect_mesh(file)
     if file.suffix.lower() == ".toml":
-        return _settings(file)
-    if start.startswith(_PICTURES):
-        return inspect_picture(file)
+        return _inspect_settings(file)
+    if start.startswith(_IMAGE_STARTS):
+        return inspect_image(file)
     if start.startswith(NUMPY) and _TRACKER.fullmatch(file.stem):
         return inspect_tracker_array(file)
     if start.startswith(NUMPY):
         return inspect_joints(file)
-    return _text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
+    return _inspect_text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
 
 
-def _text(path: Path, start: bytes, options: Options) -> Finding:
-    """Tell texts apart."""
+def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
+    """Recognise the format of a text file and describe it; ``start`` is the beginning of the file."""
     if b"\0" in start:
         raise InputError(f"{path}: expected {_KNOWN}, got something else")
-    begin = start.lstrip()
-    if begin.startswith(b"<"):
-        root = _ROOT.search(begin)
+    content = start.lstrip()
+    if content.startswith(b"<"):
+        root = _ROOT.search(content)
         return (
             inspect_urdf(path, options) if root is not None and root[1] == b"robot" else inspect_camera(path, options)
         )
-    if begin.startswith((b"{", b"/*", b"//")):
+    if content.startswith((b"{", b"/*", b"//")):
         return inspect_json(path, options)
     text = start.decode("utf-8", errors="replace")
     if is_joint_state(text):
@@ -90,7 +90,7 @@ def _text(path: Path, start: bytes, options: Options) -> Finding:
             return inspect_keypoints(path)
         if "marker" in header:
             return inspect_detections(path)
-        if header == _TIMES:
+        if header == _IMAGE_TIMES:
             return inspect_image_times(path)
         if {"rx", "tx", "jaw_1"} <= header:
             return inspect_published_poses(path)
@@ -98,11 +98,11 @@ def _text(path: Path, start: bytes, options: Options) -> Finding:
     return inspect_camera(path, options)
 
 
-def _settings(path: Path) -> Finding:
-    """Name what a file of settings changes."""
+def _inspect_settings(path: Path) -> Finding:
+    """Describe a settings file by the settings that differ from the defaults."""
     default = EstimateConfig()
     changed = dict(leaves(read_config(path, default)))
-    usual = dict(leaves(default))
-    changes = {name: value for name, value in changed.items() if value != usual[name]}
-    lines = tuple(f"{name} = {value} instead of {usual[name]}" for name, value in changes.items())
+    defaults = dict(leaves(default))
+    changes = {name: value for name, value in changed.items() if value != defaults[name]}
+    lines = tuple(f"{name} = {value} instead of {defaults[name]}" for name, value in changes.items())
     return Finding("settings", lines or ("nothing but the defaults",), changes)

@@ -1,4 +1,7 @@
-"""Masks and images in words; which of them a picture is, its values and its folder tell."""
+"""Inspection of PNG and JPEG files: masks, masks of labels, ignored pixels and images.
+
+The kind is recognised by the pixel values and by the name of the folder.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.inspection.finding import Finding
 
 _THRESHOLD = 127
-_SOFT = 40  # a JPEG blurs the two values of a mask by about so much
-_SHARP_SHARE = 0.98
+_SOFT = 40  # largest deviation of a mask's pixels from 0 or 255 due to JPEG compression
+_SHARP_SHARE = 0.98  # least fraction of pixels near 0 or 255 in a mask
 _MOST_LABELS = 16
 
 
-def inspect_picture(path: Path) -> Finding:
-    """Read a picture as a mask, a mask of ignored pixels, a mask of labels or an image; InputError if it cannot be."""
+def inspect_image(path: Path) -> Finding:
+    """Describe a PNG or JPEG as image, mask, mask of labels or ignored pixels; InputError if it is not valid."""
     pixels = read_image(path)
     height, width = pixels.shape[:2]
     read = {"width": width, "height": height}
@@ -47,7 +50,7 @@ def inspect_picture(path: Path) -> Finding:
 
 
 def _labels(grey: NDArray[np.uint8], size: str, read: dict[str, int]) -> Finding:
-    """Mask of labels; one of zeros alone is an empty one."""
+    """Describe a mask of labels (H, W); an image of zeros is an empty one."""
     labels, counts = np.unique(grey, return_counts=True)
     shares = {int(label): float(count / grey.size) for label, count in zip(labels, counts, strict=True)}
     text = ", ".join(f"{label}: {share:.2%}" for label, share in shares.items())

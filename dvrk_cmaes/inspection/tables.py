@@ -1,4 +1,4 @@
-"""Readings, jaw tips and times of images in words."""
+"""Inspection of tables and arrays: joint readings, jaw tips, marker detections, image times, published poses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.joints.times import read_image_times
 
-_LABELS = {
+_LABEL_RULES = {
     "frame": "a frame's readings are found by its name",
     "number": "a frame's readings are found by the number that its name ends in",
     "message": "a frame's readings are found by the image's time",
@@ -27,17 +27,17 @@ _LABELS = {
 
 
 def inspect_joints(path: Path) -> Finding:
-    """Read joint readings of any kind; InputError if they cannot be."""
+    """Describe a file of joint readings of any format; InputError if it is not valid."""
     file = read_joint_file(path)
     rows = [row.readings() for row in file.rows.values()]
     ranges = {name: _range([row[name] for row in rows if name in row]) for name in file.joints}
     lines = [
         f"{file.kind}: {counted(len(rows), 'row')}",
-        *(_span(name, *pair) for name, pair in ranges.items() if pair),
+        *(_range_text(name, *pair) for name, pair in ranges.items() if pair),
     ]
-    unread = [name for name, pair in ranges.items() if pair is None]
-    if unread:
-        lines.append(f"no reading of {', '.join(unread)}")
+    without_readings = [name for name, pair in ranges.items() if pair is None]
+    if without_readings:
+        lines.append(f"no reading of {', '.join(without_readings)}")
     notes = list(file.notes)
     span = _time_span(file)
     if span is not None:
@@ -46,7 +46,7 @@ def inspect_joints(path: Path) -> Finding:
             f"readings are interpolated to an image's time, from at most {TIME_TOLERANCE / NANOSECONDS:g} s away"
         )
     if len(rows) > 1:
-        notes.append(_LABELS[file.labels])
+        notes.append(_LABEL_RULES[file.labels])
     read: dict[str, Any] = {
         "form": file.kind,
         "rows": len(rows),
@@ -60,7 +60,7 @@ def inspect_joints(path: Path) -> Finding:
 
 
 def inspect_keypoints(path: Path) -> Finding:
-    """Read jaw tips; InputError if they cannot be."""
+    """Describe a table of jaw tips; InputError if it is not valid."""
     tips = read_keypoints(path)
     line = f"both jaw tips of {counted(len(tips), 'frame')}: {listed(tips)}"
     read = {"frames": {name: pair.tolist() for name, pair in tips.items()}}
@@ -68,7 +68,7 @@ def inspect_keypoints(path: Path) -> Finding:
 
 
 def inspect_detections(path: Path) -> Finding:
-    """Read detected markers; InputError if they cannot be."""
+    """Describe a table of detected markers; InputError if it is not valid."""
     found = read_detections(path)
     line = f"painted markers seen in {counted(len(found), 'frame')}: {listed(found)}"
     read = {"frames": {name: sorted(markers) for name, markers in found.items()}}
@@ -76,7 +76,7 @@ def inspect_detections(path: Path) -> Finding:
 
 
 def inspect_tracker_array(path: Path) -> Finding:
-    """Describe a pose or joints as a tracker takes them, which are told by their names."""
+    """Describe a tracker's array of a pose or of joints, distinguished by the file's name."""
     expected = "a tracker's start (a NumPy array of 6 or 4 numbers)"
     numbers = read_small_array(
         str(path), read_bytes(path, expected=expected, largest=10_000), expected=expected
@@ -89,30 +89,32 @@ def inspect_tracker_array(path: Path) -> Finding:
 
 
 def inspect_image_times(path: Path) -> Finding:
-    """Read the times of images; InputError if they cannot be."""
+    """Describe a table of image times; InputError if it is not valid."""
     times = read_image_times(path)
     line = f"the times of {counted(len(times), 'image')}: {listed(times)}"
     return Finding("image times", (line,), {"time_ns": times})
 
 
 def inspect_published_poses(path: Path) -> Finding:
-    """Read a table of published poses; InputError if it cannot be."""
+    """Describe a table of published poses; InputError if it is not valid."""
     poses = read_published_poses(path)
     line = f"poses (axis-angle and translation of camera_from_root) and joints of {counted(len(poses), 'frame')}"
     return Finding("published poses", (line,), {"frames": list(poses)})
 
 
 def _range(values: Sequence[float]) -> tuple[float, float] | None:
+    """Return the smallest and the largest value; None without values."""
     return (min(values), max(values)) if values else None
 
 
-def _span(name: str, low: float, high: float) -> str:
-    """Range of a joint, in mm or degrees."""
+def _range_text(name: str, low: float, high: float) -> str:
+    """Format the range of a joint, in mm or degrees."""
     scale, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
     low, high = scale * low, scale * high
     return f"{name} {low:.2f} {unit}" if low == high else f"{name} from {low:.2f} to {high:.2f} {unit}"
 
 
 def _time_span(file: JointFile) -> tuple[int, int] | None:
+    """Return the first and the last time of a file's rows, ns; None without times."""
     times = [row.time for row in file.rows.values() if row.time is not None]
     return (min(times), max(times)) if times else None

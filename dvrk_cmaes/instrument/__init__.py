@@ -1,4 +1,4 @@
-"""Instruments: the links' meshes, the joints between them, the shaft and the jaw tips, read from a URDF."""
+"""Articulated instruments read from a URDF: link meshes, kinematic chain, shaft and jaw tips."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""The patient-side manipulator (PSM) that carries the instrument: from its base to the instrument's root link.
+"""Forward kinematics of the patient-side manipulator (PSM), from its base to the instrument's root link.
 
 The base frame's origin is the remote centre of motion (RCM), through which the shaft passes in every configuration.
-Yaw, pitch and insertion are the arm's own joints; roll is the tool's, and its frame is the root link (DH frame 4).
-With a pose of the root in the camera this gives ``camera_from_base = camera_from_root @ inverse(base_from_root)``.
+Yaw, pitch and insertion are joints of the arm; roll is a joint of the tool, and its frame is the root link (DH
+frame 4). With the pose of the root link in the camera,
+``camera_from_base = camera_from_root @ inverse(base_from_root)``.
 
-Constants are the dVRK's kinematic descriptions (``PSM.json`` of the Classic, ``PSM_Si.json``, and the tools'), with
-right angles exact where the files round them to 1.5708.
+The constants are those of the dVRK's kinematic descriptions (``PSM.json`` for the Classic, ``PSM_Si.json`` and the
+tools' files). Right angles are exact here; the files round them to 1.5708.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import inverse
 
 Arm = Literal["classic", "si"]
 
@@ -25,17 +27,17 @@ OUTER_JOINTS: Final = ("yaw", "pitch", "insertion", "roll")
 """Joints from the base to the root link, in the order of the chain; insertion in m, the others in rad."""
 
 ROLL_OFFSET: Final = 0.4162
-"""D of the roll joint of the tools 400xxx, m: from the frame of the insertion to the wrist's pitch axis."""
+"""DH parameter d of the roll joint of tools 400xxx, m: distance from the insertion frame to the wrist pitch axis."""
 
 ROLL_OFFSET_LONG: Final = 0.467
-"""D of the roll joint of the tools 420xxx, whose shafts are longer, m."""
+"""DH parameter d of the roll joint of tools 420xxx, which have longer shafts, m."""
 
 INSERTION_OFFSET: Final[Mapping[str, float]] = {"classic": -0.4318, "si": -0.4826}
-"""Added to the insertion by each arm, m."""
+"""Constant added to the insertion reading to give d of the insertion joint, m, by arm."""
 
 
 class DHJoint(NamedTuple):
-    """A row of a table of modified Denavit-Hartenberg parameters: Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
+    """One row of a table of modified Denavit-Hartenberg parameters: Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
 
     alpha: float
     a: float
@@ -45,12 +47,14 @@ class DHJoint(NamedTuple):
 
 
 def dh_table(arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> tuple[DHJoint, ...]:
-    """Rows of yaw, pitch, insertion and roll; a joint's value is added to theta, or to d of the prismatic one.
+    """Return the DH rows of yaw, pitch, insertion and roll.
+
+    The value of a revolute joint is added to theta, the value of the prismatic joint to d.
 
     Raises
     ------
     InputError
-        The arm is not known.
+        The arm is not one of ``INSERTION_OFFSET``.
     """
     if arm not in INSERTION_OFFSET:
         near = " or ".join(nearest_first(str(arm), INSERTION_OFFSET))
@@ -66,37 +70,50 @@ def dh_table(arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> tuple
 def base_from_root(
     outer: Mapping[str, ArrayLike] | ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
 ) -> NDArray[np.float64]:
-    """Forward kinematics of the arm: pose of the instrument's root link in the PSM's base.
+    """Compute the forward kinematics of the arm: the pose of the instrument's root link in the PSM base frame.
 
     Parameters
     ----------
     outer : (..., 4), or a mapping of the names in ``OUTER_JOINTS`` to arrays (...)
-        Yaw, pitch (rad), insertion (m), roll (rad); a mapping may hold other joints, which are not looked at.
+        Yaw, pitch (rad), insertion (m), roll (rad); other joints in a mapping are ignored.
     arm
         ``classic`` or ``si``.
     roll_offset
-        D of the tool's roll joint, m.
+        DH parameter d of the tool's roll joint, m.
 
     Returns
     -------
     (..., 4, 4)
-        ``base_from_root``. The root's origin lies ``insertion + offset of the arm + roll_offset`` beyond the RCM.
+        ``base_from_root``. The distance of the root's origin from the RCM is insertion + insertion offset of the
+        arm + ``roll_offset``.
 
     Raises
     ------
     InputError
-        An unknown arm, a joint missing from the mapping, or another number of values than four.
+        The arm is unknown, a joint is missing from the mapping, or the number of values is not four.
     """
     rows = dh_table(arm, roll_offset=roll_offset)
     values = _values(outer)
     pose = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
     for k, row in enumerate(rows):
-        pose = pose @ _step(row, values[..., k])
+        pose = pose @ _row_transform(row, values[..., k])
     return pose
 
 
+def find_camera_from_base(
+    camera_from_root: NDArray[np.float64], readings: Mapping[str, float], arm: Arm, *, roll_offset: float
+) -> NDArray[np.float64] | None:
+    """Return camera_from_base (4, 4) from the root's pose (4, 4) and the outer joints' readings (rad, m).
+
+    None if one of the outer joints has no reading. ``roll_offset`` is D of the tool's roll joint, m.
+    """
+    if any(name not in readings for name in OUTER_JOINTS):
+        return None
+    return np.asarray(camera_from_root @ inverse(base_from_root(readings, arm, roll_offset=roll_offset)))
+
+
 def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> NDArray[np.float64]:
-    """Joint values as (..., 4)."""
+    """Convert joint values to an array (..., 4) in the order of ``OUTER_JOINTS``."""
     if isinstance(outer, Mapping):
         missing = [name for name in OUTER_JOINTS if name not in outer]
         if missing:
@@ -112,8 +129,8 @@ def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> NDArray[np.float64]:
     return values
 
 
-def _step(row: DHJoint, value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Transform of one row at joint values (...), giving (..., 4, 4)."""
+def _row_transform(row: DHJoint, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the transforms (..., 4, 4) of one DH row at joint values (...)."""
     theta = np.full_like(value, row.theta) if row.prismatic else row.theta + value
     d = row.d + value if row.prismatic else np.full_like(value, row.d)
     c, s = np.cos(theta), np.sin(theta)

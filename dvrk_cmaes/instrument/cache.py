@@ -1,8 +1,9 @@
-"""Instruments kept on disk, once their meshes were read and measured, which takes longer than to find a pose.
+"""Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
 
-One file each in the user's cache folder (``$XDG_CACHE_HOME``, or ``~/.cache``, below ``dvrk-cmaes``), which anybody may
-delete: arrays and plain values, never code. It is used as long as URDF and meshes are byte for byte those it was made
-from, by this version. ``DVRK_CMAES_CACHE`` names another folder, or is ``off``.
+The cache folder is ``dvrk-cmaes`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. Each instrument is one .npz file of arrays
+and JSON values, without pickled objects, and may be deleted at any time. A cached file is used only if the same version
+of the package wrote it and the URDF and mesh files still have the digests recorded in it. The environment variable
+``DVRK_CMAES_CACHE`` gives another folder; the value ``off`` disables the cache.
 """
 
 from __future__ import annotations
@@ -28,39 +29,39 @@ from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.io.files import file_digest
 
 _LARGEST = 500_000_000  # bytes
-_FORMAT = 1
+_FORMAT = 2
 
 
-def kept_file(*asked: object) -> Path | None:
-    """Where an instrument that was asked for in these words is kept; None where nothing is to be."""
+def cache_file(*arguments: object) -> Path | None:
+    """Return the path of the cache file for these loading arguments; None if the cache is off or has no folder."""
     folder = os.environ.get("DVRK_CMAES_CACHE", "")
     if folder == "off":
         return None
     try:
         root = Path(folder) if folder else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    except RuntimeError:  # no home
+    except RuntimeError:  # the user has no home folder
         return None
-    key = hashlib.sha256(repr((_FORMAT, __version__, *asked)).encode()).hexdigest()[:24]
+    key = hashlib.sha256(repr((_FORMAT, __version__, *arguments)).encode()).hexdigest()[:24]
     return (root if folder else root / "dvrk-cmaes") / f"{key}.npz"
 
 
-def read_kept(path: Path) -> Instrument | None:
-    """Read a kept instrument; None where there is none, or it was made from other files, or is damaged."""
+def read_cached(path: Path) -> Instrument | None:
+    """Read a cached instrument; None if the file is missing or damaged, or its source files have changed."""
     try:
         if path.stat().st_size > _LARGEST:
             return None
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
-            told = json.loads(str(arrays["told"]))
-            if any(file_digest(Path(name)) != digest for name, digest in told["files"].items()):
+            document = json.loads(str(arrays["document"]))
+            if any(file_digest(Path(name)) != digest for name, digest in document["files"].items()):
                 return None
-            return _instrument(told, arrays)
+            return _instrument(document, arrays)
     except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile):
         return None
 
 
-def keep(path: Path, instrument: Instrument, files: Iterable[Path]) -> None:
-    """Keep an instrument that was made from files; does nothing where that cannot be written."""
-    told: dict[str, Any] = {
+def write_cached(path: Path, instrument: Instrument, files: Iterable[Path]) -> None:
+    """Write an instrument and the digests of its source files to the cache; failure to write is ignored."""
+    document: dict[str, Any] = {
         "files": {str(file.absolute()): file_digest(file) for file in files},
         "name": instrument.name,
         "root_link": instrument.root_link,
@@ -69,47 +70,50 @@ def keep(path: Path, instrument: Instrument, files: Iterable[Path]) -> None:
         "tips": [tip.link for tip in instrument.jaw_tips],
         "link_joints": instrument.link_joints,
         "has_twin": instrument.has_twin,
-        "chain": [_plain(joint) for joint in instrument.chain.joints],
+        "chain": [_plain_fields(joint) for joint in instrument.chain.joints],
     }
     arrays: dict[str, Any] = {"limits": instrument.limits}
     for i, link in enumerate(instrument.links):
         arrays |= {f"vertices_{i}": link.vertices, f"faces_{i}": link.faces}
     for i, joint in enumerate(instrument.chain.joints):
-        arrays |= {f"place_{i}": joint.parent_from_joint, f"axis_{i}": joint.axis}
+        arrays |= {f"parent_from_joint_{i}": joint.parent_from_joint, f"axis_{i}": joint.axis}
     for i, tip in enumerate(instrument.jaw_tips):
         arrays[f"tip_{i}"] = tip.position
     shaft = instrument.shaft
     if shaft is not None:
         arrays |= {"shaft_point": shaft.point, "shaft_direction": shaft.direction}
-        told["shaft"] = [shaft.radius, shaft.distal_end, shaft.proximal_end]
+        document["shaft"] = [shaft.radius, shaft.distal_end, shaft.proximal_end]
     data = io.BytesIO()
-    np.savez(data, told=np.array(json.dumps(told)), **arrays)
+    np.savez(data, document=np.array(json.dumps(document)), **arrays)
     with contextlib.suppress(DvrkCmaesError, OSError):
         write_bytes(path, data.getvalue())
 
 
-def _plain(joint: Joint) -> dict[str, Any]:
-    """Fields of a joint but for its arrays."""
+def _plain_fields(joint: Joint) -> dict[str, Any]:
+    """Return the fields of a joint that are not arrays."""
     return {name: value for name, value in asdict(joint).items() if not isinstance(value, np.ndarray)}
 
 
-def _instrument(told: dict[str, Any], arrays: Any) -> Instrument:
+def _instrument(document: dict[str, Any], arrays: Any) -> Instrument:
+    """Build an instrument from the JSON document and the arrays of a cache file."""
     joints = tuple(
-        Joint(parent_from_joint=arrays[f"place_{i}"], axis=arrays[f"axis_{i}"], **fields)
-        for i, fields in enumerate(told["chain"])
+        Joint(parent_from_joint=arrays[f"parent_from_joint_{i}"], axis=arrays[f"axis_{i}"], **fields)
+        for i, fields in enumerate(document["chain"])
     )
     shaft = None
-    if "shaft" in told:
-        shaft = Shaft(arrays["shaft_point"], arrays["shaft_direction"], *told["shaft"])
+    if "shaft" in document:
+        shaft = Shaft(arrays["shaft_point"], arrays["shaft_direction"], *document["shaft"])
     return Instrument(
-        name=told["name"],
-        root_link=told["root_link"],
-        links=tuple(Link(name, arrays[f"vertices_{i}"], arrays[f"faces_{i}"]) for i, name in enumerate(told["links"])),
-        joint_names=tuple(told["joint_names"]),
+        name=document["name"],
+        root_link=document["root_link"],
+        links=tuple(
+            Link(name, arrays[f"vertices_{i}"], arrays[f"faces_{i}"]) for i, name in enumerate(document["links"])
+        ),
+        joint_names=tuple(document["joint_names"]),
         limits=arrays["limits"],
         shaft=shaft,
-        jaw_tips=tuple(JawTip(link, arrays[f"tip_{i}"]) for i, link in enumerate(told["tips"])),
+        jaw_tips=tuple(JawTip(link, arrays[f"tip_{i}"]) for i, link in enumerate(document["tips"])),
         chain=Chain(joints),
-        link_joints=tuple(told["link_joints"]),
-        has_twin=told["has_twin"],
+        link_joints=tuple(document["link_joints"]),
+        has_twin=document["has_twin"],
     )

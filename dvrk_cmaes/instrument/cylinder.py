@@ -1,9 +1,9 @@
-"""The straight cylinder in a mesh: axis, radius and where it begins and ends.
+"""Fit of a straight circular cylinder to part of a mesh: axis, radius and ends.
 
-A first direction comes from the surface: the normals of a cylinder are at right angles to its axis. Sections
-across it are compared; the longest run of round ones of one size about one line is the cylinder, and the line
-through their centres is the next direction. Flanges (wider), clevises (not round) and cones (changing width)
-stay outside the run.
+The initial direction is the one most nearly perpendicular to the face normals. The mesh is cut into plane sections
+across that direction. The longest run of consecutive round sections of equal width on a common line is the cylinder,
+and the line through their centres is the direction of the next iteration. Flanges (wider), clevises (not round) and
+cones (of changing width) are not part of the run.
 """
 
 from __future__ import annotations
@@ -17,21 +17,27 @@ from numpy.typing import NDArray
 from dvrk_cmaes.instrument.sections import Section, Slicer, edges_of
 
 _SECTIONS = 96
-_ROUNDS = 3  # of: sections, line through the centres
+_ITERATIONS = 3
 _BISECTIONS = 16
-_ROUNDNESS = 0.94  # an octagon passes
-_RADIUS_CHANGE = 0.01  # of the radius
-_CENTRE_SHIFT = 0.05  # of the radius
-_LEAST_LENGTH = 6.0  # radii: a stub shorter than three diameters is no shaft
+_ROUNDNESS = 0.94  # least; a regular octagon has 0.95
+_RADIUS_CHANGE = 0.01  # largest, as a fraction of the radius
+_CENTRE_SHIFT = 0.05  # largest, as a fraction of the radius
+_LEAST_LENGTH = 6.0  # radii; a shorter cylinder is not a shaft
 
 
 class Cylinder(NamedTuple):
-    """A straight round cylinder, lengths in metres.
+    """A straight circular cylinder, lengths in metres.
 
-    point : (3,) the point of the axis nearest the frame's origin.
-    direction : (3,) unit, of either sense.
-    radius : half the width of the silhouette, averaged over all directions of view.
-    low, high : ends, as coordinates along the direction from the point.
+    Parameters
+    ----------
+    point : (3,)
+        The point of the axis nearest to the frame's origin.
+    direction : (3,)
+        Unit vector along the axis; its sign is arbitrary.
+    radius
+        Half the width of the silhouette, averaged over all viewing directions.
+    low, high
+        Coordinates of the ends along ``direction`` from ``point``.
     """
 
     point: NDArray[np.float64]
@@ -46,25 +52,32 @@ def find_cylinder(
     faces: NDArray[np.int32],
     axis: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Cylinder | None:
-    """Find the longest straight round cylinder in a mesh, None if there is none of three diameters.
+    """Find the longest straight circular cylinder in a mesh; None if none is at least three diameters long.
 
-    vertices : (V, 3) m. faces : (F, 3). axis : point (3,) and unit direction (3,) if known; else it is found.
+    Parameters
+    ----------
+    vertices : (V, 3)
+        In metres.
+    faces : (F, 3)
+        Vertex indices.
+    axis
+        A point (3,) and the unit direction (3,) of a known axis; None to find the axis.
     """
     edges = edges_of(faces)
     if axis is not None:
-        return _along(vertices, edges, axis[1], fixed=axis[0])
+        return _fit_about(vertices, edges, axis[1], fixed=axis[0])
     cylinder: Cylinder | None = None
-    direction = _across_the_normals(vertices, faces)
-    for _ in range(_ROUNDS):
-        cylinder = _along(vertices, edges, direction)
+    direction = _direction_across_normals(vertices, faces)
+    for _ in range(_ITERATIONS):
+        cylinder = _fit_about(vertices, edges, direction)
         if cylinder is None:
             return None
         direction = cylinder.direction
     return cylinder
 
 
-def _across_the_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Direction (3,) most nearly at right angles to the faces, each counted by its area."""
+def _direction_across_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return the direction (3,) most nearly perpendicular to the face normals, weighted by face area."""
     corners = vertices[faces]
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(doubled, axis=1)
@@ -72,13 +85,13 @@ def _across_the_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32])
     return np.asarray(vectors[:, 0])
 
 
-def _along(
+def _fit_about(
     vertices: NDArray[np.float64],
     edges: NDArray[np.int32],
     direction: NDArray[np.float64],
     fixed: NDArray[np.float64] | None = None,
 ) -> Cylinder | None:
-    """Cylinder about a direction that is roughly known (or exactly: `fixed` is a point on the axis)."""
+    """Fit a cylinder about an approximate direction; with a point `fixed` on the axis, the axis is not changed."""
     slicer = Slicer(vertices, edges, direction)
     step = (slicer.high - slicer.low) / _SECTIONS
     heights = slicer.low + step * (np.arange(_SECTIONS) + 0.5)
@@ -94,13 +107,13 @@ def _along(
         fitted = np.polynomial.polynomial.polyfit(heights[run] - heights[run].mean(), centres, 1)
         middle, slope = fitted[0], fitted[1]
 
-    def belongs(height: float) -> bool:
+    def inside_at(height: float) -> bool:
         section = slicer.at(height)
         line = middle + slope * (height - heights[run].mean())
-        return section is not None and _alike(section, radius, line)
+        return section is not None and _matches(section, radius, line)
 
-    low = _last_inside(belongs, float(heights[run][0]), max(float(heights[run][0]) - step, slicer.low))
-    high = _last_inside(belongs, float(heights[run][-1]), min(float(heights[run][-1]) + step, slicer.high))
+    low = _bisect_end(inside_at, float(heights[run][0]), max(float(heights[run][0]) - step, slicer.low))
+    high = _bisect_end(inside_at, float(heights[run][-1]), min(float(heights[run][-1]) + step, slicer.high))
     if high - low < _LEAST_LENGTH * radius:
         return None
     if fixed is not None:
@@ -112,7 +125,8 @@ def _along(
     return Cylinder(foot, refined, radius, low, high)
 
 
-def _alike(section: Section, radius: float, centre: NDArray[np.float64]) -> bool:
+def _matches(section: Section, radius: float, centre: NDArray[np.float64]) -> bool:
+    """Whether a section is round and has this radius and this centre (2,), within the tolerances."""
     return (
         section.roundness >= _ROUNDNESS
         and abs(section.half_width - radius) <= _RADIUS_CHANGE * radius
@@ -121,7 +135,7 @@ def _alike(section: Section, radius: float, centre: NDArray[np.float64]) -> bool
 
 
 def _longest_run(sections: list[Section | None]) -> slice | None:
-    """Longest row of neighbouring round sections, each like the one before and of nearly the first one's size."""
+    """Return the longest run of consecutive round sections, each like the previous one and as wide as the first."""
     best: slice | None = None
     start = 0
     for index, section in enumerate(sections):
@@ -133,7 +147,7 @@ def _longest_run(sections: list[Section | None]) -> slice | None:
             first is None
             or before is None
             or abs(section.half_width - first.half_width) > _RADIUS_CHANGE * first.half_width
-            or not _alike(section, before.half_width, before.centre)
+            or not _matches(section, before.half_width, before.centre)
         ):
             start = index
         if best is None or index + 1 - start > best.stop - best.start:
@@ -141,9 +155,9 @@ def _longest_run(sections: list[Section | None]) -> slice | None:
     return best
 
 
-def _last_inside(belongs: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Narrow down where sections stop belonging to the cylinder, between a height inside and one outside."""
+def _bisect_end(inside_at: Callable[[float], bool], inside: float, outside: float) -> float:
+    """Find by bisection the end of the cylinder between a height inside and a height outside it."""
     for _ in range(_BISECTIONS):
         middle = (inside + outside) / 2.0
-        inside, outside = (middle, outside) if belongs(middle) else (inside, middle)
+        inside, outside = (middle, outside) if inside_at(middle) else (inside, middle)
     return inside

@@ -1,7 +1,7 @@
-"""The dVRK's own descriptions of tools and arms: JSON with comments, joints as modified Denavit-Hartenberg rows.
+"""Readers of the dVRK's description files of tools and arms: JSON with comments, modified DH parameters.
 
-A tool's file has the joints ``roll``, ``wrist_pitch``, ``wrist_yaw`` and a ``jaw``; a kinematic file the arm's ``yaw``,
-``pitch``, ``insertion``. Angles in rad, lengths in m; ``qmin`` and ``qmax`` are the limits.
+A tool file has the joints ``roll``, ``wrist_pitch`` and ``wrist_yaw`` and an object ``jaw``; a kinematic file has the
+arm joints ``yaw``, ``pitch`` and ``insertion``. Angles are in rad, lengths in m; ``qmin`` and ``qmax`` are the limits.
 """
 
 from __future__ import annotations
@@ -10,13 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct, field
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET
-from dvrk_cmaes.io.fields import Fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.typed_document import Number, convert_document, refused
 
 TOOL = "a dVRK tool description (JSON)"
 KINEMATIC = "a dVRK kinematic description (JSON)"
@@ -25,26 +27,47 @@ _ARM_JOINTS = ("yaw", "pitch", "insertion")
 _TOOL_JOINTS = ("roll", "wrist_pitch", "wrist_yaw")
 
 
-@dataclass(frozen=True)
-class DescribedJoint:
-    """A row of the table; ``limits`` and ``offset`` in rad, or m where ``prismatic``."""
+class _Limits(Struct):
+    qmin: Number
+    qmax: Number
 
-    name: str
-    alpha: float
-    a: float
-    theta: float
-    d: float
-    offset: float
-    prismatic: bool
-    limits: tuple[float, float]
+
+class JointDescription(_Limits):
+    """One row of the DH table; limits and ``offset`` in rad, in m for a prismatic joint."""
+
+    type: Literal["revolute", "prismatic"]
+    alpha: Number
+    a: Number = field(name="A")
+    theta: Number
+    d: Number = field(name="D")
+    offset: Number = 0.0
+    name: str = ""
+
+
+class _Table(Struct):
+    convention: Annotated[Literal["modified"], Meta(description="modified")]
+    joints: tuple[JointDescription, ...] = ()
+
+
+class _Description(Struct, rename={"dh": "DH"}):
+    dh: _Table
+    jaw: _Limits | None = None
 
 
 @dataclass(frozen=True)
 class Tool:
-    """A tool: where its wrist lies along the shaft, and how far its joints go.
+    """Kinematic parameters of a tool.
 
-    ``name`` is the file's. ``roll_offset`` is the D of its roll joint, m. ``limits`` are by joint, rad, of roll, the
-    wrist and the jaw. ``wrist_length`` is the distance of its wrist axes, m.
+    Parameters
+    ----------
+    name
+        Name of the description file.
+    roll_offset
+        DH parameter d of the roll joint, m: the position of the wrist along the shaft.
+    limits
+        Lower and upper limits of roll, the wrist joints and, if described, the jaw, rad, by joint name.
+    wrist_length
+        Distance between the two wrist axes, m.
     """
 
     name: str
@@ -55,7 +78,19 @@ class Tool:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """An arm: the limits of its own joints, rad and m, and which arm of ours it is, None if it is neither."""
+    """Kinematic parameters of an arm.
+
+    Parameters
+    ----------
+    name
+        Name of the description file.
+    limits
+        Lower and upper limits of yaw, pitch (rad) and insertion (m), by joint name.
+    insertion_offset
+        Constant added to the insertion reading, m.
+    arm
+        The arm of ``INSERTION_OFFSET`` with this insertion offset; None if there is none.
+    """
 
     name: str
     limits: Mapping[str, tuple[float, float]]
@@ -64,7 +99,7 @@ class Kinematics:
 
 
 def is_description(document: Mapping[str, Any]) -> bool:
-    """Whether a JSON document looks like a description of a tool or an arm."""
+    """Whether a JSON document is a description of a tool or an arm: it has an object ``DH``."""
     return isinstance(document.get("DH"), dict)
 
 
@@ -74,63 +109,47 @@ def read_tool(path: str | Path) -> Tool:
     Raises
     ------
     InputError
-        Naming the file, the field and what was expected; also for a tool whose roll axis is not the shaft's.
+        A field is missing or wrong, or the roll axis is not the shaft's axis; the message names the file and field.
     """
-    fields = Fields.of(str(path), read_json_object(path, expected=TOOL, comments=True))
-    joints = _joints(fields, _TOOL_JOINTS, TOOL)
+    description = _read(path, _TOOL_JOINTS, TOOL)
+    joints = {joint.name: joint for joint in description.dh.joints}
     roll = joints["roll"]
-    if any((roll.alpha, roll.a, roll.theta, roll.offset)) or roll.prismatic:
+    if any((roll.alpha, roll.a, roll.theta, roll.offset)) or roll.type == "prismatic":
         raise InputError(f"{path}: DH.joints: roll: expected a revolute joint of alpha, A, theta and offset 0")
-    limits = {name: joint.limits for name, joint in joints.items()}
-    jaw = fields.inner("jaw")
-    if jaw is not None:
-        limits["jaw"] = _limits(jaw)
+    limits = {name: (joint.qmin, joint.qmax) for name, joint in joints.items()}
+    if description.jaw is not None:
+        limits["jaw"] = description.jaw.qmin, description.jaw.qmax
     return Tool(Path(path).name, roll.d, limits, joints["wrist_yaw"].a)
 
 
 def read_kinematics(path: str | Path) -> Kinematics:
-    """Read an arm's description; errors as for a tool's."""
-    fields = Fields.of(str(path), read_json_object(path, expected=KINEMATIC, comments=True))
-    joints = _joints(fields, _ARM_JOINTS, KINEMATIC)
+    """Read an arm's description.
+
+    Raises
+    ------
+    InputError
+        A field is missing or wrong; the message names the file and the field.
+    """
+    joints = {joint.name: joint for joint in _read(path, _ARM_JOINTS, KINEMATIC).dh.joints}
     insertion = joints["insertion"]
     offset = insertion.offset + insertion.d
     known = [arm for arm, value in INSERTION_OFFSET.items() if isclose(value, offset, abs_tol=1e-4)]
-    limits = {name: joint.limits for name, joint in joints.items()}
+    limits = {name: (joint.qmin, joint.qmax) for name, joint in joints.items()}
     return Kinematics(Path(path).name, limits, offset, known[0] if known else None)
 
 
-def _joints(fields: Fields, names: tuple[str, ...], expected: str) -> dict[str, DescribedJoint]:
-    """Rows of the table, which must have these joints."""
-    table = fields.inner("DH", required=True)
-    assert table is not None
-    convention = table.text("convention")
-    if convention != "modified":
-        raise table.refuse("convention", "modified")
-    joints = {joint.name: joint for joint in map(_joint, table.inners("joints"))}
-    missing = [name for name in names if name not in joints]
-    if missing:
-        raise InputError(
-            f"{fields.where}: DH.joints: expected {', '.join(names)} of {expected}, got {listed(joints) or 'none'}"
-        )
-    return joints
-
-
-def _joint(row: Fields) -> DescribedJoint:
-    kind = row.choice("type", ("revolute", "prismatic"))
-    return DescribedJoint(
-        name=row.text("name"),
-        alpha=row.number("alpha"),
-        a=row.number("A"),
-        theta=row.number("theta"),
-        d=row.number("D"),
-        offset=row.number("offset", 0.0),
-        prismatic=kind == "prismatic",
-        limits=_limits(row),
-    )
-
-
-def _limits(row: Fields) -> tuple[float, float]:
-    low, high = row.number("qmin"), row.number("qmax")
-    if low > high:
-        raise row.refuse("qmax", f"at least qmin, {low:g}")
-    return low, high
+def _read(path: str | Path, names: tuple[str, ...], expected: str) -> _Description:
+    """Read a description whose DH table has the joints ``names``."""
+    where = str(path)
+    description = convert_document(where, read_json_object(path, expected=expected, comments=True), _Description)
+    rows: dict[str, _Limits] = {f"DH.joints[{k}]": row for k, row in enumerate(description.dh.joints)}
+    if description.jaw is not None:
+        rows["jaw"] = description.jaw
+    for name, row in rows.items():
+        if row.qmin > row.qmax:
+            raise refused(where, f"{name}.qmax", f"at least qmin, {row.qmin:g}", row.qmax)
+    found = [joint.name for joint in description.dh.joints]
+    if not set(names) <= set(found):
+        names_read = listed(found) or "none"
+        raise InputError(f"{where}: DH.joints: expected {', '.join(names)} of {expected}, got {names_read}")
+    return description

@@ -1,4 +1,4 @@
-"""The two jaws of an instrument and the far ends of their meshes."""
+"""Detection of an instrument's two jaws and of the tips of their meshes."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from dvrk_cmaes.instrument.model import Instrument, JawTip
 from dvrk_cmaes.instrument.sections import Slicer, edges_of
 
-_END = 0.005  # of the jaw's length: how far short of the last vertex the tip lies
-_LAST_PART = np.linspace(0.01, 0.08, 8)  # of the jaw's length: sections whose middle is the tip's
+_END = 0.005  # distance of the tip from the last vertex, as a fraction of the jaw's length
+_LAST_PART = np.linspace(0.01, 0.08, 8)  # distances of sections from the last vertex, fractions of the jaw's length
 
 
 def find_jaw_tips(instrument: Instrument) -> tuple[JawTip, ...]:
-    """Far ends of the two jaws, each in its jaw link's frame; empty for an instrument without a pair of jaws.
+    """Find the tips of the two jaws, each in its jaw link's frame; empty for an instrument without a pair of jaws.
 
-    The jaws are the two links that one independent joint turns about one axis by opposite angles. Both reach
-    away from that axis in one direction when they are closed (joint at zero). Along that direction a jaw's tip is
-    where its mesh ends, but for half a percent; across it, the middle of the sections through its last part, so
-    that neither single vertices nor teeth decide.
+    The jaws are the two links that one independent joint turns about a common axis by opposite angles. Closed (joint
+    value zero), both extend from that axis in the same direction. Along that direction, a tip is half a percent of the
+    jaw's length before the last vertex of its mesh; across it, the tip is the mean centre of sections through the last
+    part of the jaw, so that it does not depend on single vertices or teeth.
     """
     pair = _opposite_pair(instrument)
     if pair is None:
@@ -28,12 +28,12 @@ def find_jaw_tips(instrument: Instrument) -> tuple[JawTip, ...]:
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
     rotations = [poses[link, :3, :3] for link in pair]
     axes = [instrument.chain.joints[instrument.link_joints[link]].axis for link in pair]
-    reaching = np.zeros(3)
-    for link, turn, axis in zip(pair, rotations, axes, strict=True):
-        reaching += turn @ _farthest(instrument.links[link].vertices, axis)
+    extent = np.zeros(3)
+    for link, rotation, axis in zip(pair, rotations, axes, strict=True):
+        extent += rotation @ _vector_to_farthest(instrument.links[link].vertices, axis)
     tips: list[JawTip] = []
-    for link, turn, axis in zip(pair, rotations, axes, strict=True):
-        direction = turn.T @ reaching
+    for link, rotation, axis in zip(pair, rotations, axes, strict=True):
+        direction = rotation.T @ extent
         direction -= (direction @ axis) * axis
         direction /= np.linalg.norm(direction)
         mesh = instrument.links[link]
@@ -48,7 +48,7 @@ def find_jaw_tips(instrument: Instrument) -> tuple[JawTip, ...]:
 
 
 def _opposite_pair(instrument: Instrument) -> tuple[int, int] | None:
-    """Two links that one joint turns by opposite angles about one axis, or None."""
+    """Find the indices of two links that one joint turns by opposite angles about a common axis; None without such."""
     joints = instrument.chain.joints
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
     turning = [
@@ -66,7 +66,7 @@ def _opposite_pair(instrument: Instrument) -> tuple[int, int] | None:
     return None
 
 
-def _farthest(vertices: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vector (3,) from an axis through the origin to the vertex farthest from it."""
+def _vector_to_farthest(vertices: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the vector (3,) from an axis through the origin to the vertex farthest from the axis."""
     away = vertices - np.outer(vertices @ axis, axis)
     return np.asarray(away[np.argmax(np.linalg.norm(away, axis=1))])

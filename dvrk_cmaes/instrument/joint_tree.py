@@ -1,7 +1,7 @@
-"""Which joints of a robot belong to the instrument, and which of them are independent.
+"""Selection of the joints below the root link of a URDF, and of the independent ones among them.
 
-An independent joint is one that is neither fixed nor a mimic and moves geometry below the root, itself or
-through the joints that mimic it. All other moving joints follow one of these: value = multiplier * it + offset.
+An independent joint is neither fixed nor a mimic joint, and moves geometry below the root link, itself or through
+joints that mimic it. The value of every other moving joint is multiplier * (value of an independent joint) + offset.
 """
 
 from __future__ import annotations
@@ -23,10 +23,14 @@ _MOTIONS: dict[str, Motion] = {
 }
 
 
-def below(robot: Any, root: str, path: Path) -> list[Any]:
-    """Joints below a link, parents before children, branches in the file's order.
+def joints_below(robot: Any, root: str, path: Path) -> list[Any]:
+    """List the joints below a link, parents before children, siblings in the file's order.
 
-    Raises `InputError` for names used twice, joints of links that do not exist, links with two parents, loops.
+    Raises
+    ------
+    InputError
+        A name is used twice, a joint refers to a link that does not exist, a link has two parents, or the joints form
+        a loop.
     """
     links = [link.name for link in robot.links]
     for kind, names in (("link", links), ("joint", [joint.name for joint in robot.joints])):
@@ -55,22 +59,38 @@ def below(robot: Any, root: str, path: Path) -> list[Any]:
 
 
 def build_joints(
-    robot: Any, tree: list[Any], root: str, solid: set[str], path: Path
+    robot: Any, tree: list[Any], root: str, with_geometry: set[str], path: Path
 ) -> tuple[tuple[Joint, ...], tuple[str, ...], NDArray[np.float64]]:
-    """Joints that lead to geometry, names of the independent ones, and their (J, 2) limits.
+    """Build the joints between the root link and the links with geometry.
 
-    tree : joints below the root as from `below`; solid : links with geometry.
+    Parameters
+    ----------
+    robot
+        yourdfpy's ``Robot``.
+    tree
+        Joints below the root link, as returned by `joints_below`.
+    root
+        Name of the root link.
+    with_geometry
+        Names of the links that have geometry.
+    path
+        Path of the URDF, for messages.
+
+    Returns
+    -------
+    joints, joint_names, limits
+        The joints, the names of the J independent ones, and their limits (J, 2), rad or m.
     """
     above = {joint.child: joint for joint in tree}
-    leading: set[str] = set()
-    for link in solid:
-        while link != root and above[link].name not in leading:
-            leading.add(above[link].name)
+    needed: set[str] = set()
+    for link in with_geometry:
+        while link != root and above[link].name not in needed:
+            needed.add(above[link].name)
             link = above[link].parent
-    kept = [joint for joint in tree if joint.name in leading]
-    rules = {joint.name: _rule(robot, joint, path) for joint in kept}
+    relevant = [joint for joint in tree if joint.name in needed]
+    relations = {joint.name: _mimic_relation(robot, joint, path) for joint in relevant}
 
-    drivers = {driver for driver, multiplier, _ in rules.values() if driver is not None and multiplier != 0.0}
+    drivers = {driver for driver, multiplier, _ in relations.values() if driver is not None and multiplier != 0.0}
     order = [joint.name for joint in tree] + [joint.name for joint in robot.joints]
     joint_names = tuple(dict.fromkeys(name for name in order if name in drivers))
     by_name = {joint.name: joint for joint in robot.joints}
@@ -78,8 +98,8 @@ def build_joints(
 
     index_of = {root: -1}
     joints: list[Joint] = []
-    for joint in kept:
-        driver, multiplier, offset = rules[joint.name]
+    for joint in relevant:
+        driver, multiplier, offset = relations[joint.name]
         column = joint_names.index(driver) if driver in joint_names else None
         index_of[joint.child] = len(joints)
         joints.append(
@@ -98,10 +118,10 @@ def build_joints(
     return tuple(joints), joint_names, limits
 
 
-def _rule(robot: Any, joint: Any, path: Path) -> tuple[str | None, float, float]:
-    """Independent joint, multiplier and offset that give a joint's value; mimics of mimics are followed."""
+def _mimic_relation(robot: Any, joint: Any, path: Path) -> tuple[str | None, float, float]:
+    """Return the independent joint, multiplier and offset that give a joint's value; mimic chains are followed."""
     by_name = {other.name: other for other in robot.joints}
-    multiplier, offset, passed = 1.0, 0.0, [joint.name]
+    multiplier, offset, visited = 1.0, 0.0, [joint.name]
     while True:
         if joint.type not in _MOTIONS:
             raise InputError(
@@ -111,16 +131,16 @@ def _rule(robot: Any, joint: Any, path: Path) -> tuple[str | None, float, float]
             return None, 0.0, offset
         if joint.mimic is None:
             return joint.name, multiplier, offset
-        factor, shift = float(joint.mimic.multiplier), float(joint.mimic.offset)
-        if not np.isfinite([factor, shift]).all():
+        target_multiplier, target_offset = float(joint.mimic.multiplier), float(joint.mimic.offset)
+        if not np.isfinite([target_multiplier, target_offset]).all():
             raise InputError(f"{path}: joint {joint.name!r}: mimic: expected a finite multiplier and offset")
-        multiplier, offset = multiplier * factor, offset + multiplier * shift
+        multiplier, offset = multiplier * target_multiplier, offset + multiplier * target_offset
         target = joint.mimic.joint
         if target not in by_name:
             raise InputError(f"{path}: joint {joint.name!r}: mimic: joint {target!r} does not exist")
-        if target in passed:
+        if target in visited:
             raise InputError(f"{path}: joint {joint.name!r}: mimic: expected an end, got a loop through {target!r}")
-        passed.append(target)
+        visited.append(target)
         joint = by_name[target]
 
 
@@ -132,7 +152,7 @@ def _origin(joint: Any, path: Path) -> NDArray[np.float64]:
 
 
 def _axis(joint: Any, path: Path) -> NDArray[np.float64]:
-    """Axis of a joint: of unit length where it turns, as stated where it slides (yourdfpy's convention)."""
+    """Return the axis (3,) of a joint: normalised for a revolute joint, as stated for a prismatic one (as yourdfpy)."""
     axis = np.asarray(joint.axis, dtype=np.float64)
     if joint.type == "fixed":
         return np.array([1.0, 0.0, 0.0])

@@ -1,8 +1,8 @@
-"""Forward kinematics of a tree of joints, for whole batches of joint values at once.
+"""Forward kinematics of a tree of joints for batches of joint values.
 
-A moving joint's transform is affine in (sin q, cos q) when it turns (Rodrigues' formula,
-``R = I + sin q K + (1 - cos q) K^2`` with ``K`` the cross-product matrix of the axis) and affine in q when it
-slides. The constant matrices are formed once; per batch each joint costs one sum and one product.
+The transform of a revolute joint is affine in (sin q, cos q) by Rodrigues' formula,
+``R = I + sin q K + (1 - cos q) K^2`` with ``K`` the cross-product matrix of the axis; that of a prismatic joint is
+affine in q. The constant matrices are computed once; each batch needs one matrix sum and one matrix product per joint.
 """
 
 from __future__ import annotations
@@ -19,29 +19,28 @@ Motion = Literal["fixed", "revolute", "prismatic"]
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint of the tree and the link below it.
+    """One joint of the tree and its child link.
 
-    The joint's value is ``multiplier * joints[..., driver] + offset``; a joint that nothing drives
-    (``driver`` None) keeps the value ``offset``.
+    The joint's value is ``multiplier * joints[..., driver] + offset``; without a ``driver`` it is ``offset``.
 
     Parameters
     ----------
     name
         Name of the joint.
     child
-        Name of the link below.
+        Name of the child link.
     parent
         Index of the joint whose child link is this joint's parent link; -1 for the root link.
     motion
-        How the child moves: not at all, about the axis, or along it.
+        Kind of motion of the child link: none, rotation about the axis, or translation along it.
     parent_from_joint : (4, 4)
-        The child's frame in the parent's when the value is zero.
+        Pose of the child frame in the parent frame at value zero.
     axis : (3,)
-        Unit axis of a turning joint; metres per unit of value of a sliding one. In the joint's frame.
+        In the joint's frame: a unit vector for a revolute joint, metres per unit of value for a prismatic one.
     driver
-        Column of the independent joint that moves this one, or None.
+        Column of the independent joint that determines this one's value, or None.
     multiplier, offset
-        As above.
+        Factor and constant of the formula above.
     """
 
     name: str
@@ -56,18 +55,19 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether an independent joint moves this one."""
+        """Whether the value of an independent joint changes this joint's transform."""
         return self.motion != "fixed" and self.driver is not None and self.multiplier != 0.0
 
 
 def _cross_matrix(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cross-product matrix (3, 3) of a vector (3,)."""
     x, y, z = axis
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A tree of joints below a root link, in an order where every parent comes before its children."""
+    """A tree of joints below a root link, ordered so that every parent precedes its children."""
 
     joints: tuple[Joint, ...]
     _terms: tuple[tuple[NDArray[np.float64], ...], ...] = field(init=False, repr=False)
@@ -77,7 +77,7 @@ class Chain:
 
     @staticmethod
     def _constant_terms(joint: Joint) -> tuple[NDArray[np.float64], ...]:
-        """Matrices whose sum, weighted with 1, sin q, cos q (or with 1, q), is the joint's transform."""
+        """Compute the matrices whose sum with weights 1, sin q, cos q (or 1, q) is the joint's transform."""
         origin = np.asarray(joint.parent_from_joint, dtype=np.float64)
         if joint.motion == "fixed":
             return (origin,)
@@ -93,7 +93,7 @@ class Chain:
         return (origin @ constant, origin @ moving, origin @ cosine)
 
     def joint_transform(self, index: int, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Parent link from child link of one joint: (4, 4) if nothing moves it, else (..., 4, 4)."""
+        """Compute parent_from_child of one joint: (4, 4) for a fixed value, else (..., 4, 4)."""
         joint, terms = self.joints[index], self._terms[index]
         value: NDArray[np.float64] = np.asarray(joint.offset)
         if joint.driver is not None:
@@ -105,32 +105,33 @@ class Chain:
             return np.asarray(terms[0] + value * terms[1])
         return np.asarray(terms[0] + np.sin(value) * terms[1] + np.cos(value) * terms[2])
 
-    def forward(self, joints: ArrayLike, wanted: Sequence[int]) -> NDArray[np.float64]:
-        """Poses of some links in the root link's frame.
+    def forward(self, joints: ArrayLike, selected: Sequence[int]) -> NDArray[np.float64]:
+        """Compute the poses of selected links in the root link's frame.
 
         Parameters
         ----------
         joints : (..., J)
             Values of the independent joints, rad or m.
-        wanted
-            Indices of joints, whose child links' poses are asked for; -1 stands for the root link.
+        selected
+            Indices of the joints whose child links' poses are returned; -1 denotes the root link.
 
         Returns
         -------
-        root_from_link : (..., len(wanted), 4, 4)
+        (..., len(selected), 4, 4)
+            root_from_link of each.
         """
         values = np.asarray(joints, dtype=np.float64)
         poses: list[NDArray[np.float64]] = []
         for index, joint in enumerate(self.joints):
             local = self.joint_transform(index, values)
             poses.append(local if joint.parent < 0 else poses[joint.parent] @ local)
-        out = np.empty((*values.shape[:-1], len(wanted), 4, 4))
-        for column, index in enumerate(wanted):
+        out = np.empty((*values.shape[:-1], len(selected), 4, 4))
+        for column, index in enumerate(selected):
             out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
         return out
 
     def path(self, index: int) -> list[int]:
-        """Joints from the root down to (and with) one joint."""
+        """List the indices of the joints from the root link to one joint, inclusive."""
         path: list[int] = []
         while index >= 0:
             path.append(index)

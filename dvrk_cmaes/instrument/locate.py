@@ -1,4 +1,4 @@
-"""Where the mesh file named in a URDF lies: relative and absolute paths, ``file://`` and ``package://``."""
+"""Resolution of mesh file names in a URDF: relative and absolute paths, ``file://`` and ``package://``."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ _MOST_TRIED = 6  # paths listed in a message
 
 
 def find_mesh(filename: str, urdf: Path, packages: Mapping[str, Path], where: str) -> Path:
-    """Path of an existing mesh file.
+    """Return the path of an existing mesh file.
 
-    ``package://NAME/rest`` is looked for in ``packages[NAME]`` if that is given; otherwise, from the URDF's
-    folder upwards, in a folder called NAME, in one holding a folder NAME, and in one whose package.xml names
-    the package NAME. Such a path must stay inside its package.
+    ``package://NAME/rest`` is resolved in ``packages[NAME]`` if that is given. Otherwise the URDF's folder and its
+    parents are searched for a folder called NAME, a folder containing a folder NAME, and a folder whose package.xml
+    declares the package NAME. Such a path must not leave its package.
 
     Parameters
     ----------
     filename
-        As in the URDF.
+        The file name as written in the URDF.
     urdf
-        Path of the URDF; relative names start at its folder.
+        Path of the URDF; relative names are relative to its folder.
     packages
-        Folder of each package that is known.
+        Folder of each known package, by package name.
     where
-        Opening words of messages.
+        Prefix of error messages.
 
     Raises
     ------
     InputError
-        Nothing there (with the paths tried), a path out of its package, or an unknown scheme.
+        No such file (the message lists the paths tried), a path that leaves its package, or an unknown scheme.
     """
     folder = urdf.resolve().parent
     if filename.startswith(_PACKAGE):
@@ -58,6 +58,7 @@ def find_mesh(filename: str, urdf: Path, packages: Mapping[str, Path], where: st
 
 
 def _in_package(filename: str, folder: Path, packages: Mapping[str, Path], where: str) -> Iterator[Path]:
+    """Yield the candidate paths of a ``package://`` name; ``folder`` is the URDF's."""
     name, _, inside = filename.removeprefix(_PACKAGE).partition("/")
     if not name or name in (".", "..") or "\\" in filename:
         raise InputError(f"{where}: mesh {filename}: expected package://NAME/path/of/the/mesh")
@@ -80,7 +81,7 @@ def _in_package(filename: str, folder: Path, packages: Mapping[str, Path], where
 
 
 def _package_name(manifest: Path) -> str | None:
-    """Name of a ROS package from its manifest, None if there is none."""
+    """Read the name of a ROS package from its manifest; None if the file or the name is missing."""
     try:
         text = manifest.read_text(encoding="utf-8", errors="replace")[:20_000]
     except OSError:

@@ -1,4 +1,4 @@
-"""What is measured on an instrument's meshes when it is loaded: shaft, jaw tips, likeness to its mirror twin."""
+"""Measurements on an instrument's meshes: shaft, jaw tips, and similarity to its mirror twin."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument.cylinder import Cylinder, find_cylinder
 from dvrk_cmaes.instrument.jaws import find_jaw_tips
 from dvrk_cmaes.instrument.model import Instrument, Shaft
-from dvrk_cmaes.instrument.symmetry import looks_like_its_twin
+from dvrk_cmaes.instrument.symmetry import resembles_twin
 
 Axis = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def measured(instrument: Instrument, *, radius: float | None = None, axis: Axis | None = None) -> Instrument:
-    """Complete an instrument with its shaft, jaw tips and whether it has a mirror twin.
+def with_measurements(instrument: Instrument, *, radius: float | None = None, axis: Axis | None = None) -> Instrument:
+    """Return an instrument with its shaft, jaw tips and ``has_twin`` measured on its meshes.
 
     Parameters
     ----------
     instrument
-        One without shaft and tips.
+        Instrument whose shaft, jaw tips and ``has_twin`` are replaced.
     radius
-        In metres, instead of the measured one.
+        Shaft radius, m, to use instead of the measured one.
     axis
-        Point (3,) in metres and unit direction (3,), distal, in the root link's frame, instead of the measured one.
+        Point (3,), m, and distal unit direction (3,) in the root link's frame, to use instead of the measured axis.
 
     Raises
     ------
     InputError
-        A radius that is not positive; a radius or an axis alone where the other cannot be measured.
+        The radius is not positive, or only one of radius and axis is given and the other cannot be measured.
     """
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise InputError(f"shaft_radius: expected a positive number of metres, got {radius!r}")
     instrument = replace(instrument, shaft=_shaft(instrument, radius, axis))
     instrument = replace(instrument, jaw_tips=find_jaw_tips(instrument))
-    return replace(instrument, has_twin=looks_like_its_twin(instrument))
+    return replace(instrument, has_twin=resembles_twin(instrument))
 
 
 def _shaft(instrument: Instrument, radius: float | None, axis: Axis | None) -> Shaft | None:
-    """Shaft on the first link with a cylinder whose axis stays put and at whose end the wrist begins."""
+    """Find the cylinder of the first link on which no joint moves the axis and the wrist lies beyond one end."""
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
     for index, link in enumerate(instrument.links):
         vertices = link.vertices @ poses[index, :3, :3].T + poses[index, :3, 3]
         found = find_cylinder(vertices, link.faces, axis)
-        if found is None or not _stays(instrument, index, found):
+        if found is None or not _has_fixed_axis(instrument, index, found):
             continue
-        cylinder = _ending_at_the_wrist(instrument, index, found, turn=axis is None)
+        cylinder = _oriented_to_wrist(instrument, index, found, may_reverse=axis is None)
         if cylinder is not None:
             return Shaft(
                 point=cylinder.point,
@@ -69,8 +69,8 @@ def _shaft(instrument: Instrument, radius: float | None, axis: Axis | None) -> S
     return Shaft(axis[0], axis[1], radius, distal_end=float(along.max()), proximal_end=float(along.min()))
 
 
-def _stays(instrument: Instrument, index: int, cylinder: Cylinder) -> bool:
-    """Whether a link's cylinder keeps its axis whatever the joints: on the root, or on a link that rolls about it."""
+def _has_fixed_axis(instrument: Instrument, index: int, cylinder: Cylinder) -> bool:
+    """Whether no joint value moves the axis of a link's cylinder, as on the root link or a link rolling about it."""
     if instrument.link_joints[index] < 0:
         return True
     weights = np.random.default_rng(0).uniform(size=(8, len(instrument.joint_names)))
@@ -82,16 +82,17 @@ def _stays(instrument: Instrument, index: int, cylinder: Cylinder) -> bool:
     return bool(np.linalg.norm(shifts, axis=-1).max() < 1e-4)
 
 
-def _ending_at_the_wrist(instrument: Instrument, index: int, cylinder: Cylinder, *, turn: bool) -> Cylinder | None:
-    """Point a link's cylinder towards the links below it; None if they do not lie beyond one of its ends.
+def _oriented_to_wrist(instrument: Instrument, index: int, cylinder: Cylinder, *, may_reverse: bool) -> Cylinder | None:
+    """Orient a link's cylinder towards the links below it; None if these do not lie beyond one of its ends.
 
-    A wrist pin is a cylinder too, but what hangs on it lies about its middle. An instrument of one link is all
-    shaft, and points towards positive coordinates. Without `turn` the direction is left as it is.
+    This excludes wrist pins: the links below them lie between the ends of the cylinder. The cylinder of an instrument
+    with a single link is oriented so that the largest component of its direction is positive. Without
+    ``may_reverse`` the direction is not changed.
     """
     others = [k for k in range(len(instrument.links)) if k != index]
     if not others:
         positive = cylinder.direction[np.argmax(np.abs(cylinder.direction))] > 0
-        return cylinder if positive or not turn else _turned(cylinder)
+        return cylinder if positive or not may_reverse else _reversed(cylinder)
     above = instrument.link_joints[index]
     below = [k for k in others if above < 0 or above in instrument.chain.path(instrument.link_joints[k])]
     if not below:
@@ -101,8 +102,9 @@ def _ending_at_the_wrist(instrument: Instrument, index: int, cylinder: Cylinder,
     along = float(np.mean(middles, axis=0) @ cylinder.direction)
     if cylinder.low <= along <= cylinder.high:
         return None
-    return _turned(cylinder) if turn and along < cylinder.low else cylinder
+    return _reversed(cylinder) if may_reverse and along < cylinder.low else cylinder
 
 
-def _turned(cylinder: Cylinder) -> Cylinder:
+def _reversed(cylinder: Cylinder) -> Cylinder:
+    """Return the same cylinder with the opposite direction."""
     return Cylinder(cylinder.point, -cylinder.direction, cylinder.radius, -cylinder.high, -cylinder.low)

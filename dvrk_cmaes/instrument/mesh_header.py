@@ -1,7 +1,8 @@
-"""What a mesh file says of itself, held against its size before a parser believes it.
+"""Check of the sizes stated in a mesh file's header against the file's size, before the file is parsed.
 
-A parser takes memory for as many faces as a header claims, or takes a file that was cut off for one of another kind.
-STL: 80 bytes, the number of faces, 50 bytes each; text instead begins with "solid". PLY: "element NAME COUNT" lines.
+Parsers allocate memory for the number of faces stated in the header, and may take a truncated file for one of another
+format. A binary STL has a header of 80 bytes, the number of faces, and 50 bytes for each face; a text STL begins with
+"solid". A PLY header has a line "element NAME COUNT" for each element.
 """
 
 from __future__ import annotations
@@ -13,20 +14,20 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import check_file
 
-_LARGEST = 500_000_000  # bytes; scanned instruments have some ten million
+_LARGEST = 500_000_000  # bytes; meshes of scanned instruments have about ten million
 _LFS_POINTER = b"version https://git-lfs"
-_HEADER = 100_000  # bytes, more than any PLY's header has
+_HEADER = 100_000  # bytes; longer than a PLY header
 _STL_HEADER, _STL_FACE = 84, 50  # bytes
 _PLY_ELEMENT = re.compile(rb"^element\s+(\S+)\s+(\d+)\s*$", re.MULTILINE)
 
 
-def check_claims(path: Path) -> None:
-    """Refuse a mesh file that cannot be what its name and header say.
+def check_header_sizes(path: Path) -> None:
+    """Check that a mesh file is as large as its header states.
 
     Raises
     ------
     InputError
-        Not a regular file, over 500 MB, a Git LFS pointer, or shorter than what it claims to hold.
+        The file is not a regular file, over 500 MB, a Git LFS pointer, or smaller than its header states.
     """
     check_file(path, expected="a mesh file", largest=_LARGEST)
     try:
@@ -45,8 +46,8 @@ def check_claims(path: Path) -> None:
             raise InputError(f"{path}: cut off or no STL: expected {whole} bytes of {faces} faces, got {size}")
     if suffix == ".ply":
         for name, count in _PLY_ELEMENT.findall(head.partition(b"end_header")[0]):
-            if len(count) > len(str(_LARGEST)) or int(count) > size:  # each takes a byte at least
-                claimed = count[:20].decode()
+            if len(count) > len(str(_LARGEST)) or int(count) > size:  # an entry has at least one byte
+                stated = count[:20].decode()
                 raise InputError(
-                    f"{path}: element {name[:20].decode(errors='replace')}: {claimed} are claimed, in {size} bytes"
+                    f"{path}: element {name[:20].decode(errors='replace')}: {stated} are claimed, in {size} bytes"
                 )

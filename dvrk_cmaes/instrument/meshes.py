@@ -1,4 +1,4 @@
-"""Mesh files to welded triangles: STL, OBJ, DAE and PLY, with one clear line for every file that will not do."""
+"""Reader of mesh files (STL, OBJ, DAE, PLY) as welded triangle meshes."""
 
 from __future__ import annotations
 
@@ -10,46 +10,46 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.geometry import apply
-from dvrk_cmaes.instrument.mesh_header import check_claims
+from dvrk_cmaes.instrument.mesh_header import check_header_sizes
 from dvrk_cmaes.io.plain_xml import parse_xml
 
-#: Kinds of mesh file that can be read.
+#: Suffixes of the mesh formats that can be read.
 SUFFIXES = (".stl", ".obj", ".dae", ".ply")
 
-#: Largest believable extent of one mesh, m.
+#: Largest extent of one mesh that is accepted, m; a larger one is likely to be in millimetres.
 LARGEST_EXTENT = 5.0
 
 _LARGEST_COORDINATE = 1e9
-_WELD = 1e-8  # of the mesh's diagonal
-_FLAT = 1e-7  # height over length below which a triangle counts as a line: float32's resolution
+_WELD = 1e-8  # grid size for merging vertices, as a fraction of the bounding box's diagonal
+_FLAT = 1e-7  # height / longest side below which a triangle is degenerate; the resolution of float32
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read a mesh file, units as in the file.
+    """Read a mesh file as welded triangles, in the file's units (DAE: in metres).
 
     Returns
     -------
     vertices : (V, 3) float64
     faces : (F, 3) int32
-        Welded, without degenerate or repeated faces.
+        Vertices are welded; there are no degenerate or repeated faces.
 
     Raises
     ------
     InputError
-        The file is unreadable, of an unknown kind, a Git LFS pointer, without faces, or has vertices that are
-        not finite.
+        The file cannot be read, is of an unknown format or a Git LFS pointer, has no faces, or has coordinates that
+        are not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: cannot read a mesh of kind {suffix!r}; expected one of {', '.join(SUFFIXES)}")
-    check_claims(path)
+    check_header_sizes(path)
     try:
         places, corners = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path)
     except InputError:
         raise
-    except Exception as error:  # parsers raise anything from struct.error to AttributeError
+    except Exception as error:  # the parsers raise exceptions of many types, e.g. struct.error, AttributeError
         raise InputError(f"{path}: cannot be read as {suffix[1:].upper()}: {one_line(error)}") from None
     if len(places) == 0 or len(corners) == 0:
         raise InputError(f"{path}: an empty mesh: {len(places)} vertices, {len(corners)} faces; expected a surface")
@@ -64,11 +64,11 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Read a PLY whose faces may be triangles and n-gons mixed; n-gons become fans from their first corner."""
+    """Read a PLY; polygons with more than three corners become triangle fans about their first corner."""
     from plyfile import PlyData, PlyElementParseError
 
     names = ("vertex_indices", "vertex_index")
-    try:  # far quicker when all faces are triangles
+    try:  # much faster, if all faces are triangles
         ply: Any = PlyData.read(str(path), known_list_len={"face": dict.fromkeys(names, 3)})
     except (PlyElementParseError, ValueError):
         ply = PlyData.read(str(path))
@@ -85,12 +85,13 @@ def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _fan(polygon: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Split a polygon (N,) of vertex indices into triangles (N - 2, 3) about its first corner."""
     first = np.full(max(len(polygon) - 2, 0), polygon[0] if len(polygon) else 0)
     return np.stack([first, polygon[1:-1][: len(first)], polygon[2:][: len(first)]], axis=1)
 
 
 def _read_with_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Read STL, OBJ or DAE; a DAE states its unit, and comes back in metres."""
+    """Read STL, OBJ or DAE; a DAE file states its unit and is converted to metres."""
     import trimesh
 
     unit = _dae_unit(path) if path.suffix.lower() == ".dae" else 1.0
@@ -101,7 +102,7 @@ def _read_with_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int6
 
 
 def _dae_unit(path: Path) -> float:
-    """Metres per unit of a DAE file; trimesh reads past it. Its up axis is of no account in a URDF."""
+    """Read the metres per unit of a DAE file, which trimesh ignores; a URDF ignores the file's up axis."""
     unit = parse_xml(path, path.read_bytes()).find("{*}asset/{*}unit")
     metres = float(unit.get("meter", "1")) if unit is not None else 1.0
     if not (np.isfinite(metres) and metres > 0):
@@ -110,9 +111,19 @@ def _dae_unit(path: Path) -> float:
 
 
 def weld(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Triangles:
-    """Merge vertices at one place, drop degenerate and repeated faces and vertices without a face.
+    """Merge coincident vertices; remove degenerate and repeated faces, and vertices without a face.
 
-    vertices (V, 3), faces (F, 3) to the same with possibly fewer rows; the faces' order and winding stay.
+    Parameters
+    ----------
+    vertices : (V, 3)
+        Positions.
+    faces : (F, 3)
+        Vertex indices.
+
+    Returns
+    -------
+    vertices, faces
+        Arrays of the same kind with at most as many rows; the order and winding of the faces are kept.
     """
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if diagonal == 0.0:
@@ -125,16 +136,24 @@ def weld(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Triangles:
     sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
     doubled = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     merged = merged[doubled > _FLAT * sides.max(axis=1, initial=0.0) ** 2]
-    _, kept = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
-    merged = merged[np.sort(kept)]
+    _, distinct = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+    merged = merged[np.sort(distinct)]
     used, renumbered = np.unique(merged, return_inverse=True)
     return places[used], renumbered.reshape(-1, 3).astype(np.int32)
 
 
-def place(triangles: Triangles, link_from_mesh: NDArray[np.float64], scale: NDArray[np.float64]) -> Triangles:
-    """Scale a mesh, then move it into its link's frame; a mirroring scale turns the faces' winding back.
+def to_link_frame(triangles: Triangles, link_from_mesh: NDArray[np.float64], scale: NDArray[np.float64]) -> Triangles:
+    """Scale a mesh and transform it into its link's frame.
 
-    triangles : vertices (V, 3) and faces (F, 3); link_from_mesh : (4, 4); scale : (3,), negative values mirror.
+    Parameters
+    ----------
+    triangles
+        Vertices (V, 3) and faces (F, 3).
+    link_from_mesh : (4, 4)
+        Pose of the scaled mesh in the link's frame.
+    scale : (3,)
+        Factor along each axis. If their product is negative, the winding of the faces is reversed, so that normals
+        still point outwards.
     """
     vertices, faces = triangles
     moved = apply(link_from_mesh, vertices * scale)

@@ -1,6 +1,6 @@
-"""What the rest of the package knows of an instrument: meshes, joints, shaft, jaw tips, mirror twin.
+"""Model of an articulated instrument: meshes, joints, shaft, jaw tips, mirror twin.
 
-Nothing here reads a file; :func:`dvrk_cmaes.instrument.load_instrument` builds an `Instrument` from a URDF.
+:func:`dvrk_cmaes.instrument.load_instrument` builds an `Instrument` from a URDF; this module reads no files.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dvrk_cmaes.instrument.kinematics import Chain
 #: Joints that change sign in the mirror twin.
 TWIN_JOINTS = ("wrist_pitch", "wrist_yaw")
 
-_SKELETON_STEP = 0.01  # m between the skeleton's points along the shaft
+_SKELETON_STEP = 0.01  # m; largest distance between the skeleton's points along the shaft
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +28,12 @@ class Link:
     Parameters
     ----------
     name
-        The URDF's.
+        Name in the URDF.
     vertices : (V, 3) float64
-        In metres; those of one mesh file welded, so that neighbouring faces share them.
+        In metres; vertices from one mesh file are welded, so that neighbouring faces share them.
     faces : (F, 3) int32
-        Counter-clockwise seen from outside where the mesh file has them so; none degenerate.
+        Vertex indices, with the winding of the mesh file (counter-clockwise seen from outside, by convention); none is
+        degenerate.
     """
 
     name: str
@@ -51,10 +52,10 @@ class Shaft:
     direction : (3,)
         Unit vector along the axis, distal (towards the wrist).
     radius
-        Half the width of the silhouette, m, averaged over all directions of view: for a mesh with flat sides
-        between the radii of the circles in and around it.
+        Half the width of the silhouette, m, averaged over all viewing directions; for a prism it lies between the
+        radii of the inscribed and the circumscribed circle.
     distal_end, proximal_end
-        Coordinates along `direction` from `point`, m, where the straight part ends; flange and wrist lie beyond.
+        Coordinates of the ends of the straight part along `direction` from `point`, m; flange and wrist lie beyond.
     """
 
     point: NDArray[np.float64]
@@ -70,7 +71,7 @@ class Shaft:
 
 
 class JawTip(NamedTuple):
-    """Far end of one jaw: index into `Instrument.links` and (3,) position in that link's frame, m."""
+    """Tip of one jaw: index into `Instrument.links` and position (3,) in that link's frame, m."""
 
     link: int
     position: NDArray[np.float64]
@@ -78,36 +79,36 @@ class JawTip(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """An articulated instrument from its root link down.
+    """An articulated instrument: the root link and all links below it.
 
     Parameters
     ----------
     name
-        The URDF's name of the robot.
+        Name of the robot in the URDF.
     root_link
-        Link whose pose is sought; the poses of all others follow from the joints.
+        Link whose pose is estimated; the poses of all others follow from the joint values.
     links
-        Those with geometry, the root first if it has any; L of them.
+        The L links with geometry, the root link first if it has any.
     joint_names
-        Independent joints that move geometry, in the order of the chain; J of them.
+        The J independent joints that move geometry, in the order of the chain.
     limits : (J, 2)
-        Lower and upper, rad or m; -pi and pi for a continuous joint.
+        Lower and upper limits of the independent joints, rad or m; -pi and pi for a continuous joint.
     shaft
-        The cylinder seen as two straight edges, None if there is none.
+        The cylinder whose silhouette is two straight edges; None if there is none.
     jaw_tips
-        Two, or none for an instrument without a pair of jaws.
+        Tips of the two jaws; empty for an instrument without a pair of jaws.
     chain
         The joints between the links.
     link_joints
-        Of each link, the index in the chain of the joint above it; -1 for the root link.
+        For each link, the index in the chain of its parent joint; -1 for the root link.
     has_twin
-        Whether the mirror twin of a pose looks the same but for small details (see `twin`).
+        Whether the mirror twin of a pose has nearly the same silhouette (see `twin`).
     limits_from
-        Where the limits are from: the URDF, or the name of a tool's description.
+        Source of the limits: ``URDF``, or the name of a tool's description file.
     roll_offset
-        D of the tool's roll joint, m: where the root lies along the shaft (see `dvrk_cmaes.instrument.arm`).
+        DH parameter d of the tool's roll joint, m (see `dvrk_cmaes.instrument.arm`).
     roll_limits
-        Lower and upper of the roll joint, rad, where they are known.
+        Lower and upper limit of the roll joint, rad; None if not known.
     """
 
     name: str
@@ -125,6 +126,7 @@ class Instrument:
     roll_limits: tuple[float, float] | None = None
 
     def _values(self, joints: ArrayLike) -> NDArray[np.float64]:
+        """Check joint values (..., J) and convert them to an array."""
         values = np.asarray(joints, dtype=np.float64)
         if values.ndim == 0 or values.shape[-1] != len(self.joint_names):
             raise InputError(
@@ -134,14 +136,22 @@ class Instrument:
         return values
 
     def forward(self, joints: ArrayLike) -> NDArray[np.float64]:
-        """Forward kinematics: (..., J) joint values to (..., L, 4, 4) root_from_link, in the order of `links`.
+        """Compute root_from_link (..., L, 4, 4) in the order of `links` from joint values (..., J).
 
-        Joint values beyond the limits are taken as they are. Raises `InputError` for a wrong number of joints.
+        Joint values beyond the limits are not clipped.
+
+        Raises
+        ------
+        InputError
+            The last axis does not have J values.
         """
         return self.chain.forward(self._values(joints), self.link_joints)
 
     def tips(self, joints: ArrayLike) -> NDArray[np.float64]:
-        """Jaw tips in the root link's frame: (..., J) joint values to (..., 2, 3) m; (..., 0, 3) without jaws."""
+        """Compute the jaw tips in the root link's frame, m, from joint values (..., J).
+
+        The result has the shape (..., 2, 3), or (..., 0, 3) for an instrument without a pair of jaws.
+        """
         values = self._values(joints)
         if not self.jaw_tips:
             return np.empty((*values.shape[:-1], 0, 3))
@@ -150,18 +160,18 @@ class Instrument:
         return np.asarray((poses[..., :3, :3] @ positions[:, :, None])[..., 0] + poses[..., :3, 3])
 
     def joint_index(self, name: str) -> int:
-        """Column of a joint in `joint_names`. Raises `InputError` with the known names, the likeliest first."""
+        """Return the index of a joint in `joint_names`; InputError for an unknown name, with the known ones."""
         if name not in self.joint_names:
             known = ", ".join(nearest_first(name, self.joint_names)) or "none"
             raise InputError(f"{self.name}: unknown joint {name!r}; expected one of: {known}")
         return self.joint_names.index(name)
 
     def skeleton(self, joints: ArrayLike) -> NDArray[np.float64]:
-        """Points that sketch the instrument in one configuration, for drawing.
+        """Compute the points of a skeleton of the instrument in one configuration, for drawing.
 
-        Along the shaft from its proximal to its distal end, at most a centimetre apart, then the origins of
-        the joints from the wrist to the jaws (pitch axis, yaw axis), then the jaw tips. All but the tips form
-        one polyline; each tip joins its last point.
+        The points are: points along the shaft from its proximal to its distal end, at most a centimetre apart; the
+        origins of the joints from the wrist to the jaws (pitch axis, yaw axis); the jaw tips. All but the tips form
+        one polyline, and each tip is connected to its last point.
 
         Parameters
         ----------
@@ -170,8 +180,8 @@ class Instrument:
 
         Returns
         -------
-        points : (K, 3)
-            In metres, in the root link's frame; the last ``len(jaw_tips)`` are the tips.
+        (K, 3)
+            Points in the root link's frame, m; the last ``len(jaw_tips)`` are the tips.
         """
         values = self._values(joints)
         points = [np.empty((0, 3))]
@@ -186,19 +196,19 @@ class Instrument:
         return np.concatenate(points)
 
     def _hinges(self) -> list[int]:
-        """List the moving joints on the way to the jaws, without those that stay where the one before is."""
+        """List the joints from the first moving one to the jaws, without those at the origin of their parent joint."""
         last = self.jaw_tips[0].link if self.jaw_tips else len(self.links) - 1
         hinges: list[int] = []
         for index in self.chain.path(self.link_joints[last]):
             joint = self.chain.joints[index]
-            stays = joint.motion != "prismatic" and not np.any(joint.parent_from_joint[:3, 3])
-            if (joint.moves and not hinges) or (hinges and not stays):
+            coincident = joint.motion != "prismatic" and not np.any(joint.parent_from_joint[:3, 3])
+            if (joint.moves and not hinges) or (hinges and not coincident):
                 hinges.append(index)
         return hinges
 
     @property
     def reach(self) -> float:
-        """Largest distance, m, of the links below the root from the root link's origin, all joints at zero."""
+        """Largest distance of a vertex below the root link from the root link's origin, all joints at zero, m."""
         poses = self.forward(np.zeros(len(self.joint_names)))
         below = [k for k, joint in enumerate(self.link_joints) if joint >= 0] or range(len(self.links))
         return max(
@@ -207,10 +217,10 @@ class Instrument:
         )
 
     def half_turn(self) -> NDArray[np.float64]:
-        """Half a turn about the roll axis, (4, 4) in the root link's frame.
+        """Return the rotation by half a turn about the roll axis, (4, 4) in the root link's frame.
 
-        The roll axis is the root's z axis where the shaft runs along it (the dVRK's convention), otherwise the
-        measured axis of the shaft.
+        The roll axis is the root link's z axis if the shaft lies on it (the dVRK's convention), otherwise the measured
+        axis of the shaft.
         """
         direction, point = np.array([0.0, 0.0, 1.0]), np.zeros(3)
         if self.shaft is not None and (
@@ -223,10 +233,9 @@ class Instrument:
         return turn
 
     def twin(self, camera_from_root: ArrayLike, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Give the mirror twin: roll half a turn further, wrist pitch and yaw negated, all else the same.
+        """Compute the mirror twin: the pose rolled by half a turn about the shaft, wrist pitch and yaw negated.
 
-        Its silhouette is nearly that of the pose itself where `has_twin` is true. The twin of the twin is the
-        pose itself.
+        If `has_twin` is true, the twin has nearly the same silhouette as the pose. The twin of the twin is the pose.
 
         Parameters
         ----------
@@ -238,7 +247,7 @@ class Instrument:
         Returns
         -------
         camera_from_root, joints
-            Those of the twin, in the same shapes.
+            Pose and joint values of the twin, in the same shapes.
         """
         values = self._values(joints).copy()
         for name in TWIN_JOINTS:

@@ -1,4 +1,4 @@
-"""Plane sections through a mesh, each reduced to its convex hull: the part that makes the silhouette."""
+"""Plane sections of a mesh, described by their convex hulls, which determine the silhouette."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from numpy.typing import NDArray
 
 
 class Section(NamedTuple):
-    """Convex hull of a plane section.
+    """Measures of the convex hull of a plane section.
 
     Parameters
     ----------
     centre : (2,)
-        Centroid of its area, m, in the plane's basis.
+        Centroid of the area, m, in the plane's basis.
     half_width
-        Half the width of its shadow, m, averaged over all directions: perimeter / (2 pi), by Cauchy's formula for
-        the mean width of a convex body.
+        Half the mean width over all directions in the plane, m: perimeter / (2 pi), by Cauchy's formula.
     roundness
         4 pi area / perimeter^2: 1 for a disc, 0.95 for an octagon, 0.79 for a square.
     """
@@ -28,25 +27,25 @@ class Section(NamedTuple):
 
 
 def plane_basis(normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Two unit vectors (2, 3) that make a right-handed basis with a unit normal (3,)."""
+    """Return two unit vectors (2, 3) that form a right-handed basis with a unit normal (3,)."""
     first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])
 
 
 def edges_of(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Each edge once: (F, 3) faces to (E, 2) vertex indices, the smaller first."""
+    """Return the distinct edges of faces (F, 3) as vertex indices (E, 2), the smaller index first."""
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     return np.asarray(np.unique(pairs, axis=0))
 
 
 class Slicer:
-    """Sections of one mesh by planes across a fixed direction.
+    """Computes plane sections of one mesh perpendicular to a fixed direction.
 
     Parameters
     ----------
     vertices : (V, 3)
-        In metres.
+        Vertices of the mesh, m.
     edges : (E, 2)
         Vertex indices.
     direction : (3,)
@@ -65,7 +64,7 @@ class Slicer:
         self._foot, self._head = flat[edges[rows, 1 - upper]], flat[edges[rows, upper]]
 
     def at(self, height: float) -> Section | None:
-        """Section at a coordinate along the direction, m; None where the plane misses the mesh."""
+        """Compute the section at a coordinate along the direction, m; None if the plane does not cut the mesh."""
         from scipy.spatial import ConvexHull, QhullError
 
         cut = (self._bottom <= height) & (self._top > height)
@@ -75,14 +74,14 @@ class Slicer:
         points = foot + ((height - bottom) / (top - bottom))[:, None] * (head - foot)
         try:
             hull = ConvexHull(points)
-        except QhullError:  # all points on one line
+        except QhullError:  # all points lie on a line
             return None
         outline = points[hull.vertices]
         return _section(outline - outline[0], outline[0])
 
 
 def _section(outline: NDArray[np.float64], start: NDArray[np.float64]) -> Section:
-    """Measure a convex polygon (N, 2) in order, given relative to one of its corners."""
+    """Measure a convex polygon (N, 2) with ordered corners relative to ``start`` (2,)."""
     following = np.roll(outline, -1, axis=0)
     cross = outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]
     area = cross.sum() / 2.0

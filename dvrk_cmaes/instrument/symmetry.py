@@ -1,4 +1,4 @@
-"""Whether an instrument looks the same as its mirror twin (see `Instrument.twin`)."""
+"""Comparison of an instrument's surface with that of its mirror twin (see `Instrument.twin`)."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument.model import TWIN_JOINTS, Instrument
 
-_QUERIES = 10_000  # points whose distance is measured
-_TARGETS = 60_000  # points they are measured to: some 0.1 mm apart
+_QUERIES = 10_000  # points whose distance to the other surface is computed
+_TARGETS = 60_000  # points sampled on each surface, about 0.1 mm apart
 _TOLERANCE = 0.5e-3  # m
 _PERCENTILE = 95.0
 
 
 def twin_distance(instrument: Instrument) -> float:
-    """Distance between the surfaces of wrist and jaws and those of the twin: its 95th percentile, m.
+    """Compute the 95th percentile of the distance between the wrist and jaw surfaces of a pose and its twin, m.
 
-    Both are sampled evenly, beyond the shaft's straight part, in a bent pose with open jaws; the distance is
-    from each sample to the nearest of the other surface, in both directions.
+    The pose has a bent wrist and open jaws. Both surfaces are sampled uniformly beyond the shaft's straight part. The
+    distances are those from samples to the nearest sample of the other surface, in both directions.
     """
     from scipy.spatial import cKDTree
 
     joints = instrument.limits @ np.array([0.35, 0.65])
     half_turn, mirrored = instrument.twin(np.eye(4), joints)
-    own = _surface(instrument, joints)
-    other = apply(half_turn, _surface(instrument, mirrored))
-    there, _ = cKDTree(other).query(own[:_QUERIES])
-    back, _ = cKDTree(own).query(other[:_QUERIES])
-    return float(np.percentile(np.concatenate([there, back]), _PERCENTILE))
+    pose_points = _surface(instrument, joints)
+    twin_points = apply(half_turn, _surface(instrument, mirrored))
+    to_twin, _ = cKDTree(twin_points).query(pose_points[:_QUERIES])
+    to_pose, _ = cKDTree(pose_points).query(twin_points[:_QUERIES])
+    return float(np.percentile(np.concatenate([to_twin, to_pose]), _PERCENTILE))
 
 
-def looks_like_its_twin(instrument: Instrument) -> bool:
-    """Whether the twin differs in joints and hardly in shape: it has a wrist, and lies within half a millimetre."""
+def resembles_twin(instrument: Instrument) -> bool:
+    """Whether the instrument has the twin's joints and its surface is within half a millimetre of the twin's."""
     return all(name in instrument.joint_names for name in TWIN_JOINTS) and twin_distance(instrument) < _TOLERANCE
 
 
 def _surface(instrument: Instrument, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (N, 3) spread evenly over wrist and jaws, in the root link's frame; the same ones for all joints."""
+    """Sample points (N, 3) uniformly on wrist and jaws in the root link's frame; they are the same for all joints."""
     poses = instrument.forward(joints)
     closed = instrument.forward(np.zeros_like(joints))
     corners: list[NDArray[np.float64]] = []
@@ -52,5 +52,5 @@ def _surface(instrument: Instrument, joints: NDArray[np.float64]) -> NDArray[np.
     rng = np.random.default_rng(0)
     chosen = np.minimum(np.searchsorted(total, rng.uniform(0, total[-1], _TARGETS)), len(total) - 1)
     first, second = rng.uniform(size=(2, _TARGETS, 1))
-    root = np.sqrt(first)  # uniform over a triangle
+    root = np.sqrt(first)  # for a uniform density over the triangle
     return np.asarray((1 - root) * a[chosen] + root * (1 - second) * b[chosen] + root * second * c[chosen])

@@ -1,4 +1,4 @@
-"""An instrument with the limits of its tool's own description instead of the URDF's."""
+"""Replacement of an instrument's joint limits and roll offset by those of a dVRK tool description."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.instrument.model import Instrument
 
-_WRIST_TOLERANCE = 5e-4  # m; tools differ by 1 mm and more, descriptions of one tool by their rounding
+_WRIST_TOLERANCE = 5e-4  # m; different tools differ by at least 1 mm, descriptions of one tool by rounding
 
 
 def with_tool(instrument: Instrument, tool: Tool) -> Instrument:
-    """Give an instrument a tool's limits and its place along the shaft; joints that the tool lacks keep theirs.
+    """Return an instrument with a tool's limits, roll offset and roll limits.
+
+    Joints that the tool does not describe keep the instrument's limits.
 
     Raises
     ------
     InputError
-        The distance between the wrist's axes is not the instrument's: it is another tool.
+        The distance between the wrist axes differs from the instrument's: the description is of another tool.
     """
     for joint in instrument.chain.joints:
         length = float(np.linalg.norm(joint.parent_from_joint[:3, 3]))

@@ -1,7 +1,7 @@
-"""A URDF and its mesh files to an `Instrument`.
+"""Loading of an `Instrument` from a URDF and its mesh files.
 
-yourdfpy reads the XML into its robot model; which links and joints belong to the instrument, which joints are
-independent, and the meshes in each link's frame are settled here. ``<collision>`` geometry is ignored.
+yourdfpy parses the XML. This module selects the links and joints of the instrument, determines the independent joints,
+reads the meshes and transforms them into their links' frames. ``<collision>`` geometry is ignored.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument import measure
-from dvrk_cmaes.instrument.cache import keep, kept_file, read_kept
-from dvrk_cmaes.instrument.joint_tree import below, build_joints
+from dvrk_cmaes.instrument.cache import cache_file, read_cached, write_cached
+from dvrk_cmaes.instrument.joint_tree import build_joints, joints_below
 from dvrk_cmaes.instrument.kinematics import Chain
 from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.urdf_xml import read_robot
@@ -25,17 +25,18 @@ from dvrk_cmaes.instrument.visuals import link_triangles
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.short_text import listed
 
-#: The link whose pose is sought unless another one is named: the distal end of the shaft.
+#: Default name of the link whose pose is estimated: the one at the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"
 
 
 def bundled_names() -> tuple[str, ...]:
-    """Names of the instruments that come with the package."""
+    """Return the names of the instruments bundled with the package, sorted."""
     folder = bundled_path("instruments")
     return tuple(sorted(path.parent.name for path in folder.glob("*/*.urdf") if path.stem == path.parent.name))
 
 
 def _urdf_path(source: str | Path) -> Path:
+    """Return the path of a bundled or given URDF; InputError if there is none."""
     if isinstance(source, str) and source in bundled_names():
         return bundled_path("instruments", source, f"{source}.urdf")
     path = Path(source)
@@ -54,7 +55,7 @@ def load_instrument(
     root_link: str | None = None,
     shaft_radius: float | None = None,
     shaft_axis: tuple[ArrayLike, ArrayLike] | None = None,
-    keep_measured: bool = False,
+    use_cache: bool = False,
 ) -> Instrument:
     """Load a bundled instrument or one described by a URDF.
 
@@ -63,29 +64,29 @@ def load_instrument(
     source
         Name of a bundled instrument (see `bundled_names`) or path of a URDF.
     package_paths
-        Folder of each ROS package named in ``package://NAME/...``; a package not listed is looked for upwards
-        from the URDF's folder.
+        Folder of each ROS package named in ``package://NAME/...``; other packages are searched for in the URDF's folder
+        and its parents.
     root_link
-        Link whose pose is sought, with the shaft on it or below it; ``roll_link`` by default.
+        Link whose pose is estimated, with the shaft on it or below it; ``roll_link`` by default.
     shaft_radius
-        In metres, instead of the one measured on the mesh.
+        Shaft radius, m, to use instead of the one measured on the mesh.
     shaft_axis
-        Point (3,) in metres and direction (3,), distal, in the root link's frame, instead of the measured axis.
-    keep_measured
-        Keep what was read and measured on disk, and take it from there the next time (see `kept`).
+        Point (3,), m, and distal direction (3,) in the root link's frame, to use instead of the measured axis.
+    use_cache
+        Read the instrument from the disk cache if it is there, otherwise write it (see `dvrk_cmaes.instrument.cache`).
 
     Raises
     ------
     InputError
-        In one line, what is wrong with which file and field.
+        A file cannot be read or used; the one-line message names the file, the field and the error.
     """
     path = _urdf_path(source)
     axis = _checked_axis(shaft_axis)
     packages = sorted((name, str(folder)) for name, folder in package_paths.items())
-    told = None if axis is None else [part.tolist() for part in axis]
-    place = kept_file(path.absolute(), packages, root_link, shaft_radius, told) if keep_measured else None
-    if place is not None and (known := read_kept(place)) is not None:
-        return known
+    axis_values = None if axis is None else [part.tolist() for part in axis]
+    cached = cache_file(path.absolute(), packages, root_link, shaft_radius, axis_values) if use_cache else None
+    if cached is not None and (found := read_cached(cached)) is not None:
+        return found
     robot = read_robot(path)
     root = root_link if root_link is not None else DEFAULT_ROOT
     names = [link.name for link in robot.links]
@@ -93,21 +94,21 @@ def load_instrument(
         raise InputError(
             f"{path}: no link {root!r} to take as the root; links present: {listed(nearest_first(root, names), 12)}"
         )
-    tree = below(robot, root, path)
+    tree = joints_below(robot, root, path)
     members = [root, *(joint.child for joint in tree)]
-    cache: dict[Path, Any] = {}
+    meshes: dict[Path, Any] = {}
     visuals = {link.name: link.visuals for link in robot.links}
     folders = {name: Path(folder) for name, folder in package_paths.items()}
-    triangles = {name: link_triangles(visuals[name], name, path, folders, cache) for name in members}
-    solid = {name: found for name, found in triangles.items() if found is not None}
-    if not solid:
+    triangles = {name: link_triangles(visuals[name], name, path, folders, meshes) for name in members}
+    geometry = {name: mesh for name, mesh in triangles.items() if mesh is not None}
+    if not geometry:
         raise InputError(f"{path}: no visual geometry on link {root!r} or below it; expected at least one mesh")
 
-    joints, joint_names, limits = build_joints(robot, tree, root, set(solid), path)
+    joints, joint_names, limits = build_joints(robot, tree, root, set(geometry), path)
     chain = Chain(joints)
-    joint_above = {root: -1, **{joint.child: index for index, joint in enumerate(joints)}}
-    links = tuple(Link(name, *solid[name]) for name in members if name in solid)
-    instrument = measure.measured(
+    parent_joint = {root: -1, **{joint.child: index for index, joint in enumerate(joints)}}
+    links = tuple(Link(name, *geometry[name]) for name in members if name in geometry)
+    instrument = measure.with_measurements(
         Instrument(
             name=str(robot.name),
             root_link=root,
@@ -117,19 +118,20 @@ def load_instrument(
             shaft=None,
             jaw_tips=(),
             chain=chain,
-            link_joints=tuple(joint_above[link.name] for link in links),
+            link_joints=tuple(parent_joint[link.name] for link in links),
         ),
         radius=shaft_radius,
         axis=axis,
     )
-    if place is not None:
-        keep(place, instrument, (path, *cache))
+    if cached is not None:
+        write_cached(cached, instrument, (path, *meshes))
     return instrument
 
 
 def _checked_axis(
     axis: tuple[ArrayLike, ArrayLike] | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Check an axis and return its point nearest to the origin and its unit direction; None for None."""
     if axis is None:
         return None
     point, direction = (np.asarray(part, dtype=np.float64) for part in axis)

@@ -1,7 +1,7 @@
-"""A URDF file to yourdfpy's robot model, refusing what is not plain, finished URDF.
+"""Reading of a URDF file into yourdfpy's robot model, with checks for malformed XML and unexpanded xacro.
 
-yourdfpy recovers silently from broken XML, which would lose links without a word; so the XML is parsed here
-first, and yourdfpy is handed what is left after elements of no use to us are taken out.
+yourdfpy recovers from malformed XML without an error and may then lose links. The XML is therefore parsed here first,
+unused elements are removed, and the rest is passed to yourdfpy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.io.plain_xml import parse_xml
 
-#: Largest URDF that is read, bytes. Real ones have some ten thousand.
+#: Size of the largest URDF that is read, bytes; typical files have ten thousand.
 LARGEST_URDF = 20_000_000
 
 _XACRO = "{http://www.ros.org/wiki/xacro}"
@@ -22,12 +22,12 @@ _UNUSED = ("collision", "inertial", "transmission", "gazebo", "material")
 
 
 def read_robot(path: Path) -> Any:
-    """Read a URDF into yourdfpy's ``Robot`` (links with visuals, joints). No mesh file is touched.
+    """Read a URDF into yourdfpy's ``Robot`` (links with visuals, joints) without reading the mesh files.
 
     Raises
     ------
     InputError
-        Unreadable, over 20 MB, not XML, with a document type, unexpanded xacro, or not a URDF.
+        The file cannot be read, is over 20 MB, not XML, has a document type or xacro macros, or is not a URDF.
     """
     try:
         size = path.stat().st_size
@@ -50,13 +50,13 @@ def read_robot(path: Path) -> Any:
     try:
         plain = io.BytesIO(ElementTree.tostring(root))
         model = yourdfpy.URDF.load(plain, build_scene_graph=False, load_meshes=False)
-    except Exception as error:  # yourdfpy raises KeyError, AttributeError, ValueError, ... for a wrong element
+    except Exception as error:  # yourdfpy raises KeyError, AttributeError, ValueError and others
         raise InputError(f"{path}: not a valid URDF: {_reason(error)}") from None
     return model.robot
 
 
 def _reason(error: Exception) -> str:
-    """Say what yourdfpy's error means: it looks up attributes and elements without checking for them."""
+    """Describe an error of yourdfpy, which does not check that required attributes and elements exist."""
     if isinstance(error, KeyError):
         return f"an element lacks the attribute {error}"
     if isinstance(error, (AttributeError, TypeError, IndexError)):

@@ -1,4 +1,4 @@
-"""The visual geometry of a link: mesh files found and read, primitives made, all put into the link's frame."""
+"""Visual geometry of a link: mesh files and primitives as triangles in the link's frame."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.locate import find_mesh
-from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, place, read_mesh, weld
+from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, read_mesh, to_link_frame, weld
 
-_ROUND_SECTIONS = 64  # sides of a primitive cylinder
+_CYLINDER_SIDES = 64
 
 
 def link_triangles(
@@ -23,25 +23,25 @@ def link_triangles(
     packages: Mapping[str, Path],
     cache: dict[Path, Triangles],
 ) -> Triangles | None:
-    """Triangles of all visuals of one link in its frame, or None if it has no geometry.
+    """Return the triangles of all visuals of one link in the link's frame; None if it has no geometry.
 
     Parameters
     ----------
     visuals
-        yourdfpy's visuals of the link.
+        The link's visuals as read by yourdfpy.
     link
-        Its name, for messages.
+        Name of the link, for messages.
     urdf
-        Path of the URDF, for messages and where relative mesh paths start.
+        Path of the URDF; relative mesh paths are relative to its folder.
     packages
-        Folders of ROS packages.
+        Folder of each known ROS package, by name.
     cache
-        Mesh files read so far; new ones are added.
+        Meshes read so far, by path; meshes read here are added.
 
     Raises
     ------
     InputError
-        A mesh that is missing or will not do, a primitive or an origin with senseless numbers.
+        A mesh is missing or cannot be used, or the numbers of a primitive or an origin are not valid.
     """
     parts: list[Triangles] = []
     for visual in visuals:
@@ -55,7 +55,7 @@ def link_triangles(
         else:
             primitive = _primitive(geometry, where)
             if primitive is not None:
-                parts.append(place(primitive, origin, np.ones(3)))
+                parts.append(to_link_frame(primitive, origin, np.ones(3)))
     if not parts:
         return None
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
@@ -72,6 +72,7 @@ def _mesh(
     cache: dict[Path, Triangles],
     origin: NDArray[np.float64],
 ) -> Triangles:
+    """Read the mesh of a visual and transform it into the link's frame."""
     if not mesh.filename:
         raise InputError(f"{where}: mesh: expected a filename")
     path = find_mesh(mesh.filename, urdf, packages, where)
@@ -81,7 +82,7 @@ def _mesh(
     scale = np.repeat(scale, 3) if len(scale) == 1 else scale
     if scale.shape != (3,) or not np.isfinite(scale).all() or np.any(scale == 0.0):
         raise InputError(f"{where}: mesh {mesh.filename}: scale: expected three finite numbers, none zero")
-    placed = place(cache[path], origin, scale)
+    placed = to_link_frame(cache[path], origin, scale)
     extent = float(np.ptp(placed[0], axis=0).max())
     if extent > LARGEST_EXTENT:
         raise InputError(
@@ -92,7 +93,7 @@ def _mesh(
 
 
 def _primitive(geometry: Any, where: str) -> Triangles | None:
-    """Triangles of a box, cylinder or sphere about its centre; None for one of no size (a placeholder)."""
+    """Triangulate a box, cylinder or sphere about its centre; None for a placeholder of size zero."""
     import trimesh
 
     if geometry.box is not None:
@@ -115,7 +116,7 @@ def _primitive(geometry: Any, where: str) -> Triangles | None:
     if kind == "box":
         solid = trimesh.creation.box(extents=sizes)
     elif kind == "cylinder":
-        solid = trimesh.creation.cylinder(radius=sizes[0], height=sizes[1], sections=_ROUND_SECTIONS)
+        solid = trimesh.creation.cylinder(radius=sizes[0], height=sizes[1], sections=_CYLINDER_SIDES)
     else:
         solid = trimesh.creation.icosphere(subdivisions=3, radius=sizes[0])
     return weld(np.asarray(solid.vertices, dtype=np.float64), np.asarray(solid.faces))

@@ -1,4 +1,4 @@
-"""Files at the edge of the program: cameras, readings and images in, results out.
+"""Reading and writing of files: JSON, YAML, TOML, CSV, XML, headers of images, and atomic writing.
 
-Nothing further in touches a file. Readers raise ``InputError`` with one line: the file, the field, what was expected.
+Readers raise ``InputError`` with a message of one line that names the file, the field and what was expected.
 """

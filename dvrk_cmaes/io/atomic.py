@@ -1,4 +1,4 @@
-"""Writing files that are there whole or not at all: written beside under another name, then renamed."""
+"""Write files atomically: to a temporary file beside the target, which is then renamed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
-# not the path that was asked for; EFBIG is what a limit on the size of files says (ulimit -f)
+# errors that do not depend on the path; EFBIG: the limit on the size of files (ulimit -f)
 _MACHINE_AT_FAULT = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a file, and the folders above it if need be; an older file stays until the new one is whole.
+    """Write a file, creating the folders above it; an existing file is replaced once the new one is complete.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 
 
 def not_written(path: str | Path, error: OSError | ValueError, what: str) -> DvrkCmaesError:
-    """Error that says why something was not written: `InputError` where the place is at fault, not the machine."""
+    """Return the error of a path that was not written: `InputError`, or `DvrkCmaesError` if the machine is at fault."""
     if isinstance(error, ValueError):
         return InputError(f"{str(path)!r}: not written ({error}); expected a place to write {what}")
     kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
@@ -61,7 +61,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def json_text(obj: Any) -> str:
-    """Write out an object of plain values as JSON, the same way everywhere; ValueError for what is not finite."""
+    """Format an object of plain values as JSON with a final line break; ValueError for a number that is not finite."""
     return json.dumps(obj, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
@@ -71,23 +71,32 @@ def write_json(path: str | Path, obj: Any) -> None:
     Raises
     ------
     ValueError
-        A number is not finite, which JSON cannot say.
+        A number is not finite, which JSON cannot represent.
     """
     write_text(path, json_text(obj))
 
 
 def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> None:
-    """Write an image by the extension of its name; images and errors as in ``encoded_image`` and ``write_bytes``."""
+    """Write an image in the format of its extension; images and errors as in ``encoded_image`` and ``write_bytes``."""
     write_bytes(path, encoded_image(path, image))
 
 
 def encoded_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> bytes:
-    """Bytes of an image's file, (H, W) grey, (H, W, 3) BGR, or a bool mask as 0 and 255, by the extension of its name.
+    """Encode an image in the format of a path's extension.
+
+    Parameters
+    ----------
+    path
+        Path whose extension is .png, .jpg or .jpeg.
+    image
+        (H, W) grey, (H, W, 3) BGR, or a bool mask (H, W), which is encoded as 0 and 255.
 
     Raises
     ------
     InputError
-        Another extension than .png, .jpg or .jpeg.
+        The path has another extension.
+    DvrkCmaesError
+        The image could not be encoded.
     """
     extension = Path(path).suffix.lower()
     if extension not in (".png", ".jpg", ".jpeg"):

@@ -1,4 +1,4 @@
-"""Writing folders that are there whole or not at all: filled beside under another name, then renamed."""
+"""Write folders atomically: a temporary folder beside the target is filled and then renamed."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from dvrk_cmaes.io.atomic import not_written
 def whole_folder(
     path: str | Path, *, sign: str, overwrite: bool = False, source: str | Path | None = None
 ) -> Iterator[Path]:
-    """Give a folder to fill, which takes its place when the block ends well and is removed when it does not.
+    """Yield a temporary folder, which becomes the target if the block raises no error and is removed otherwise.
 
     Parameters
     ----------
     path
-        The folder to be; it must not exist, or be empty, unless ``overwrite``.
+        The target; it must not exist or be empty, unless ``overwrite``.
     sign
-        Name of a file by which a folder of this kind is known; no other kind is overwritten.
+        Name of a file that folders of this kind contain; a folder without it is not overwritten.
     overwrite
-        Replace an older folder, all of it.
+        Replace an existing folder with all its content.
     source
-        What is read meanwhile, which must not lie in the folder.
+        A file or folder that is read meanwhile; it must not lie in the target.
 
     Raises
     ------
     InputError
-        There is something already, or the place cannot be written to.
+        The target exists already, or cannot be written to.
     DvrkCmaesError
-        The disk is full or failing. Errors of the block that name the folder being filled name ``path`` instead.
+        The disk is full or failing. In errors raised by the block, the temporary path is replaced by ``path``.
     """
     beside = Path(path)
     try:
@@ -58,6 +58,7 @@ def whole_folder(
 
 
 def _refuse_other(path: str | Path, target: Path, sign: str, overwrite: bool) -> None:
+    """Raise an InputError unless the target does not exist, is empty, or may be overwritten."""
     if not os.path.lexists(target):
         return
     if not target.is_dir():
@@ -71,7 +72,7 @@ def _refuse_other(path: str | Path, target: Path, sign: str, overwrite: bool) ->
 
 
 def _put(beside: Path, target: Path) -> None:
-    """Rename a folder to its place; what lay there is removed once the new one lies there."""
+    """Rename a folder to the target; an existing target is removed afterwards."""
     old = target.with_name(f".{uuid.uuid4().hex}.old")
     if target.exists():
         target.rename(old)

@@ -1,4 +1,4 @@
-"""CSV files from strangers: a header and rows of as many cells, or one line that says where it is wrong."""
+"""Read CSV files that consist of a header and rows with as many cells."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
 
-_LARGEST = 1_000_000_000  # bytes; an hour at 1 kHz has half of it
+_LARGEST = 1_000_000_000  # bytes; an hour of readings at 1 kHz has half as many
 
 Rows = list[tuple[str, dict[str, str]]]
 
 
 def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -> tuple[list[str], Rows]:
-    """Read a CSV's header and its rows; blank lines are passed over, and cells are stripped.
+    """Read the header and the rows of a CSV file; blank lines are skipped and cells are stripped.
 
     Parameters
     ----------
@@ -27,17 +27,17 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
     expected
         What the file should be, for messages.
     text
-        The file's text, where it was read already.
+        The file's text, if it has been read already.
 
     Returns
     -------
     header, rows
-        Names of the columns; of each row the words that begin a message about it, and its cells by column.
+        Names of the columns; of each row the beginning of messages (file and line) and the cells by column.
 
     Raises
     ------
     InputError
-        Not readable, not CSV, a column twice, a row of another number of cells.
+        The file is not readable or not CSV, a column occurs twice, or a row has another number of cells.
     """
     if text is None:
         text = read_text(path, expected=expected, largest=_LARGEST)
@@ -61,7 +61,7 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
 
 
 def number_in(where: str, column: str, cells: dict[str, str], unit: str = "") -> float:
-    """Take a finite number from a row's column; ``unit`` is for the message. InputError beginning with ``where``."""
+    """Convert a cell to a finite number; InputError, which begins with ``where`` and names the unit, otherwise."""
     try:
         value = float(cells[column])
     except ValueError:

@@ -1,4 +1,4 @@
-"""Reading a whole file, or saying in one line why it cannot be read."""
+"""Read whole files; an InputError states in one line why a file cannot be read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:
     expected
         What the file should be, for the message, e.g. ``"a mask (PNG or JPEG)"``.
     largest
-        Size in bytes beyond which the file is refused unread.
+        Largest size in bytes; a larger file is not read.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:
 
 
 def check_file(path: str | Path, *, expected: str, largest: int | None = None) -> None:
-    """Refuse, unread, what is not a regular file or is larger than ``largest`` bytes; as ``read_bytes`` does."""
+    """Raise the errors of ``read_bytes`` for a path that is not a regular file of at most ``largest`` bytes."""
     with _reason_given(path, expected):
         status = Path(path).stat()
     if stat.S_ISDIR(status.st_mode):
@@ -52,7 +52,7 @@ def check_file(path: str | Path, *, expected: str, largest: int | None = None) -
 
 @contextmanager
 def _reason_given(path: str | Path, expected: str) -> Iterator[None]:
-    """Say in one line why the system does not give a file."""
+    """Turn errors of the operating system into an InputError of one line."""
     try:
         yield
     except FileNotFoundError:
@@ -63,7 +63,7 @@ def _reason_given(path: str | Path, expected: str) -> Iterator[None]:
 
 
 def read_text(path: str | Path, *, expected: str, largest: int) -> str:
-    """Read a file as ``read_bytes`` does, as UTF-8 with or without a byte order mark."""
+    """Read a text file in UTF-8, with or without a byte order mark; errors as in ``read_bytes``."""
     data = read_bytes(path, expected=expected, largest=largest)
     try:
         return data.decode("utf-8-sig")

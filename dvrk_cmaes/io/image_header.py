@@ -1,6 +1,7 @@
-"""Size, depth and wholeness of a PNG or JPEG, before anything is decoded: decoders print, guess or fill with grey.
+"""Read size, bit depth and completeness of PNG and JPEG files without decoding them.
 
-PNG: ISO/IEC 15948, the IHDR chunk. JPEG: ITU-T T.81 annex B, the frame header behind a SOF marker.
+Decoders treat incomplete files differently: some print messages, some fill the missing part with grey. PNG: ISO/IEC
+15948, the IHDR chunk. JPEG: ITU-T T.81 annex B, the frame header that follows a SOF marker.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-#: In an image that is decoded; more is refused.
+#: Largest number of pixels of an image that is decoded.
 MOST_PIXELS = 100_000_000
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -19,9 +20,9 @@ _WITHOUT_LENGTH = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG markers that sta
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image file says of itself: size in pixels, bits a channel, and how it is stored.
+    """Properties of an image file: size in pixels and bits per channel.
 
-    ``palette``: pixels are indices of colours. ``whole``: all of the file is there.
+    ``palette``: pixels are indices into a palette. ``whole``: the file is complete.
     """
 
     width: int
@@ -32,7 +33,7 @@ class ImageHeader:
 
 
 def read_header(data: bytes) -> ImageHeader | None:
-    """Read the header of a PNG or JPEG; None for anything else, and for a header that makes no sense."""
+    """Read the header of a PNG or JPEG file; None for other files and for an invalid header."""
     try:
         if data.startswith(_PNG) and data[12:16] == b"IHDR":
             width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
@@ -47,7 +48,7 @@ def read_header(data: bytes) -> ImageHeader | None:
 
 
 def _png_is_whole(data: bytes) -> bool:
-    """Whether all chunks are there up to the last, each with the checksum it states."""
+    """Whether all chunks up to IEND are complete and have the checksums that they state."""
     view, position = memoryview(data), len(_PNG)
     while position + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, position)
@@ -61,7 +62,7 @@ def _png_is_whole(data: bytes) -> bool:
 
 
 def _read_jpeg(data: bytes) -> ImageHeader:
-    """Walk the segments of a JPEG to its frame header."""
+    """Read the segments of a JPEG up to its frame header."""
     position = 2
     while data[position] == 0xFF:
         while data[position] == 0xFF:

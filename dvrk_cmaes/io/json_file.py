@@ -1,4 +1,4 @@
-"""JSON files from strangers: one object, read whole, or one line that says why not."""
+"""Read JSON files whose document is an object."""
 
 from __future__ import annotations
 
@@ -12,19 +12,26 @@ from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 100_000_000  # bytes
-# strings, to leave alone what looks like a comment in them; both may lack their end, lest it is looked for again
+# strings are matched so that comment marks within them are kept; ends are optional, so that time stays linear
 _STRING_OR_COMMENT = re.compile(r'("(?:\\.|[^"\\])*(?:"|\Z))|//[^\n]*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 
 
 def read_json_object(path: str | Path, *, expected: str, comments: bool = False) -> dict[str, Any]:
-    """Read a JSON file whose document is an object; ``expected`` says for messages what the file should be.
+    """Read a JSON file whose document is an object.
 
-    ``comments``: those of C++ are passed over, as the dVRK's configuration files have them.
+    Parameters
+    ----------
+    path
+        The file.
+    expected
+        What the file should be, for messages.
+    comments
+        Whether comments as in C++ are allowed, which the dVRK's configuration files contain.
 
     Raises
     ------
     InputError
-        Not readable, larger than 100 MB, not JSON, nested too deeply, or not an object.
+        The file is not readable, larger than 100 MB, not JSON, nested too deeply, or not an object.
     """
     text = read_text(path, expected=expected, largest=_LARGEST)
     try:
@@ -37,5 +44,5 @@ def read_json_object(path: str | Path, *, expected: str, comments: bool = False)
 
 
 def _without_comments(text: str) -> str:
-    """Text with its comments blanked; lines keep their numbers."""
+    """Replace comments by blanks; the numbers of lines do not change."""
     return _STRING_OR_COMMENT.sub(lambda match: match[1] or " " + "\n" * match[0].count("\n"), text)

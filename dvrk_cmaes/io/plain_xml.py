@@ -1,6 +1,7 @@
-"""XML from files of others, parsed without document types, up to a sensible size.
+"""Parse XML files that have no document type and are not too large.
 
-No robot, mesh or calibration needs one, and the entities declared in it can expand without end or name other files.
+A document type is not needed in files of robots, meshes and cameras, and entities declared in it can expand without
+limit or refer to other files.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from typing import NoReturn
 
 from dvrk_cmaes.errors import InputError
 
-_DEEPEST = 100  # elements within each other
+_DEEPEST = 100  # nested elements
 _MOST_ELEMENTS = 50_000
 _LONGEST = 100_000  # characters of an attribute
 
 
 class _PlainTree(ElementTree.TreeBuilder):
-    """A tree builder that stops at a document type, before any entity in it is expanded, and at a tree too large."""
+    """A tree builder that refuses a document type, before entities are expanded, and a tree that is too large."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,12 +44,12 @@ class _PlainTree(ElementTree.TreeBuilder):
 
 
 def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
-    """Parse the bytes of an XML file, comments left out.
+    """Parse the content of an XML file; comments are omitted.
 
     Raises
     ------
     InputError
-        Naming the file: not well-formed, of an unknown encoding, with a document type, too deep or too large.
+        The file is not well-formed, has an unknown encoding or a document type, or is nested too deeply or too large.
     """
     parser = ElementTree.XMLParser(target=_PlainTree())
     try:

@@ -1,4 +1,4 @@
-"""Values as messages show them: on one line and short, whatever a file holds."""
+"""Format values for messages: on one line and short."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ _LONGEST = 60
 
 
 def shown(value: Any) -> str:
-    """Show a value as Python would write it, cut where it grows too long; ``nothing`` for None."""
+    """Format a value as Python's ``repr``, shortened to 60 characters; None as ``nothing``."""
     if value is None:
         return "nothing"
-    text = repr(value[: 2 * _LONGEST] if isinstance(value, str) else value)
+    try:
+        text = repr(value[: 2 * _LONGEST] if isinstance(value, str) else value)
+    except (ValueError, RecursionError):  # an integer of more digits than Python prints; too many levels
+        return f"a value of type {type(value).__name__} that is too large to show"
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """List the first few of many names."""
+    """List the first names, separated by commas, each shortened as by ``shown``."""
     names = list(names)
     first = [shown(name)[1:-1] for name in names[:most]]
     return ", ".join(first) + (", ..." if len(names) > most else "")

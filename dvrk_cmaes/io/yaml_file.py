@@ -1,6 +1,6 @@
-"""Small YAML files from strangers: plain data only, and nothing that unfolds into more than was written.
+"""Read small YAML files of plain data; aliases are refused, since they can expand to more than memory holds.
 
-OpenCV's dialect is read too: its first line ``%YAML:1.0`` is no directive that YAML knows, and its matrices are tagged.
+OpenCV's dialect is accepted: its first line ``%YAML:1.0`` is no valid directive of YAML, and its matrices are tagged.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 1_000_000  # bytes
-_DEEPEST = 20  # mappings and lists within each other
-_LONGEST = 1_000  # characters of a value; Python's integers take quadratic time to read
+_DEEPEST = 20  # nested mappings and lists
+_LONGEST = 1_000  # characters of a value; the time to parse an integer grows with the square of its length
 _MOST_ITEMS = 20_000  # PyYAML takes seconds for a megabyte of tiny items
 _MOST_DOCUMENTS = 200_000
 _OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader for which OpenCV's matrices are plain mappings."""
+    """A safe loader that constructs OpenCV's matrices as mappings."""
 
 
 def _matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -38,14 +38,14 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
 
 
 def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
-    """Read the first document of a YAML file, which must be a mapping; its keys as text.
+    """Read the first document of a YAML file, which must be a mapping; keys are converted to text.
 
-    A topic dump ends in ``---`` and may hold message after message: only the first is read.
+    Further documents, such as the later messages of a topic dump, are not read.
 
     Raises
     ------
     InputError
-        Not readable, larger than 1 MB, not YAML, aliases, nested too deeply, or not a mapping.
+        The file is not readable, larger than 1 MB, not YAML, has aliases, is nested too deeply, or is no mapping.
     """
     text = _OPENCV_HEADER.sub("", read_text(path, expected=expected, largest=_LARGEST))
     for document in _documents(path, text, expected, _Loader, most=1):
@@ -55,14 +55,14 @@ def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
 
 
 def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[str, Any]]:
-    """Documents of a text, each of which must be a small mapping or empty; empty ones are left out.
+    """Return the documents of a text, each of which must be a small mapping or empty; empty ones are omitted.
 
     Raises
     ------
     InputError
-        Not YAML, aliases, a document nested too deeply or too large, or not a mapping.
+        The text is not YAML or has aliases; a document is nested too deeply, too large, or no mapping.
     """
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML was built with it
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, but not in every build of PyYAML
     documents = []
     for document in _documents(path, text, expected, loader, most=_MOST_DOCUMENTS):
         if document is None:
@@ -74,20 +74,20 @@ def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[s
 
 
 def _documents(path: str | Path, text: str, expected: str, loader: Any, *, most: int) -> Iterator[Any]:
-    """Build at most so many of a text's documents, after a look at all that is in them."""
+    """Construct the first ``most`` documents of a text after their events have been checked."""
     try:
-        _refuse_bombs(path, text, loader, most)
+        _check_events(path, text, loader, most)
         yield from islice(yaml.load_all(text, Loader=loader), most)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({line}{error.problem})") from None
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or number that Python cannot hold
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or number outside Python's range
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({reason})") from None
 
 
-def _refuse_bombs(path: str | Path, text: str, loader: Any, most: int) -> None:
-    """Go through the events of the first documents, which costs no memory, before anything is built."""
+def _check_events(path: str | Path, text: str, loader: Any, most: int) -> None:
+    """Raise an InputError for aliases and for too many or too deep values; only parsing events are held in memory."""
     depth = items = documents = 0
     for event in yaml.parse(text, Loader=loader):
         items += 1

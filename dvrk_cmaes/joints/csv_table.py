@@ -1,9 +1,12 @@
-"""Joint readings as CSV: a session's joints.csv, a topic that jhu-dvrk's data_collection wrote out, measured_q1 ... q6.
+"""Reader of joint readings as CSV.
 
-Columns of joints.csv are ``frame`` (text: "0026" is not "26"), ``time`` in seconds, or both, and any of the joints.
-data_collection writes ``# Topic:`` and ``# Type:``, then ``timestamp`` (ns) and a message's fields as columns:
-``name.0 ...``, ``position.0 ...``. A table with ``measured_q1 ... q6`` has no jaw; its ``measured_x, y, z`` is a point
-of the arm, not of the tip, and is not used.
+Three formats are read:
+
+- joints.csv of a session: columns ``frame`` (text: "0026" is not "26"), ``time`` in seconds, or both, and any joints.
+- a topic written by jhu-dvrk's data_collection: comment lines ``# Topic:`` and ``# Type:``, then the columns
+  ``timestamp`` (ns) and a message's fields, ``name.0 ...`` and ``position.0 ...``.
+- a table with the columns ``measured_q1`` to ``measured_q6``, without the jaw. Its columns ``measured_x, y, z`` are a
+  point of the arm, not the tip, and are not used.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from collections.abc import Sequence
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.names import ARM_ORDER, check_joint, ordered_joints, plain_joint
+from dvrk_cmaes.joints.names import ARM_ORDER, check_joint, joints_by_count, without_ros_prefix
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.joints.times import parse_time
 
@@ -25,12 +28,21 @@ _COMMENT = re.compile(r"#\s*(\w+):\s*(\S*)")
 
 
 def read_joint_csv(path: str, text: str, names: Sequence[str]) -> JointFile:
-    """Read a CSV of any of these kinds, told by its header; ``names`` are the joints that may be read.
+    """Read a CSV of any of these formats, recognised by its header.
+
+    Parameters
+    ----------
+    path
+        The file's path, for messages.
+    text
+        The file's content.
+    names
+        Names of the joints that are accepted.
 
     Raises
     ------
     InputError
-        Naming the file and the line, and what was expected.
+        The table is not valid; the message names the file, the line and what was expected.
     """
     comments: dict[str, str] = {}
     body = text
@@ -41,14 +53,14 @@ def read_joint_csv(path: str, text: str, names: Sequence[str]) -> JointFile:
             comments[match[1].lower()] = match[2]
     header, rows = read_csv_rows(path, expected=EXPECTED, text=body)
     if set(_MEASURED) <= set(header):
-        return _measured(path, header, rows)
+        return _measured_table(path, header, rows)
     if "timestamp" in header:
-        return _topic(path, header, rows, comments, names)
-    return _own(path, header, rows, names)
+        return _topic_table(path, header, rows, comments, names)
+    return _session_table(path, header, rows, names)
 
 
-def _own(path: str, header: list[str], rows: Rows, names: Sequence[str]) -> JointFile:
-    """Rows of a joints.csv."""
+def _session_table(path: str, header: list[str], rows: Rows, names: Sequence[str]) -> JointFile:
+    """Read the rows of a joints.csv."""
     if "frame" not in header and "time" not in header:
         raise InputError(f"{path}: header: expected a column frame and columns of joints, got {listed(header)}")
     for name in header:
@@ -57,28 +69,28 @@ def _own(path: str, header: list[str], rows: Rows, names: Sequence[str]) -> Join
     found: dict[str, JointRow] = {}
     for count, (where, cells) in enumerate(rows):
         label = cells.pop("frame", f"row {count + 1}")
-        clock = cells.pop("time", "")
+        time_cell = cells.pop("time", "")
         if not label:
             raise InputError(f"{where}: frame: expected a name, got a blank cell")
         if label in found:
             raise InputError(f"{where}: frame: expected each frame once, got {shown(label)} again")
-        time = parse_time(where, clock) if clock else None
+        time = parse_time(where, time_cell) if time_cell else None
         found[label] = JointRow(f"{path}: frame {label}" if "frame" in header else where, cells, time)
     if not found:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
     return JointFile(path, "joints.csv", found, "frame" if "frame" in header else "message")
 
 
-def _measured(path: str, header: list[str], rows: Rows) -> JointFile:
-    """Rows with measured_q1 ... measured_q6, numbered by ``traj_index`` or else by their place."""
-    clocks = [name for name in ("time", "timestamp") if name in header]
+def _measured_table(path: str, header: list[str], rows: Rows) -> JointFile:
+    """Read the rows of a table with measured_q1 to measured_q6, labelled by ``traj_index``, or else by row number."""
+    time_columns = [name for name in ("time", "timestamp") if name in header]
     found: dict[str, JointRow] = {}
     for count, (where, cells) in enumerate(rows):
-        label = _whole(where, "traj_index", cells["traj_index"]) if "traj_index" in cells else str(count)
+        label = _whole_number(where, "traj_index", cells["traj_index"]) if "traj_index" in cells else str(count)
         if label in found:
             raise InputError(f"{where}: traj_index: expected each number once, got {label} again")
         values = {joint: cells[name] for joint, name in zip(ARM_ORDER, _MEASURED, strict=True)}
-        time = parse_time(where, cells[clocks[0]]) if clocks and cells[clocks[0]] else None
+        time = parse_time(where, cells[time_columns[0]]) if time_columns and cells[time_columns[0]] else None
         found[label] = JointRow(where, values, time)
     if not found:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
@@ -86,8 +98,8 @@ def _measured(path: str, header: list[str], rows: Rows) -> JointFile:
     return JointFile(path, "measured_q1 to measured_q6 (CSV)", found, "number", notes)
 
 
-def _whole(where: str, name: str, cell: str) -> str:
-    """Text of a whole number, which may be written as 26.0."""
+def _whole_number(where: str, name: str, cell: str) -> str:
+    """Return the decimal text of a whole number, which may be written as 26.0; InputError for other cells."""
     try:
         number = float(cell)
         if number == int(number):
@@ -98,12 +110,12 @@ def _whole(where: str, name: str, cell: str) -> str:
 
 
 def _timestamp(where: str, cell: str) -> int:
-    """Time in ns of a message; data_collection writes whole nanoseconds, however few."""
+    """Parse the time of a message, ns; data_collection writes whole nanoseconds, also for small numbers."""
     return int(cell) if cell.isdecimal() and len(cell) < 19 else parse_time(where, cell)
 
 
-def _topic(path: str, header: list[str], rows: Rows, comments: dict[str, str], names: Sequence[str]) -> JointFile:
-    """Messages of a topic, as data_collection writes them."""
+def _topic_table(path: str, header: list[str], rows: Rows, comments: dict[str, str], names: Sequence[str]) -> JointFile:
+    """Read the messages of a topic as data_collection writes them."""
     kind = comments.get("type", "")
     if kind and not kind.endswith("/JointState"):
         raise InputError(f"{path}: # Type: expected sensor_msgs/JointState, got {shown(kind)}")
@@ -113,13 +125,13 @@ def _topic(path: str, header: list[str], rows: Rows, comments: dict[str, str], n
     found: dict[str, JointRow] = {}
     for count, (where, cells) in enumerate(rows):
         filled = [name for name in columns if cells[name]]
-        told = [cells.get(name.replace("position", "name"), "") for name in filled]
-        if any(told):
-            joints = tuple(plain_joint(name, names) for name in told)
+        stated = [cells.get(name.replace("position", "name"), "") for name in filled]
+        if any(stated):
+            joints = tuple(without_ros_prefix(name, names) for name in stated)
             for joint in joints:
                 check_joint(where, joint, names)
         else:
-            joints = ordered_joints(f"{where}: position", len(filled))
+            joints = joints_by_count(f"{where}: position", len(filled))
         values = dict(zip(joints, (cells[name] for name in filled), strict=True))
         found[f"message {count + 1}"] = JointRow(where, values, _timestamp(where, cells["timestamp"]))
     if not found:

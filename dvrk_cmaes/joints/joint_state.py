@@ -1,7 +1,7 @@
-"""JointState messages as ``rostopic echo`` and ``ros2 topic echo`` print them, one YAML document a message.
+"""Reader of JointState messages as printed by ``rostopic echo`` and ``ros2 topic echo``: one YAML document per message.
 
-``measured_js`` has the arm's six joints, ``jaw/measured_js`` the jaw; both may be in one file. Older dVRK versions
-(``state_joint_current``) put ``outer_`` before the names.
+``measured_js`` has the arm's six joints, ``jaw/measured_js`` the jaw; one file may contain both. Older dVRK versions
+(``state_joint_current``) prefix the names with ``outer_``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import yaml_documents
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import check_joint, ordered_joints, plain_joint
+from dvrk_cmaes.joints.names import check_joint, joints_by_count, without_ros_prefix
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 
 EXPECTED = "joint readings (JointState messages as YAML)"
@@ -23,17 +23,26 @@ _POSITION = re.compile(r"^position:", re.MULTILINE)
 
 
 def is_joint_state(text: str) -> bool:
-    """Whether a text looks like printed JointState messages."""
+    """Whether a text is printed JointState messages: it has a line that begins with ``position:``."""
     return _POSITION.search(text) is not None
 
 
 def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
-    """Read all messages of a dump; ``names`` are the joints that may be read.
+    """Read all messages of a file.
+
+    Parameters
+    ----------
+    path
+        The file's path, for messages.
+    text
+        The file's content.
+    names
+        Names of the joints that are accepted.
 
     Raises
     ------
     InputError
-        Naming the file, the message and the field, and what was expected.
+        A message is not valid; the error names the file, the message, the field and what was expected.
     """
     rows: dict[str, JointRow] = {}
     unnamed = False
@@ -42,9 +51,12 @@ def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
         values = message.get("position")
         if not isinstance(values, list) or not values:
             raise InputError(f"{where}: position: expected a list of numbers, got {shown(values)}")
-        told = message.get("name") or []
-        unnamed |= not told
-        joints = _joints(where, told, len(values), names) if told else ordered_joints(f"{where}: position", len(values))
+        stated = message.get("name") or []
+        unnamed |= not stated
+        if stated:
+            joints = _joints(where, stated, len(values), names)
+        else:
+            joints = joints_by_count(f"{where}: position", len(values))
         cells = dict(zip(joints, values, strict=True))
         rows[f"message {count + 1}"] = JointRow(where, cells, _stamp(where, message.get("header")))
     if not rows:
@@ -54,18 +66,18 @@ def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
     return JointFile(path, "JointState messages (YAML)", rows, "message", notes)
 
 
-def _joints(where: str, told: Any, count: int, names: Sequence[str]) -> tuple[str, ...]:
-    """Names of a message's joints, without what ROS puts before them."""
-    if not isinstance(told, list) or len(told) != count or len(set(map(str, told))) != count:
-        raise InputError(f"{where}: name: expected {count} different names, one for each position, got {shown(told)}")
-    joints = tuple(plain_joint(str(name), names) for name in told)
+def _joints(where: str, stated: Any, count: int, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of a message's joints without ROS prefixes, checked."""
+    if not isinstance(stated, list) or len(stated) != count or len(set(map(str, stated))) != count:
+        raise InputError(f"{where}: name: expected {count} different names, one for each position, got {shown(stated)}")
+    joints = tuple(without_ros_prefix(str(name), names) for name in stated)
     for joint in joints:
         check_joint(where, joint, names)
     return joints
 
 
 def _stamp(where: str, header: Any) -> int | None:
-    """Time of a message in ns; None where nobody set it."""
+    """Return the time of a message's header, ns; None if it is missing or zero."""
     stamp = header.get("stamp") if isinstance(header, Mapping) else None
     if not isinstance(stamp, Mapping):
         return None
@@ -77,7 +89,7 @@ def _stamp(where: str, header: Any) -> int | None:
 
 
 def _merged(rows: dict[str, JointRow]) -> dict[str, JointRow]:
-    """Make one row of one message of the arm and one of its jaw."""
+    """Merge two messages with different joints (the arm's and the jaw's) into one row."""
     if len(rows) != 2:
         return rows
     first, second = rows.values()

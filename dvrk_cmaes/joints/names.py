@@ -1,7 +1,7 @@
-"""Names and units of joint readings, and the checks that every file of readings goes through.
+"""Names and units of joint readings, and checks common to all file formats.
 
-Revolute joints are in rad, ``insertion`` in m. What can only be another unit is refused: no joint of a dVRK turns
-by more than a full turn, or is inserted by more than a metre.
+Revolute joints are in rad, ``insertion`` in m. Values of more than a full turn or more than a metre are beyond the
+range of every dVRK joint and are refused as values in another unit.
 """
 
 from __future__ import annotations
@@ -14,36 +14,36 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.short_text import shown
 
 OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
-"""Joints of the arm that carries the instrument, from the base outwards."""
+"""Joints of the arm that carries the instrument, from the base to the instrument."""
 
 WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
-"""Joints of the instrument that the camera sees."""
+"""Joints of the instrument's wrist and jaws, which the camera sees."""
 
 ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
-"""Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a topic of its own."""
+"""Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""
 
 _PREFIX = re.compile(r"(PSM\d*_)?(outer_)?", re.IGNORECASE)
 
 
-def all_names(known: Iterable[str] = ()) -> tuple[str, ...]:
-    """All joints that a reading may be of, each once: the dVRK's and an instrument's own."""
+def accepted_names(known: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return all accepted joint names, each once: those of the dVRK and ``known`` ones of an instrument."""
     return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known)))
 
 
 def check_joint(where: str, name: str, names: Sequence[str]) -> None:
-    """Refuse a joint that is not known, with the known ones, the likeliest first."""
+    """Raise InputError for an unknown joint; the message lists the known ones, most similar first."""
     if name not in names:
         near = ", ".join(nearest_first(name[:60], names))
         raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}")
 
 
-def plain_joint(name: str, names: Sequence[str]) -> str:
-    """Name of a joint without what ROS puts before it: an arm's name, or ``outer_`` in older dVRK versions."""
+def without_ros_prefix(name: str, names: Sequence[str]) -> str:
+    """Remove the ROS prefix of a joint name: an arm's name, or ``outer_`` in older dVRK versions."""
     return name if name in names else _PREFIX.sub("", name, count=1)
 
 
-def ordered_joints(where: str, count: int) -> tuple[str, ...]:
-    """Joints that values without names are of, by their number: six of the arm, the jaw alone, or all seven."""
+def joints_by_count(where: str, count: int) -> tuple[str, ...]:
+    """Return the joints of unnamed values by their number: six of the arm, the jaw alone, or all seven."""
     orders = {len(ARM_ORDER): ARM_ORDER, 1: ("jaw",), len(ARM_ORDER) + 1: (*ARM_ORDER, "jaw")}
     if count not in orders:
         raise InputError(f"{where}: expected 6 values ({', '.join(ARM_ORDER)}), 1 (jaw) or all 7, got {count}")
@@ -51,7 +51,7 @@ def ordered_joints(where: str, count: int) -> tuple[str, ...]:
 
 
 def joint_reading(where: str, name: str, cell: object) -> float:
-    """Value of a number or of its text; refuses what can only be another unit."""
+    """Convert a number or its text to a reading; InputError if it is not finite or must be in another unit."""
     unit = "m" if name == "insertion" else "rad"
     try:
         value = float(cell) if isinstance(cell, str | int | float) and not isinstance(cell, bool) else math.nan

@@ -1,4 +1,4 @@
-"""Joint readings as NumPy files of one array: six values of the arm, one of the jaw, or all seven."""
+"""Reader of joint readings as NumPy files: one array of the arm's six values, the jaw's one, or all seven."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.joints.names import ordered_joints
+from dvrk_cmaes.joints.names import joints_by_count
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 
 EXPECTED = "joint readings (a NumPy array of 6, 1 or 7 numbers)"
@@ -20,35 +20,37 @@ _MOST = 7
 
 
 def read_joint_npy(path: str, data: bytes) -> JointFile:
-    """Read the bytes of a .npy of joint readings.
+    """Read joint readings from the bytes of a .npy file; ``path`` is for messages and names the row.
 
     Raises
     ------
     InputError
-        Naming the file, and what was expected.
+        The array is not one of readings; the message names the file and what was expected.
     """
     if Path(path).stem.endswith("_ctr"):
         raise InputError(f"{path}: expected {EXPECTED}, got by its name a pose (axis-angle and translation)")
     values = read_small_array(path, data, expected=EXPECTED)
-    joints = ordered_joints(path, values.size)
+    joints = joints_by_count(path, values.size)
     cells = dict(zip(joints, values.tolist(), strict=True))
     return JointFile(path, f"NumPy array of {values.size}", {Path(path).stem: JointRow(path, cells)}, "message")
 
 
 def read_small_array(path: str, data: bytes, *, expected: str) -> NDArray[np.float64]:
-    """Read the bytes of a .npy of a few numbers, (N,); pickled objects are refused, and larger arrays before they grow.
+    """Read an array of 1 to 7 numbers, flattened to (N,), from the bytes of a .npy file.
+
+    The shape is checked before the array is read, and pickled objects are refused.
 
     Raises
     ------
     InputError
-        Naming the file, and what was expected.
+        The file is not such an array; the message names the file and begins with what was ``expected``.
     """
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream)
-    except Exception as error:  # the header is Python: NumPy parses it, and errors of every kind come through
+    except Exception as error:  # NumPy parses the header as a Python literal, with errors of many types
         raise InputError(f"{path}: expected {expected}, got no valid NumPy file ({_line(error)})") from None
     if dtype.kind not in "fiu" or not 0 < math.prod(shape) <= _MOST:
         raise InputError(f"{path}: expected {expected}, got {dtype} of shape {shape}")
@@ -61,4 +63,5 @@ def read_small_array(path: str, data: bytes, *, expected: str) -> NDArray[np.flo
 
 
 def _line(error: BaseException) -> str:
+    """Return an error's text on one line of at most 120 characters."""
     return " ".join(str(error).split())[:120]

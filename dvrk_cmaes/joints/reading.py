@@ -1,7 +1,7 @@
-"""Joint readings of frames, from files of any kind that labs have, or written out as ``name=value,name=value``.
+"""Joint readings of frames, from files of any supported format or given as text ``name=value,name=value``.
 
-A column that is not there or a blank cell is a reading that is not known, which is not the same as zero. Files whose
-rows have times give a frame its readings at the image's time, interpolated between the rows on either side of it.
+A missing column or a blank cell means that the reading is not known; it is not zero. If the rows of a file have times,
+a frame's readings are interpolated to the image's time between the rows before and after it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, read_joint_csv
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
-from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, all_names, check_joint, joint_reading
+from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.joints.times import time_in_name
@@ -38,17 +38,24 @@ __all__ = [
 ]
 
 TIME_TOLERANCE = NANOSECONDS // 20
-"""Readings before and after an image may be this far from it in time, ns."""
+"""Default of the largest distance in time between an image and the readings before and after it, ns."""
 
-_LARGEST = 1_000_000_000  # bytes; an hour at 1 kHz has half of it
-_LARGEST_YAML = 20_000_000  # bytes; some 50,000 messages, which take half a minute
+_LARGEST = 1_000_000_000  # bytes; one hour at 1 kHz has half as many
+_LARGEST_YAML = 20_000_000  # bytes; about 50,000 messages, read in half a minute
 
 
 @dataclass(frozen=True)
 class FrameReadings:
-    """Readings of one frame by joint, rad or m; ``notes`` on what had to be decided by a rule.
+    """Readings of one frame.
 
-    ``farthest`` is the distance in time, ns, of the farthest reading that was interpolated from; None where none was.
+    Parameters
+    ----------
+    readings
+        By joint name, rad or m.
+    notes
+        Assumptions made where the files are ambiguous, one sentence each.
+    farthest
+        Largest distance in time, ns, between the image and a reading used in interpolation; None if none was.
     """
 
     readings: dict[str, float] = field(default_factory=dict)
@@ -63,28 +70,29 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
     ----------
     text_or_path
         ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a file of readings. Text with an equals sign is
-        a path only if such a file exists.
+        taken for a path only if such a file exists.
     frame
-        Which row of a joints.csv; may be left out if it has one row only. Not used for written-out readings.
+        Name of the frame, to select its row; optional if the file has a single row. Not used for readings given as
+        text.
     known
-        Names of the instrument's own joints, besides ``OUTER_JOINTS`` and ``WRIST_JOINTS``.
+        Names of the instrument's joints that are accepted besides ``OUTER_JOINTS`` and ``WRIST_JOINTS``.
 
     Returns
     -------
     dict
-        Joint name to reading, rad, or m for ``insertion``; only the joints that were read.
+        Readings by joint name, rad, or m for ``insertion``; only joints with a known reading.
 
     Raises
     ------
     InputError
-        Naming the file and the frame or the joint, and what was expected.
+        The readings are not valid; the message names the file, the frame or the joint, and what was expected.
     """
     file = read_joint_file(text_or_path, known=known)
-    return _chosen(file, frame).readings()
+    return _required_row(file, frame).readings()
 
 
 def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str, dict[str, float]]:
-    """Read the joint readings of all rows of a file, by frame (or number, or message) in the order of its rows.
+    """Read the joint readings of all rows of a file, by row label (frame, number or message), in the file's order.
 
     ``known`` and the errors are those of ``read_joints``.
     """
@@ -92,11 +100,11 @@ def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str
 
 
 def read_joint_file(text_or_path: str | Path, *, known: Iterable[str] = ()) -> JointFile:
-    """Read a file of readings of any kind, told by its content, or written-out readings as a file of one row.
+    """Read a file of readings whose format is recognised by its content, or readings given as text as one row.
 
     ``known`` and the errors are those of ``read_joints``.
     """
-    names = all_names(known)
+    names = accepted_names(known)
     if is_written_out(text_or_path):
         row = JointRow("joints", _written_out(str(text_or_path), names))
         return JointFile("joints", "written-out readings", {"": row}, "message")
@@ -126,29 +134,30 @@ def frame_readings(
     tolerance: int = TIME_TOLERANCE,
     single: bool = False,
 ) -> FrameReadings:
-    """Find the readings of one frame in all files that a session has.
+    """Find the readings of one frame in all files of a session.
 
-    A file whose rows have times is interpolated to the image's time, if that is known and is not the very time of the
-    frame's own row. Otherwise a row is the frame's by its name; rows that are only numbered, by the whole number that
-    the frame's name ends in.
+    If the rows of a file have times and the image's time is known, the readings are interpolated to it, unless the row
+    with the frame's name has exactly that time. Otherwise the row with the frame's name is used, or, in a file whose
+    rows are numbered, the row with the whole number at the end of the frame's name.
 
     Parameters
     ----------
     files
-        From ``read_joint_file``; each joint in one of them only.
+        Files as returned by ``read_joint_file``; each joint must be in one of them only.
     frame
         The frame's name.
     time
         The image's time, ns.
     tolerance
-        How far the readings before and after the image may be from it, ns.
+        Largest distance in time between the image and the readings before and after it, ns.
     single
-        Whether there is one frame only, so that a file's only row is its.
+        Whether this is the only frame; the single row of a file is then used whatever its label.
 
     Raises
     ------
     InputError
-        No readings near enough in time, a time that is needed but not known, a joint in two files, a bad cell.
+        No reading is within the tolerance, the image's time is needed but not known, a joint is in two files, or a
+        cell is not valid.
     """
     readings: dict[str, float] = {}
     origin: dict[str, str] = {}
@@ -178,43 +187,44 @@ def read_frame_joints(
     time: int | None = None,
     known: Iterable[str] = (),
 ) -> FrameReadings:
-    """Read the readings of a frame that stands by itself from all its sources.
+    """Read the readings of a frame that is not part of a session folder.
 
     Parameters
     ----------
     sources
-        As ``read_joints``; each joint in one of them only.
+        Texts or paths as for ``read_joints``; each joint must be in one of them only.
     frame
-        The frame's name, where it was given; its row must then be there.
+        The frame's name, or None; if it is given, the sources must have its row.
     image
-        The image's name, which is the frame's if none was given; a table's only row will then do for any.
+        The image's name, used as the frame's name if ``frame`` is None; the only row of a table is then used for any
+        name.
     time
-        The image's time, ns; the one that its name ends in unless given.
+        The image's time, ns; by default the time at the end of the image's name, if any.
     known
         As in ``read_joints``.
 
     Raises
     ------
     InputError
-        As ``frame_readings``; a frame without a row.
+        As for ``frame_readings``, or the frame has no row.
     """
     files = [read_joint_file(source, known=known) for source in sources]
     name = image if frame is None else frame
-    moment = time_in_name(image) if time is None else time
+    image_time = time_in_name(image) if time is None else time
     for file in files:
         only = len(file.rows) == 1 and (frame is None or file.labels == "number")
-        if file.labels != "message" and not only and not (moment is not None and file.timed):
-            _chosen(file, name)  # refuses a name that is not there
-    return frame_readings(files, name, time=moment, single=True)
+        if file.labels != "message" and not only and not (image_time is not None and file.timed):
+            _required_row(file, name)  # raises InputError if the frame has no row
+    return frame_readings(files, name, time=image_time, single=True)
 
 
 def is_written_out(text_or_path: str | Path) -> bool:
-    """Whether readings are written out as ``name=value,...`` rather than named by a path."""
+    """Whether an argument is readings as text ``name=value,...`` and not a path."""
     return isinstance(text_or_path, str) and "=" in text_or_path and not os.path.exists(text_or_path)
 
 
 def _written_out(text: str, names: tuple[str, ...]) -> dict[str, float]:
-    """Parse readings written as ``name=value,name=value``."""
+    """Parse readings given as text ``name=value,name=value``."""
     readings: dict[str, float] = {}
     for item in text.split(","):
         name, equals, value = (part.strip() for part in item.partition("="))
@@ -228,7 +238,7 @@ def _written_out(text: str, names: tuple[str, ...]) -> dict[str, float]:
 
 
 def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tuple[dict[str, float], int]:
-    """Interpolate to a time; also the distance of the farthest reading used, ns."""
+    """Interpolate a file's readings at a time; return them and the distance of the farthest reading used, ns."""
     found: dict[str, float] = {}
     farthest = 0
     for timed in file.timed:
@@ -245,7 +255,7 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
 
 
 def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | None, tuple[str, ...]]:
-    """Row of a frame, None where a joints.csv has none, and how it was told."""
+    """Find the row of a frame (None if there is none), and notes on how it was found."""
     if single and len(file.rows) == 1:
         return next(iter(file.rows.values())), ()
     if file.labels == "frame":
@@ -264,8 +274,8 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | No
     )
 
 
-def _chosen(file: JointFile, frame: str | None) -> JointRow:
-    """Row that is meant by name, or the only one."""
+def _required_row(file: JointFile, frame: str | None) -> JointRow:
+    """Find the row of a named frame, or the only row; InputError if there is none."""
     if file.labels == "message" and len(file.rows) == 1:
         return next(iter(file.rows.values()))
     labels = list(file.rows)

@@ -1,4 +1,4 @@
-"""What every file of joint readings is read into: rows by frame, by number or by time."""
+"""Common representation of the files of joint readings: rows labelled by frame, by number or by message."""
 
 from __future__ import annotations
 
@@ -13,9 +13,18 @@ from dvrk_cmaes.joints.names import joint_reading
 
 @dataclass(frozen=True, eq=False)
 class JointRow:
-    """One row or message: its cells by joint, as numbers or text, blank where unknown; its time in ns, if it has one.
+    """One row or message of a file of readings.
 
-    Cells are checked when they are asked for: a bad one does no harm to other frames. ``where`` begins the message.
+    The cells are checked only when the readings are requested, so that a wrong cell does not affect other rows.
+
+    Parameters
+    ----------
+    where
+        Prefix of error messages.
+    cells
+        Numbers or texts by joint name, blank if the reading is not known.
+    time
+        Time of the row, ns, or None.
     """
 
     where: str
@@ -23,7 +32,7 @@ class JointRow:
     time: int | None = None
 
     def readings(self) -> dict[str, float]:
-        """Check the cells and give those that are known, rad or m; InputError naming the one that is wrong."""
+        """Check the cells and return the known readings, rad or m; InputError names a wrong cell."""
         known = {name: cell for name, cell in self.cells.items() if cell not in ("", None)}
         return {name: joint_reading(self.where, name, cell) for name, cell in known.items()}
 
@@ -32,8 +41,18 @@ class JointRow:
 class JointFile:
     """A file of readings.
 
-    ``kind`` says in words what it is. ``rows`` are by label, and ``labels`` says what labels are: names of frames,
-    whole numbers, or nothing but a count of messages. ``notes`` say what had to be decided by a rule.
+    Parameters
+    ----------
+    path
+        Path of the file, for messages.
+    kind
+        Description of the format.
+    rows
+        The rows by label.
+    labels
+        Kind of the labels: names of frames, whole numbers, or running numbers of messages.
+    notes
+        Assumptions made where the file is ambiguous, one sentence each.
     """
 
     path: str
@@ -44,12 +63,12 @@ class JointFile:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints that some row has a reading of, in the order they come in."""
+        """Joints with a reading in at least one row, in order of appearance."""
         return tuple(dict.fromkeys(name for row in self.rows.values() for name, c in row.cells.items() if c != ""))
 
     @cached_property
     def timed(self) -> tuple[TimedReadings, ...]:
-        """Readings over time, each joint by itself, of the rows that have a time; none where no row has one."""
+        """Time series of each joint, from the rows that have a time."""
         times: dict[str, list[int]] = {}
         values: dict[str, list[list[float]]] = {}
         for row in self.rows.values():

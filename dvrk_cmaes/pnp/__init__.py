@@ -1,1 +1,1 @@
-"""Baseline for comparisons: the pose from detections of painted markers by perspective-n-point (PnP)."""
+"""Baseline for comparisons: poses by perspective-n-point (PnP) from painted markers, or from tips and shaft edges."""

@@ -1,7 +1,7 @@
-"""The baseline: the pose from points, as earlier trackers start (perspective-n-point, PnP, by OpenCV's solvers).
+"""Pose from point correspondences by OpenCV's perspective-n-point (PnP) solvers, which initialise earlier trackers.
 
-Points of the instrument are placed by the joint readings as they are, so an error of the readings goes into the pose.
-Points in pixels are freed of the lens's distortion first, and the solvers see a pinhole.
+The 3-D points of the instrument are computed from the joint readings, without correction; errors of the readings
+therefore cause errors of the pose. Pixels are undistorted first, and the solvers use a pinhole camera.
 """
 
 from __future__ import annotations
@@ -24,17 +24,19 @@ SOLVERS: Final[Mapping[Solver, str]] = {
     "sqpnp": "SQPNP on all points, then Levenberg-Marquardt",
     "ransac": "random samples of points (RANSAC), then the iterative solver on those that agree",
 }
-FEWEST: Final = 4
-"""Points that a solver needs for one answer."""
+LEAST_POINTS: Final = 4
+"""Least number of points for a unique solution."""
 _RANSAC_PIXELS: Final = 8.0
-_RANSAC_ROUNDS: Final = 300
+_RANSAC_ITERATIONS: Final = 300
 
 
 @dataclass(frozen=True, eq=False)
 class PointPose:
-    """A pose from points: ``camera_from_root`` (4, 4), and how far the points are from where it puts them, rms in px.
+    """A pose from points.
 
-    ``used`` is how many points the pose rests on.
+    camera_from_root : (4, 4).
+    error_px : root mean square reprojection error, px.
+    used : number of points that the pose was computed from.
     """
 
     camera_from_root: Float64
@@ -42,16 +44,19 @@ class PointPose:
     used: int
 
 
-def without_distortion(camera: Camera, pixels: Float64) -> Float64:
-    """Pixels (N, 2) as a pinhole of the same matrix would see them."""
+def undistort(camera: Camera, pixels: Float64) -> Float64:
+    """Undistort pixels (N, 2): return where a pinhole camera of the same matrix would see them."""
     return np.asarray(camera.normalise(pixels) * [camera.fx, camera.fy] + [camera.cx, camera.cy])
 
 
 def solve_points(camera: Camera, pixels: Float64, points: Float64, solver: Solver = "sqpnp") -> PointPose | str:
-    """Find the pose in which points (N, 3) of the root's frame, m, appear at pixels (N, 2), or say why not."""
-    if len(points) < FEWEST:
-        return f"{len(points)} of the points that are known were seen, at least {FEWEST} are needed"
-    seen, K, no_lens = without_distortion(camera, pixels), camera.matrix, np.zeros(4)
+    """Find the pose in which points (N, 3) of the root's frame, m, appear at pixels (N, 2).
+
+    Returns a message instead of a pose if there are too few points or the solver finds no pose.
+    """
+    if len(points) < LEAST_POINTS:
+        return f"{len(points)} of the points that are known were seen, at least {LEAST_POINTS} are needed"
+    seen, K, no_lens = undistort(camera, pixels), camera.matrix, np.zeros(4)
     used: NDArray[np.intp] = np.arange(len(points), dtype=np.intp)
     try:
         if solver == "ransac":
@@ -60,7 +65,7 @@ def solve_points(camera: Camera, pixels: Float64, points: Float64, solver: Solve
                 seen,
                 K,
                 no_lens,
-                iterationsCount=_RANSAC_ROUNDS,
+                iterationsCount=_RANSAC_ITERATIONS,
                 reprojectionError=_RANSAC_PIXELS,
                 flags=cv2.SOLVEPNP_ITERATIVE,
             )
@@ -71,7 +76,7 @@ def solve_points(camera: Camera, pixels: Float64, points: Float64, solver: Solve
                 turn, shift = cv2.solvePnPRefineLM(points, seen, K, no_lens, turn, shift)
     except cv2.error as error:
         return f"OpenCV's solver refused the points ({error.err or error.code})"
-    if not solved or len(used) < FEWEST:
+    if not solved or len(used) < LEAST_POINTS:
         return "OpenCV's solver found no pose that the points agree on"
     pose = transform(exp_rotation(np.ravel(turn)), np.ravel(shift))
     if not np.isfinite(pose).all():
@@ -83,7 +88,10 @@ def solve_points(camera: Camera, pixels: Float64, points: Float64, solver: Solve
 
 
 def reprojection_error(camera: Camera, pose: Float64, points: Float64, seen: Float64) -> float | None:
-    """Root mean square distance, px, of points (N, 3) in a pose (4, 4) from pixels (N, 2); None behind the camera."""
+    """Return the root mean square distance, px, of projected points (N, 3) in a pose (4, 4) from pixels (N, 2).
+
+    The pixels are undistorted. None if a point lies behind the camera.
+    """
     placed = apply(pose, points)
     if placed[:, 2].min() <= 0:
         return None

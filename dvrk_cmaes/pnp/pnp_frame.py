@@ -1,4 +1,4 @@
-"""Frames of a session by the PnP baseline: results in the same schema as an estimate's, so that all comparisons fit."""
+"""Poses of a session's frames by the PnP baseline, as results in the same schema as those of an estimate."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import Marker, place_markers
-from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pnp.pnp import PointPose, Solver, solve_points
 from dvrk_cmaes.pnp.tip_pose import solve_tips
 from dvrk_cmaes.results.result import Result
@@ -27,7 +26,7 @@ Float64 = NDArray[np.float64]
 Points = Literal["markers", "tips"]
 
 LARGEST_ERROR_PX: Final = 15.0
-"""Root mean square distance of the points beyond which a pose is called doubtful."""
+"""Root mean square reprojection error above which a result is doubtful."""
 
 
 def pose_from_markers(
@@ -40,12 +39,32 @@ def pose_from_markers(
     solver: Solver = "sqpnp",
     arm: Arm = "classic",
 ) -> Result:
-    """Find the pose of a frame from the markers seen in it, pixels (2,) by name; failed, with the reason, if none.
+    """Find the pose of a frame from the markers seen in it.
+
+    Parameters
+    ----------
+    files
+        The frame, with its readings.
+    camera, instrument
+        The camera and the instrument.
+    table
+        Positions of the markers on the instrument's links, by name.
+    seen
+        Pixels (2,) of the markers seen, by name.
+    solver
+        The PnP solver, one of ``SOLVERS``.
+    arm
+        The arm, for the pose of its base.
+
+    Returns
+    -------
+    Result
+        Its status is ``failed``, with the reason, if no pose is found.
 
     Raises
     ------
     InputError
-        A marker that is not in the table, or on no link of the instrument.
+        A marker that is not in the table, or whose link the instrument does not have.
     """
     strangers = sorted(set(seen) - set(table))
     if strangers:
@@ -67,7 +86,10 @@ def pose_from_markers(
 def pose_from_tips(
     files: FrameFiles, data: FrameData, instrument: Instrument, *, arm: Arm = "classic", seed: int = 0
 ) -> Result:
-    """Find the pose of a frame from its two jaw tips and the shaft's edges on its mask; failed if either is missing."""
+    """Find the pose of a frame from its two jaw tips and the shaft's edges in its mask; failed if either is missing.
+
+    ``seed`` is that of the random numbers used in gathering the evidence.
+    """
     started = time.perf_counter()
     joints = _readings(files, instrument)
     answer: PointPose | str
@@ -88,7 +110,7 @@ def pose_from_tips(
 
 
 def _readings(files: FrameFiles, instrument: Instrument) -> Float64 | str:
-    """Give the readings (J,) of the instrument's joints, or say which is missing."""
+    """Return the readings (J,) of the instrument's joints, or a message that says which are missing."""
     missing = [name for name in instrument.joint_names if name not in files.readings]
     if missing:
         return f"no reading of {', '.join(missing)}, and points do not tell it"
@@ -103,7 +125,7 @@ def _result(
     seconds: float,
     arm: Arm,
 ) -> Result:
-    """Put an answer into the result's schema: the joints are those read."""
+    """Make a result of a pose or of a message that says why there is none; its joints are the readings."""
     posed = isinstance(answer, PointPose)
     reasons: tuple[str, ...] = () if posed else (str(answer),)
     doubtful = isinstance(answer, PointPose) and answer.error_px > LARGEST_ERROR_PX
@@ -111,11 +133,7 @@ def _result(
     if isinstance(answer, PointPose):
         if doubtful:
             reasons = (f"points: {answer.error_px:.1f} px rms from where the pose puts them",)
-        if all(name in files.readings for name in OUTER_JOINTS):
-            base = np.asarray(
-                answer.camera_from_root
-                @ inverse(base_from_root(files.readings, arm, roll_offset=instrument.roll_offset))
-            )
+        base = find_camera_from_base(answer.camera_from_root, files.readings, arm, roll_offset=instrument.roll_offset)
     return Result(
         frame=files.name,
         status="failed" if not posed else "doubtful" if doubtful else "ok",

@@ -1,7 +1,8 @@
-"""The pose from two jaw tips and the shaft's two edges alone: what keypoints can do, and what they cannot.
+"""Pose from two jaw tips and the two edges of the shaft.
 
-The edges and the shaft's radius fix its axis in space. What is left, sliding along it and turning about it, must come
-from the two tips, which the readings place; so an error of the readings turns the instrument about its shaft.
+The edges and the shaft's radius determine its axis in the camera's frame. The remaining translation along the axis and
+rotation about it are determined by the two tips, whose positions in the root's frame are computed from the joint
+readings; errors of the readings therefore cause errors of the roll.
 """
 
 from __future__ import annotations
@@ -17,40 +18,45 @@ from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
 from dvrk_cmaes.geometry import frame_along, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pnp.pnp import PointPose, without_distortion
+from dvrk_cmaes.pnp.pnp import PointPose, undistort
 from dvrk_cmaes.pose.search.losses import keypoint_loss
 from dvrk_cmaes.pose.search.objective import project_tips
 
 Float64 = NDArray[np.float64]
 
-_TURNS: Final = 48
-_SLIDES: Final = np.linspace(-0.03, 0.03, 31)  # m along the axis, of the root from where the tips are
-_STARTS: Final = 4
-_SCALE: Final = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02])  # m, rad: of small changes
+_TURNS: Final = 48  # start angles about the axis
+_SLIDES: Final = np.linspace(-0.03, 0.03, 31)  # m, start positions of the root along the axis, relative to the tips
+_STARTS: Final = 4  # best starts that are refined
+_SCALE: Final = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02])  # m, rad: units of the refined variables
 
 
 def solve_tips(
     camera: Camera, instrument: Instrument, joints: Float64, tips: Float64, edges: ShaftEdges
 ) -> PointPose | str:
-    """Find the pose in which the jaw tips and the shaft's edges appear where they were seen, or say why there is none.
+    """Find the pose that minimises the reprojection errors of the jaw tips and of the shaft's edges.
 
     Parameters
     ----------
     camera
         The camera.
     instrument
-        One with a shaft and two jaws.
+        An instrument with a shaft and two jaws.
     joints : (J,)
-        Readings, rad, taken as they are.
+        Readings, rad; they are not corrected.
     tips : (2, 2)
-        Pixels, in either order.
+        Pixels of the tips, in either order.
     edges
         The shaft's two edges.
+
+    Returns
+    -------
+    PointPose or str
+        A message if the instrument has no shaft or no jaws, or if no pose is found.
     """
     shaft = instrument.shaft
     if shaft is None or not instrument.jaw_tips:
         return f"{instrument.name} has no shaft with two jaws"
-    seen = without_distortion(camera, tips)
+    seen = undistort(camera, tips)
     pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     starts = _starts(pinhole, instrument, joints, seen, edges)
     scores = keypoint_loss(project_tips(instrument, pinhole, starts, np.tile(joints, (len(starts), 1))), seen)
@@ -69,12 +75,12 @@ def solve_tips(
     cost, pose = min(found, key=lambda one: one[0])
     if not np.isfinite(cost) or pose[2, 3] <= 0:
         return "no pose brings tips and edges together"
-    measured = 4  # points: two tips, and two edges of two ends each, of which only the distance across counts
+    measured = 4  # points: two tips with two coordinates each; two ends of two edges, each with one distance
     return PointPose(pose, float(np.sqrt(2 * cost / measured)), measured)
 
 
 def _starts(camera: Camera, instrument: Instrument, joints: Float64, seen: Float64, edges: ShaftEdges) -> Float64:
-    """Poses (C, 4, 4) on the axis that the edges give, towards the tips, turned and slid evenly."""
+    """Return start poses (C, 4, 4) with the shaft on the axis of the edges, on a grid of positions and angles."""
     assert instrument.shaft is not None
     axis, point = shaft_axis(edges.planes, instrument.shaft.radius)
     tips, shaft = (_nearest_on_axis(camera, axis, point, p.mean(axis=0)) for p in (seen, edges.ends.reshape(-1, 2)))
@@ -85,14 +91,17 @@ def _starts(camera: Camera, instrument: Instrument, joints: Float64, seen: Float
 
 
 def _nearest_on_axis(camera: Camera, axis: Float64, point: Float64, pixel: Float64) -> float:
-    """Coordinate along an axis, m from a point (3,) on it, of where it passes nearest to a pixel's ray."""
+    """Return the coordinate along an axis, m from ``point`` (3,), of its point nearest to a pixel's ray."""
     ray = np.array([*camera.normalise(pixel), 1.0])
     away = np.cross(ray, np.cross(axis, ray))
     return -float(away @ point) / float(away @ axis)
 
 
 def _edge_distances(camera: Camera, instrument: Instrument, pose: Float64, edges: ShaftEdges) -> Float64:
-    """Distances (4,), px, of the ends of the edges seen from the projected ones that face the same way."""
+    """Return the distances (4,), px, of the seen edges' ends from the projected edges, in the nearer of both pairings.
+
+    Distances that are not finite because the camera is inside the cylinder are 1000 px.
+    """
     shaft = instrument.shaft
     assert shaft is not None
     rotation, translation = pose[:3, :3], pose[:3, 3]

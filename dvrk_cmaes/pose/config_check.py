@@ -1,4 +1,4 @@
-"""Settings that make no sense are refused before anything is computed with them."""
+"""Check of the values of all settings before an estimate."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def check_config(config: EstimateConfig) -> None:
     Raises
     ------
     InputError
-        An unknown method (with the nearest known), or a number that is not finite, negative, too large, or zero where
-        that has no meaning.
+        A setting is an unknown method (the message lists the known ones, most similar first), or a number that is not
+        finite, negative, above its largest value, or zero where only positive values are allowed.
     """
     for key, value in leaves(config):
         where = f"config: {key}"

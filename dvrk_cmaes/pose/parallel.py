@@ -1,4 +1,4 @@
-"""Both cores for independent pieces of one frame's work."""
+"""Map a function over independent items in threads, and divide items into batches."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 
-def each(function: Callable[[A], B], items: Sequence[A], threads: int) -> list[B]:
-    """Apply a function to all items, in their order, on up to ``threads`` threads.
+def map_threaded(function: Callable[[A], B], items: Sequence[A], threads: int) -> list[B]:
+    """Apply a function to each item in up to ``threads`` threads; returns the values in the order of the items.
 
-    The items decide what is computed together, so results do not depend on the number of threads.
+    Each item is one call of the function, so the values do not depend on the number of threads.
     """
     if threads <= 1 or len(items) <= 1:
         return [function(item) for item in items]
@@ -23,7 +23,7 @@ def each(function: Callable[[A], B], items: Sequence[A], threads: int) -> list[B
 
 
 def batches(items: Sequence[A], size: int) -> list[Sequence[A]]:
-    """Cut items into batches of nearly equal length, at most ``size`` long."""
+    """Divide items into batches of nearly equal length, at most ``size`` each."""
     count = -(-len(items) // size)
     edges = [round(i * len(items) / count) for i in range(count + 1)] if count else []
     return [items[a:b] for a, b in pairwise(edges)]

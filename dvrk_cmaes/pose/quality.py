@@ -1,4 +1,4 @@
-"""How well a pose explains its frame, and whether it can be trusted."""
+"""Measures of how well poses explain their frame, and the reasons for which a pose is doubtful."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.search.objective import pose_terms
 from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette import Renderer
-from dvrk_cmaes.silhouette.ray_check import confirmed
+from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
 Float64 = NDArray[np.float64]
 
 
 def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float64:
-    """Distances in px from points (N, 2) to a silhouette's outline, negative inside, (N,); infinite without one."""
+    """Compute signed distances, px, of points (N, 2) to a silhouette's outline, negative inside; inf without one."""
     if not len(points) or silhouette.all() or not silhouette.any():
         return np.full(len(points), np.inf)
     return sampled(signed_distance(silhouette), points)
@@ -45,19 +45,22 @@ def measure_quality(
     decay: float,
     field: str,
 ) -> tuple[list[Quality], int]:
-    """Overlap, losses and contour distances of all modes at full size, and the rays that confirmed their silhouettes.
+    """Measure overlap, losses and contour distances of all modes at full image size.
 
-    The distance field is only needed where a silhouette or the mask is.
+    The silhouettes are rendered as masks and checked by ray tracing along their outlines. The distance field is
+    computed by the method ``field``, in a window around the mask and all silhouettes; ``decay``, px, is the distance
+    over which it increases by one. Returns the quality of each mode and the number of rays traced.
     """
     poses, joints = np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
-    masks, rays = confirmed(renderer, poses, joints, renderer.masks(poses, joints))
+    masks, rays = trace_near_outlines(renderer, poses, joints, renderer.masks(poses, joints))
     left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
     window = np.s_[top : top + height, left : left + width]
     mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
-    around = np.pad(mask, 1)  # the field needs some background
+    around = np.pad(mask, 1)  # the distance field is undefined for a mask without background
     far = distance_field(around, field)[1:-1, 1:-1] / decay
     area = float((mask * weight).sum())
-    cylinder, keypoints, read = pose_terms(evidence, renderer.body.instrument, readings, weights, poses, joints)
+    others = pose_terms(evidence, renderer.body.instrument, readings, weights, poses, joints)
+    cylinder, keypoints, deviations = others
     found = []
     for i, silhouette in enumerate(masks[:, window[0], window[1]]):
         drawn = silhouette * weight
@@ -67,13 +70,13 @@ def measure_quality(
             scale=scale_loss(np.array([drawn.sum()]), area) / area,
             cylinder=cylinder[i : i + 1],
             keypoints=keypoints[i : i + 1],
-            readings=read[i : i + 1],
+            readings=deviations[i : i + 1],
         )
         both, either = (drawn * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
-        # from a silhouette that is out of view: no farther than across the image
-        across = float(np.hypot(*evidence.mask.shape))
-        signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -across, across)
-        distances = np.abs(signed) if len(signed) else np.array([across])
+        # infinite for a silhouette outside the image: limited to the diagonal of the image
+        diagonal = float(np.hypot(*evidence.mask.shape))
+        signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -diagonal, diagonal)
+        distances = np.abs(signed) if len(signed) else np.array([diagonal])
         shaft = shaft_width(renderer.body.instrument, evidence.camera, poses[i])
         found.append(
             Quality(
@@ -89,7 +92,7 @@ def measure_quality(
 
 
 def _tips_out_of_view(best: HasPose, instrument: Instrument, evidence: Evidence) -> bool:
-    """Whether a jaw tip is behind the camera or outside the image."""
+    """Return whether a jaw tip is behind the camera or outside the image."""
     pose, camera = best.camera_from_root, evidence.camera
     tips = apply(pose, instrument.tips(best.joints))
     if (tips[:, 2] <= 0).any():
@@ -101,7 +104,7 @@ def _tips_out_of_view(best: HasPose, instrument: Instrument, evidence: Evidence)
 def doubts_of_fit(
     best: HasPose, quality: Quality, evidence: Evidence, instrument: Instrument, trust: TrustConfig
 ) -> list[str]:
-    """Say in words what is wrong with a pose as an explanation of its mask."""
+    """List the reasons, in words, for which a pose does not explain its mask; empty if there are none."""
     reasons = []
     if quality.iou < trust.least_iou:
         reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
@@ -129,7 +132,10 @@ def judge(
     instrument: Instrument,
     trust: TrustConfig,
 ) -> list[str]:
-    """Reasons to doubt a pose, in words; none where it can be trusted."""
+    """List the reasons, in words, for which the best of all modes is doubtful; empty if there are none.
+
+    ``modes`` are sorted by their score and start with ``best``.
+    """
     reasons = doubts_of_fit(best, quality, evidence, instrument, trust)
     known = ~np.isnan(readings.values)
     better = min(modes, key=lambda mode: mode.outline_score)
@@ -146,12 +152,12 @@ def judge(
             reasons.append("runner-up mode too close: another pose explains the frame nearly as well")
     if not known.any():
         reasons.append("no readings: nothing tells the pose from its mirror twin")
-    off = np.abs(best.joints - readings.values) / readings.spread
+    off = np.abs(best.joints - readings.values) / readings.sigma
     for name, sigmas in zip(instrument.joint_names, off, strict=True):
         if sigmas > trust.largest_reading_sigmas:
             reasons.append(f"far from the readings: {name} is {sigmas:.1f} times the expected error away")
     std = np.sqrt(np.diag(np.linalg.inv(best.information))[6:])
-    for name, deviation, prior, read in zip(instrument.joint_names, std, readings.spread, known, strict=True):
+    for name, deviation, prior, read in zip(instrument.joint_names, std, readings.sigma, known, strict=True):
         if deviation >= trust.unobservable_share * prior:
             than = "its reading's" if read else "a reading's would be"
             reasons.append(

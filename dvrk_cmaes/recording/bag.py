@@ -1,4 +1,4 @@
-"""ROS recordings without ROS, read by the library rosbags: a .bag of ROS 1, a folder (sqlite3 or MCAP) of ROS 2."""
+"""Reader of ROS recordings with the library rosbags: .bag files of ROS 1, folders (sqlite3 or MCAP) of ROS 2."""
 
 from __future__ import annotations
 
@@ -15,56 +15,60 @@ from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.topics import TopicChoice, Topics, choose_topics
+from dvrk_cmaes.recording.topics import TopicRequest, Topics, choose_topics
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 SUFFIXES = (".bag", ".mcap", ".db3")
-"""Of files that are ROS recordings; a folder may be one too."""
+"""Suffixes of ROS recordings; a recording may also be a folder."""
 
 
 @contextmanager
 def open_bag(
     path: Path,
-    asked: TopicChoice,
+    requested: TopicRequest,
     *,
     recorded_times: bool = False,
     camera: Path | None = None,
     joints: Path | None = None,
 ) -> Iterator[Recording]:
-    """Open a ROS recording; readings and camera are read at once, images as they are asked for.
+    """Open a ROS recording; readings and camera are read at once, images during iteration.
 
     Parameters
     ----------
     path
         A .bag, .mcap or .db3 file, or a folder with metadata.yaml.
-    asked
-        Topics that were asked for; the others are found.
+    requested
+        Topics given by name; the others are found automatically.
     recorded_times
-        Take the times at which messages were recorded instead of those in their headers. Also done, and noted, where
-        headers have none.
+        Use the times at which messages were recorded instead of those in their headers. This is also done, with a note,
+        if the headers of a topic have no times.
     camera, joints
-        A camera file, and a table of readings over time, to take instead of the recording's topics.
+        A camera file, and a file of time-stamped readings, to use instead of the recording's topics.
 
     Raises
     ------
     InputError
-        rosbags is not installed, the recording is damaged, a topic is missing or one of several, or a message will
-        not do.
+        rosbags is not installed, the recording is damaged, a topic is missing or ambiguous, or a message is not valid.
     """
     with _open(path) as reader:
-        with _damage_refused(path):
-            recording = _recording(reader, path, asked, recorded_times, camera, joints)
-        yield recording  # outside: what goes wrong with whoever uses it is no damage
+        with _errors_as_input_errors(path):
+            recording = _recording(reader, path, requested, recorded_times, camera, joints)
+        yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
 def _recording(
-    reader: AnyReader, path: Path, asked: TopicChoice, recorded_times: bool, camera: Path | None, joints: Path | None
+    reader: AnyReader,
+    path: Path,
+    requested: TopicRequest,
+    recorded_times: bool,
+    camera: Path | None,
+    joints: Path | None,
 ) -> Recording:
-    """Choose topics and clock, read camera and readings; ``notes`` say how it was decided."""
+    """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
     types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
-    topics = choose_topics(path, types, asked, camera=camera is None, joints=joints is None)
+    topics = choose_topics(path, types, requested, camera=camera is None, joints=joints is None)
     used = [name for name in (topics.joints, topics.jaw) if name is not None]
     notes = [f"images: {topics.image}"]
     if "_rect" in topics.image:
@@ -94,7 +98,7 @@ def _recording(
 
 @contextmanager
 def _open(path: Path) -> Iterator[AnyReader]:
-    """Open a recording with rosbags."""
+    """Open a recording with rosbags; InputError if it is not one or rosbags is not installed."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -110,8 +114,8 @@ def _open(path: Path) -> Iterator[AnyReader]:
             f"{path}: expected a ROS 2 recording, got a folder without metadata.yaml "
             "(give its .mcap or .db3 file, or run: ros2 bag reindex)"
         )
-    with _damage_refused(path):
-        # before Iron, ROS 2 recorded no definitions; those of sensor_msgs have not changed since
+    with _errors_as_input_errors(path):
+        # recordings of ROS 2 before Iron lack message definitions; those of sensor_msgs are unchanged since
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     try:
@@ -121,8 +125,8 @@ def _open(path: Path) -> Iterator[AnyReader]:
 
 
 @contextmanager
-def _damage_refused(path: Path) -> Iterator[None]:
-    """Refuse what the library stumbles over: parsers raise anything, from AssertionError to MemoryError."""
+def _errors_as_input_errors(path: Path) -> Iterator[None]:
+    """Convert every exception of the parsers, e.g. AssertionError or MemoryError, to InputError."""
     try:
         yield
     except InputError:
@@ -133,20 +137,21 @@ def _damage_refused(path: Path) -> Iterator[None]:
 
 
 def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[int, Any]]:
-    """Messages of a topic in the order of the recording, with the time each was recorded at, ns."""
+    """Yield the messages of a topic in the order of the recording, each with its recording time, ns."""
     connections = [one for one in reader.connections if one.topic == topic]
     for connection, time, data in reader.messages(connections):
         yield time, reader.deserialize(data, connection.msgtype)
 
 
 def _first(reader: AnyReader, path: Path, topic: str) -> Any:
+    """Return the first message of a topic; InputError if there is none."""
     for _, message in _messages(reader, topic):
         return message
     raise InputError(f"{path}: {listed([topic])}: expected messages, got none, though the recording lists some")
 
 
 def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
-    """Give the first camera file of a recording, and say so where later ones differ."""
+    """Return the camera file of the first CameraInfo message, and a note if later messages differ."""
     assert topics.camera is not None
     name = topics.image.strip("/").replace("/", "_")
     first: bytes | None = None
@@ -161,7 +166,7 @@ def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
 
 
 def _readings(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> TimedReadings:
-    """Read all readings of a topic."""
+    """Read all readings of a topic as a time series."""
     where = f"{path}: {topic}"
     names: tuple[str, ...] | None = None
     times: list[int] = []
@@ -174,8 +179,8 @@ def _readings(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -
 
 
 def _images(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:
-    """Images of a topic; one is decoded and encoded only when it is loaded."""
-    with _damage_refused(path):
+    """Yield the images of a topic; an image is decoded and encoded only when it is loaded."""
+    with _errors_as_input_errors(path):
         for number, (time, message) in enumerate(_messages(reader, topic)):
             where = f"{path}: {topic}: image {number}"
             yield RecordedImage(

@@ -1,4 +1,4 @@
-"""The camera file of a session: one that lies beside the recording, or what a CameraInfo message says."""
+"""Camera files of imported sessions, from a given file or from a CameraInfo message."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ _LARGEST = 1_000_000  # bytes
 
 
 def read_camera_bytes(path: Path) -> bytes:
-    """Read a camera file as it is, once it is known to be one; InputError if it is not."""
+    """Read the bytes of a camera file, unchanged; InputError if it is not a camera file."""
     read_camera_file(path)
     return read_bytes(path, expected="a camera file", largest=_LARGEST)
 
 
 def camera_file(message: Any, name: str) -> bytes:
-    """Camera of a sensor_msgs/CameraInfo as the YAML file that ROS' camera_calibration writes.
+    """Convert a sensor_msgs/CameraInfo message to a YAML file in the format of ROS' camera_calibration.
 
     Parameters
     ----------
     message
-        Of ROS 1 (K, D, R, P) or ROS 2 (k, d, r, p).
+        The message, of ROS 1 (fields K, D, R, P) or ROS 2 (fields k, d, r, p).
     name
-        The camera's, e.g. its frame.
+        The camera's name.
     """
     shapes = {"K": (3, 3), "R": (3, 3), "P": (3, 4)}
     fields = {"K": "camera_matrix", "R": "rectification_matrix", "P": "projection_matrix"}
 
     def numbers(letter: str) -> list[float]:
+        """Return a field's numbers by its upper-case name."""
         values = getattr(message, letter, None)
         return [float(v) for v in (getattr(message, letter.lower()) if values is None else values)]
 

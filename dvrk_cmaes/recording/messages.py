@@ -1,4 +1,4 @@
-"""ROS messages to what a session holds: image files, and joint readings by name. Fields are those of sensor_msgs."""
+"""Conversion of ROS messages of sensor_msgs to image files and joint readings."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import all_names, ordered_joints, plain_joint
+from dvrk_cmaes.joints.names import accepted_names, joints_by_count, without_ros_prefix
 from dvrk_cmaes.recording.recording import ImageFile
 
-# bytes a pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the first two rows' first pixels
+# bytes per pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the top-left 2 x 2 pixels
 _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "bgr8": (3, None),
     "rgb8": (3, cv2.COLOR_RGB2BGR),
@@ -33,22 +33,24 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 
 
 def stamp(message: Any) -> int:
-    """Time of a message's header, ns; zero where nobody set it."""
+    """Return the time of a message's header, ns; zero if it is not set."""
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
 
 
 def image_file(message: Any, where: str) -> ImageFile:
-    """Image of a sensor_msgs/Image (as PNG, nothing is lost) or CompressedImage (its own bytes).
+    """Convert an Image to a PNG file (lossless), or return the PNG or JPEG file of a CompressedImage unchanged.
 
     Raises
     ------
     InputError
-        An unknown encoding, fewer bytes than the size takes, or over 100 megapixels; ``where`` begins the message.
+        The encoding is unknown, the data are too short or damaged, or the image has over 100 megapixels; the message
+        begins with ``where``.
     """
     return _raw(message, where) if hasattr(message, "encoding") else _compressed(message, where)
 
 
 def _raw(message: Any, where: str) -> ImageFile:
+    """Convert a sensor_msgs/Image to a PNG file."""
     width, height, step = int(message.width), int(message.height), int(message.step)
     if message.encoding not in _ENCODINGS:
         names = ", ".join(nearest_first(message.encoding, _ENCODINGS))
@@ -64,18 +66,19 @@ def _raw(message: Any, where: str) -> ImageFile:
     pixels = rows[:, : width * channels].reshape((height, width, channels) if channels > 1 else (height, width))
     try:
         converted = pixels if conversion is None else cv2.cvtColor(pixels, conversion)
-    except cv2.error:  # a Bayer pattern or pairs of pixels that do not fit the size
+    except cv2.error:  # the size does not fit the Bayer pattern or the pixel pairs
         raise InputError(f"{where}: {width} x {height} pixels of {message.encoding} make no image") from None
-    return encoded(np.ascontiguousarray(converted, np.uint8))
+    return encode_png(np.ascontiguousarray(converted, np.uint8))
 
 
-def encoded(pixels: NDArray[np.uint8]) -> ImageFile:
+def encode_png(pixels: NDArray[np.uint8]) -> ImageFile:
     """Encode pixels, (H, W) grey or (H, W, 3) BGR uint8, as PNG."""
     _, data = cv2.imencode(".png", pixels)
     return ImageFile(data.tobytes(), ".png", pixels.shape[1], pixels.shape[0])
 
 
 def _compressed(message: Any, where: str) -> ImageFile:
+    """Return the file of a sensor_msgs/CompressedImage."""
     data = bytes(np.asarray(message.data, np.uint8))
     header = read_header(data)
     if header is None:
@@ -87,24 +90,25 @@ def _compressed(message: Any, where: str) -> ImageFile:
 
 
 def _check_size(width: int, height: int, where: str) -> None:
+    """Raise InputError for an empty image or one of more than `MOST_PIXELS` pixels."""
     if not 0 < width * height <= MOST_PIXELS:
         raise InputError(f"{where}: expected 1 to {MOST_PIXELS} pixels, got {width} x {height}")
 
 
 def joint_names(message: Any, where: str) -> tuple[str, ...]:
-    """Names of a JointState's joints, without what ROS puts before them; by their number where it names none."""
+    """Return the joint names of a JointState without ROS prefixes; without names, those implied by the number."""
     if not message.name:
-        return ordered_joints(f"{where}: position", len(message.position))
-    names = tuple(plain_joint(str(name), all_names()) for name in message.name)
-    if set(names) - set(all_names()) or len(set(names)) < len(names):
+        return joints_by_count(f"{where}: position", len(message.position))
+    names = tuple(without_ros_prefix(str(name), accepted_names()) for name in message.name)
+    if set(names) - set(accepted_names()) or len(set(names)) < len(names):
         raise InputError(
-            f"{where}: name: expected joints of an arm ({', '.join(all_names())}), got {listed(message.name, 8)}"
+            f"{where}: name: expected joints of an arm ({', '.join(accepted_names())}), got {listed(message.name, 8)}"
         )
     return names
 
 
 def joint_values(message: Any, names: tuple[str, ...], where: str) -> list[float]:
-    """Positions of a JointState whose joints must be these, rad or m; NaN stays NaN."""
+    """Return the positions of a JointState, rad or m, NaN included; InputError if its joints are not ``names``."""
     if joint_names(message, where) != names or len(message.position) != len(names):
         raise InputError(
             f"{where}: expected a position of each of {', '.join(names)} in every message, "

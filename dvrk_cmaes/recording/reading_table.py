@@ -1,4 +1,4 @@
-"""Joint readings in a file beside a recording: any file of readings whose rows have times."""
+"""Time-stamped joint readings from a file given in addition to a recording."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from dvrk_cmaes.joints.reading import read_joint_file
 
 
 def read_timed_joints(path: Path) -> tuple[TimedReadings, ...]:
-    """Read readings over time; joints that are read at the same times stay together.
+    """Read a file of readings whose rows have times; joints with the same times are in series time series.
 
     Raises
     ------
     InputError
-        Not a file of readings, or one without times.
+        The file is not one of readings, or its rows have no times.
     """
     file = read_joint_file(path)
-    together: dict[bytes, list[TimedReadings]] = {}
-    for one in file.timed:
-        together.setdefault(one.times.tobytes(), []).append(one)
-    if not together:
+    groups: dict[bytes, list[TimedReadings]] = {}
+    for series in file.timed:
+        groups.setdefault(series.times.tobytes(), []).append(series)
+    if not groups:
         raise InputError(f"{path}: expected joint readings with times (a column time, in seconds), got {file.kind}")
     return tuple(
         TimedReadings(
             str(path),
-            tuple(name for one in some for name in one.joints),
-            some[0].times,
-            np.hstack([one.values for one in some]),
+            tuple(name for series in group for name in series.joints),
+            group[0].times,
+            np.hstack([series.values for series in group]),
         )
-        for some in together.values()
+        for group in groups.values()
     )

@@ -1,4 +1,4 @@
-"""What a recording gives, whether it is a bag or a video: images in order, readings over time, a camera."""
+"""Common interface of ROS bags and videos: a sequence of images, time series of readings, and a camera."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dvrk_cmaes.joints.interpolation import TimedReadings
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image as it is stored: the bytes of a PNG or JPEG file, and its size in pixels."""
+    """A PNG or JPEG file in memory: its bytes, its extension, and the image size in pixels."""
 
     data: bytes
     extension: str
@@ -21,9 +21,9 @@ class ImageFile:
 
 @dataclass(frozen=True, eq=False)
 class RecordedImage:
-    """An image of a recording: its number, counted from zero, its time in ns, and how to get at it.
+    """An image of a recording: its number, from zero, its time, ns, and a function that loads it.
 
-    ``load`` may be called until the next image is asked for; an image that is left out costs nothing.
+    ``load`` must be called before the next image is requested. Images that are not loaded are not decoded.
     """
 
     number: int
@@ -38,17 +38,17 @@ class Recording:
     Parameters
     ----------
     path
-        Where it lies, for messages.
+        Path of the recording, for messages.
     images
-        In the order of the recording; they can be gone through once.
+        The images in the order of the recording; they can be iterated once.
     total
-        How many images it says it has; None if it does not say.
+        Number of images stated by the recording; None if it is not stated.
     camera
-        A camera file, as ``read_camera`` reads it.
+        Bytes of a camera file.
     readings
-        From each source, e.g. one topic for the arm and one for the jaw.
+        A time series for each source, e.g. one topic of the arm and one of the jaw.
     notes
-        In words, what was decided on the way: which topics, whose clock.
+        The choices that were made, e.g. of topics and time source, one sentence each.
     """
 
     path: Path

@@ -1,7 +1,7 @@
-"""Which topics of a ROS recording are meant: found by type and name, and asked about where several would do.
+"""Selection of the topics of a ROS recording by type and name; an ambiguous choice is an error that lists the topics.
 
-CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's older ones
-(``/dvrk/PSM1/state_joint_current``, ``/dvrk/PSM1/state_jaw_current``) are known.
+CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's older names
+(``/dvrk/PSM1/state_joint_current``, ``/dvrk/PSM1/state_jaw_current``) are recognised.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
-#: What to say instead of a topic to go without.
+#: Given in place of a topic's name to use no topic.
 NONE = "none"
 
 _MOST_LISTED = 20
 
 
 @dataclass(frozen=True)
-class TopicChoice:
-    """Topics that were asked for by name; None is found, and for joints and jaw ``none`` is left out."""
+class TopicRequest:
+    """Topics given by name; None to find the topic automatically, ``none`` (joints and jaw only) to use none."""
 
     image: str | None = None
     camera: str | None = None
@@ -36,7 +36,7 @@ class TopicChoice:
 
 @dataclass(frozen=True)
 class Topics:
-    """Topics to read; no camera topic where the camera is another file, no joints or jaw where there are none."""
+    """Topics to read; None for a camera, joints or jaw that are not read from the recording."""
 
     image: str
     camera: str | None
@@ -45,61 +45,61 @@ class Topics:
 
 
 def choose_topics(
-    path: Path, types: Mapping[str, str], asked: TopicChoice, *, camera: bool = True, joints: bool = True
+    path: Path, types: Mapping[str, str], requested: TopicRequest, *, camera: bool = True, joints: bool = True
 ) -> Topics:
-    """Choose among the topics of a recording that have messages.
+    """Choose the topics to read among those of a recording that have messages.
 
     Parameters
     ----------
     path
         The recording, for messages.
     types
-        Type of each topic, as ROS 2 names it.
-    asked
-        What was asked for.
+        Message type of each topic, as named in ROS 2.
+    requested
+        The topics given by name.
     camera, joints
-        Whether they are wanted from the recording at all.
+        Whether they are read from the recording.
 
     Raises
     ------
     InputError
-        A topic that is not there or of another type; none that would do, or several: the message lists them.
+        A topic is missing or of another type, or none or several are suitable; the message lists the candidates.
     """
-    image = _one(path, types, asked.image, "--image-topic", (IMAGE, COMPRESSED_IMAGE), "images")
+    image = _one(path, types, requested.image, "--image-topic", (IMAGE, COMPRESSED_IMAGE), "images")
     info = None
     if camera:
-        beside = _camera_info_of(image)
-        wanted = asked.camera or (beside if types.get(beside) == CAMERA_INFO else None)
-        info = _one(path, types, wanted, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
-    if not joints or asked.joints == NONE:
+        camera_info = _camera_info_of(image)
+        requested_camera = requested.camera or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
+        info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
+    if not joints or requested.joints == NONE:
         return Topics(image, info, None, None)
     states = [name for name, kind in types.items() if kind == JOINT_STATE]
     arms = [name for name in states if _ends(name, "measured_js", "state_joint_current") and not _is_jaw(name)]
-    arm = _one(path, types, asked.joints, "--joints-topic", (JOINT_STATE,), f"the arm's joints (or {NONE})", arms)
-    if asked.jaw == NONE:
+    arm = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), f"the arm's joints (or {NONE})", arms)
+    if requested.jaw == NONE:
         return Topics(image, info, arm, None)
     jaws = [name for name in states if name in _jaws_of(arm)]
-    if asked.jaw is None and not jaws:
+    if requested.jaw is None and not jaws:
         return Topics(image, info, arm, None)
-    return Topics(image, info, arm, _one(path, types, asked.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws))
+    return Topics(image, info, arm, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws))
 
 
 def _one(
     path: Path,
     types: Mapping[str, str],
-    asked: str | None,
+    requested: str | None,
     option: str,
     kinds: Sequence[str],
     what: str,
     candidates: Iterable[str] | None = None,
 ) -> str:
-    """Topic that was asked for, or the only one that would do."""
+    """Return the requested topic, or the only suitable one; InputError if there is none or there are several."""
     expected = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
-    if asked is not None:
-        name = asked if asked in types else f"/{asked}"
+    if requested is not None:
+        name = requested if requested in types else f"/{requested}"
         if name not in types:
-            near = listed(nearest_first(asked, types), _MOST_LISTED)
-            raise InputError(f"{path}: {option}: no messages on {asked}; expected one of {near}")
+            near = listed(nearest_first(requested, types), _MOST_LISTED)
+            raise InputError(f"{path}: {option}: no messages on {requested}; expected one of {near}")
         if types[name] not in kinds:
             raise InputError(f"{path}: {option}: {name}: expected {expected}, got {types[name].replace('/msg/', '/')}")
         return name
@@ -113,21 +113,22 @@ def _one(
 
 
 def _camera_info_of(image: str) -> str:
-    """Topic that image_transport's convention puts beside an image topic: ``camera_info`` in its namespace."""
+    """Return the topic of an image topic's camera by image_transport's convention: ``camera_info`` in its namespace."""
     raw = image.removesuffix("/compressed")
     return f"{raw.rpartition('/')[0]}/camera_info"
 
 
 def _ends(name: str, *words: str) -> bool:
+    """Whether the last part of a topic's name is one of some words."""
     return name.rpartition("/")[2] in words
 
 
 def _is_jaw(name: str) -> bool:
-    """Whether a topic is of a jaw, or of a master's gripper."""
+    """Whether a topic is in the namespace of a jaw or of a master's gripper."""
     return name.split("/")[-2:-1] in (["jaw"], ["gripper"])
 
 
 def _jaws_of(arm: str) -> tuple[str, ...]:
-    """Topics where the jaw of an arm may be."""
+    """Return the names of the topics that the jaw of an arm may have."""
     namespace = arm.rpartition("/")[0]
     return f"{namespace}/jaw/measured_js", f"{namespace}/state_jaw_current"

@@ -1,4 +1,4 @@
-"""A video, by OpenCV, and the camera and readings that lie beside it in files of their own."""
+"""Reader of videos with OpenCV, with camera and readings from separate files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.image_header import MOST_PIXELS
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.messages import encoded
+from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 
@@ -26,28 +26,28 @@ _QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
 
 @contextmanager
 def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: float = 0.0) -> Iterator[Recording]:
-    """Open a video; images are decoded as they are asked for.
+    """Open a video; images are decoded during iteration.
 
     Parameters
     ----------
     path
         The video.
     camera, joints
-        Its camera file, and its readings over time; both are needed.
+        Camera file, and file of time-stamped readings; both are required.
     start
-        Time of the video's first frame on the clock of the readings, s.
+        Time of the video's first frame in the time of the readings, s.
 
     Raises
     ------
     InputError
-        A file that is missing or wrong, or a video of which no frame can be read.
+        A file is missing or not valid, or the video cannot be read.
     """
     check_file(path, expected=_EXPECTED)
     if camera is None or joints is None:
         missing = "--camera" if camera is None else "--joints"
         raise InputError(f"{path}: {missing}: a video needs a camera file and a table of readings; got none")
     lens, readings = read_camera_bytes(camera), read_timed_joints(joints)
-    with _captured(path) as capture:
+    with _open_capture(path) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         notes = (
             f"camera: {camera}",
@@ -59,11 +59,11 @@ def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: f
 
 
 @contextmanager
-def _captured(path: Path) -> Iterator[Any]:
-    """Open a video with FFmpeg, which comes with OpenCV and is kept from printing; other readers guess at names."""
+def _open_capture(path: Path) -> Iterator[Any]:
+    """Open a video with OpenCV's FFmpeg backend, without log output; others take file names for patterns."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)  # read when FFmpeg is first used
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)  # OpenCV reads this when FFmpeg is first used
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
@@ -78,7 +78,7 @@ def _captured(path: Path) -> Iterator[Any]:
 
 
 def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:
-    """Frames of a video, each at the time that the video states for it."""
+    """Yield the frames of a video, each with its presentation time plus ``start``, ns."""
     number, before = 0, -1
     while capture.grab():
         time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
@@ -89,7 +89,8 @@ def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:
 
 
 def _decoded(path: Path, capture: Any, number: int) -> ImageFile:
+    """Decode the frame last grabbed and encode it as PNG."""
     found, pixels = capture.retrieve()
     if not found:
         raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
-    return encoded(np.asarray(pixels, np.uint8))
+    return encode_png(np.asarray(pixels, np.uint8))

@@ -1,7 +1,7 @@
-"""A recording to a session folder, whole or not at all: camera.yaml, images/, images.csv and joints.csv.
+"""Writing of a recording as a session folder: camera.yaml, images/, images.csv and joints.csv.
 
-images.csv    frame, time: of every image
-joints.csv    frame, time, one column a joint: a blank cell where no reading was near enough
+images.csv has the columns frame and time, joints.csv the columns frame, time and one for each joint. A cell of
+joints.csv is blank if no reading was near enough in time. The folder is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -25,35 +25,36 @@ from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
-_DIGITS = 6  # of a frame's name
+_DIGITS = 6  # number of digits of a frame's name
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which images: every Nth of those between two times, seconds after the first image."""
+    """Selection of images: every Nth of those between two times, in seconds after the first image."""
 
     every: int = 1
     start: float = 0.0
     end: float = math.inf
 
     def of(self, images: Iterator[RecordedImage]) -> Iterator[RecordedImage]:
-        """Go through the selected images; the first selected one is the first in time."""
+        """Yield the selected images, beginning with the first one in the interval."""
         first: int | None = None
-        passed = 0
+        in_interval = 0
         for image in images:
             first = image.time if first is None else first
             if self.start <= (image.time - first) / NANOSECONDS <= self.end:
-                if passed % self.every == 0:
+                if in_interval % self.every == 0:
                     yield image
-                passed += 1
+                in_interval += 1
 
 
 @dataclass(frozen=True)
-class Interpolated:
-    """What became of one source of readings: how many frames got some, and how far away the readings used were.
+class InterpolationSummary:
+    """Summary of the interpolation of one source of readings.
 
-    ``farthest_s`` is the largest distance in seconds of a reading that was used from its image; ``nearest_s`` that of
-    any reading from an image that got none. None where there is no such frame.
+    ``frames`` is the number of images with readings, ``without`` that of images without. ``farthest_s`` is the largest
+    distance in time of a reading used from its image, s; ``nearest_s`` is the smallest distance in time of a reading
+    from an image that has none, s. Both are None if there is no such image.
     """
 
     source: str
@@ -66,14 +67,18 @@ class Interpolated:
 
 @dataclass(frozen=True)
 class ImportSummary:
-    """A session that was written: where, how many frames of how many images, and their readings."""
+    """Summary of a written session.
+
+    ``images`` is the number of images read from the recording, ``frames`` that of images written, ``size`` their width
+    and height, px.
+    """
 
     session: Path
     images: int
     frames: int
     size: tuple[int, int]
     tolerance_s: float
-    readings: tuple[Interpolated, ...]
+    readings: tuple[InterpolationSummary, ...]
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,52 +97,53 @@ class ImportSummary:
 def write_session(
     recording: Recording, out: Path, *, selection: Selection, tolerance: float, overwrite: bool = False
 ) -> ImportSummary:
-    """Write the session folder of a recording; its images pass through memory one at a time.
+    """Write the session folder of a recording, with one image at a time in memory.
 
     Parameters
     ----------
     recording
-        Open, its images not yet gone through.
+        An open recording whose images have not been iterated yet.
     out
-        The folder, which must be new or empty unless ``overwrite``.
+        The session folder; unless ``overwrite`` is given, it must be empty or not exist.
     selection
-        Which images.
+        The images to write.
     tolerance
-        How far in seconds the readings on either side of an image's time may be from it.
+        Largest distance in time between an image and the readings before and after it, s.
     overwrite
-        Replace an older session.
+        Replace an existing session.
 
     Raises
     ------
     InputError
-        No image is selected, an image will not do or is of another size, no image has readings near enough, what was
-        recorded does not read back as a session, or ``out`` cannot be written.
+        No image is selected, an image is not valid or of another size, no image has readings near enough in time, the
+        written folder cannot be read as a session, or ``out`` cannot be written.
     DvrkCmaesError
-        The disk is full or failing.
+        Writing fails, e.g. because the disk is full.
     """
     names: list[str] = []
     times: list[int] = []
     with whole_folder(out, sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
-        counted = _Counted(recording.images)
-        size = _write_images(folder / "images", recording, selection.of(counted.images()), names, times)
-        tables, columns, outcomes = _interpolate(recording, times, round(tolerance * NANOSECONDS))
-        stamps = [f"{Decimal(time).scaleb(-9):f}" for time in times]
+        counter = _ImageCounter(recording.images)
+        size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times)
+        tables, columns, summaries = _interpolate(recording, times, round(tolerance * NANOSECONDS))
+        time_cells = [f"{Decimal(time).scaleb(-9):f}" for time in times]
         write_bytes(folder / "camera.yaml", recording.camera)
-        write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, stamps, strict=True)))
-        rows = ((name, stamp, *table) for name, stamp, table in zip(names, stamps, tables, strict=True))
+        write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, time_cells, strict=True)))
+        rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
         write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))
-        read_session(folder)  # what was written must read back, whatever was in the recording
-    return ImportSummary(out, counted.number, len(names), size, tolerance, outcomes, recording.notes)
+        read_session(folder)  # raises InputError if the written folder is not a valid session
+    return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, recording.notes)
 
 
-class _Counted:
-    """Images that are counted as they pass."""
+class _ImageCounter:
+    """Counts the images that it yields."""
 
     def __init__(self, images: Iterator[RecordedImage]) -> None:
         self._images = images
         self.number = 0
 
     def images(self) -> Iterator[RecordedImage]:
+        """Yield the images and count them in ``number``."""
         for image in self._images:
             self.number += 1
             yield image
@@ -146,7 +152,7 @@ class _Counted:
 def _write_images(
     folder: Path, recording: Recording, images: Iterator[RecordedImage], names: list[str], times: list[int]
 ) -> tuple[int, int]:
-    """Write images under their numbers; give their size, width and height."""
+    """Write images as files named by number, append to ``names`` and ``times``; return width and height."""
     size: tuple[int, int] | None = None
     for image in images:
         file = image.load()
@@ -167,35 +173,36 @@ def _write_images(
 
 def _interpolate(
     recording: Recording, times: Sequence[int], tolerance: int
-) -> tuple[list[list[str]], tuple[str, ...], tuple[Interpolated, ...]]:
-    """Cells of each frame, names of their columns, and what became of each source."""
+) -> tuple[list[list[str]], tuple[str, ...], tuple[InterpolationSummary, ...]]:
+    """Interpolate all readings; return the cells of each frame, the column names and a summary for each source."""
     columns: list[str] = []
     parts: list[list[list[str]]] = []
-    outcomes = []
+    summaries = []
     for source in recording.readings:
-        doubled = [name for name in source.joints if name in columns]
-        if doubled:
+        repeated = [name for name in source.joints if name in columns]
+        if repeated:
             raise InputError(
-                f"{recording.path}: {source.source}: {', '.join(doubled)}: expected joints that were not read before "
+                f"{recording.path}: {source.source}: {', '.join(repeated)}: expected joints that were not read before "
                 "(leave a topic out by --jaw-topic none)"
             )
         columns += source.joints
-        cells, outcome = _interpolate_source(source, times, tolerance)
-        if outcome.frames == 0:
-            away = math.nan if outcome.nearest_s is None else outcome.nearest_s
+        cells, summary = _interpolate_source(source, times, tolerance)
+        if summary.frames == 0:
+            away = math.nan if summary.nearest_s is None else summary.nearest_s
             raise InputError(
                 f"{recording.path}: {source.source}: expected readings within {tolerance / NANOSECONDS:g} s before and "
                 f"after an image, got none; the nearest is {away:.6g} s away (another clock? a larger --tolerance?)"
             )
         parts.append(cells)
-        outcomes.append(outcome)
+        summaries.append(summary)
     table = [list(chain.from_iterable(part[k] for part in parts)) for k in range(len(times))]
-    return table, tuple(columns), tuple(outcomes)
+    return table, tuple(columns), tuple(summaries)
 
 
 def _interpolate_source(
     source: TimedReadings, times: Sequence[int], tolerance: int
-) -> tuple[list[list[str]], Interpolated]:
+) -> tuple[list[list[str]], InterpolationSummary]:
+    """Interpolate the readings of one source at times, ns; return the cells of each time and a summary."""
     cells: list[list[str]] = []
     used: list[int] = []
     missed: list[int] = []
@@ -207,7 +214,7 @@ def _interpolate_source(
         else:
             cells.append(["" if np.isnan(value) else f"{value:.9f}" for value in found[0]])
             used.append(found[1])
-    return cells, Interpolated(
+    return cells, InterpolationSummary(
         source=source.source,
         joints=source.joints,
         frames=len(used),
@@ -218,6 +225,7 @@ def _interpolate_source(
 
 
 def _csv(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Format a table as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

@@ -1,1 +1,1 @@
-"""Results for people to look at."""
+"""Reports of results: the HTML page of a session, and the picture of the shafts' axes."""

@@ -1,4 +1,4 @@
-"""A picture of shafts' axes and the point where they should meet: the whole of them, and the point seen closely."""
+"""Figure of the shafts' axes and of the point where they should meet: one overview and one close-up for each set."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Float64 = NDArray[np.float64]
 _AXIS: Final = "#33658a"
 _MEETING: Final = "#c1121f"
 _RCM: Final = "#2a9d8f"
-_BEYOND: Final = 0.25  # of the way from the root to x*: how far axes are drawn beyond it
+_BEYOND: Final = 0.25  # length drawn beyond x*, as a fraction of the distance from the root to x*
 
 
 def draw_axes(sets: Sequence[Agreement]) -> Figure:
-    """Draw a row for each set: its axes seen from where they spread most, and their distances from x* in mm."""
+    """Draw a row for each set: its axes in the plane of their largest scatter, and their distances from x*, mm."""
     figure = new_figure(11.0, 4.6 * len(sets))
     panels = figure.subplots(len(sets), 2, squeeze=False)
     for agreement, (whole, close) in zip(sets, panels, strict=True):
@@ -34,7 +34,7 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
 
 
 def _view(agreement: Agreement) -> Float64:
-    """Two unit vectors (2, 3) that span the plane in which the axes spread most: along their mean, and across it."""
+    """Return two orthonormal vectors (2, 3): the axes' mean direction, and the direction of their largest scatter."""
     directions = agreement.results.camera_from_root[:, :3, 2]
     along = directions.mean(axis=0)
     along /= np.linalg.norm(along)
@@ -44,7 +44,7 @@ def _view(agreement: Agreement) -> Float64:
 
 
 def _draw_whole(panel: Axes, agreement: Agreement) -> None:
-    """Axes from beyond x* to the root links, in mm from x*."""
+    """Draw the axes from beyond x* to the root links, in mm relative to x*, and the camera."""
     view, meeting = _view(agreement), agreement.axes.point
     poses = agreement.results.camera_from_root
     for pose in poses:
@@ -66,7 +66,7 @@ def _draw_whole(panel: Axes, agreement: Agreement) -> None:
 
 
 def _draw_close(panel: Axes, agreement: Agreement) -> None:
-    """Nearest point of each axis to x*, seen along the mean axis, with circles of sigma and of the rms."""
+    """Draw the nearest point of each axis to x*, seen along the mean axis, and circles of radius sigma and rms."""
     from matplotlib.patches import Circle
 
     view, meeting = _view(agreement), agreement.axes.point

@@ -1,8 +1,8 @@
-"""The page of a session's results: OUT/report.html, one file that opens without a network.
+"""The HTML page of a session's results, OUT/report.html, which needs no network.
 
-It holds everything but the overlays at full size, which lie beside it (``overlays/``). It can be read and printed
-without scripts; with them, frames can be sorted, sifted and gone through by keys. Nothing on it depends on when or
-where it was made: the same results give the same bytes.
+The page contains everything except the overlays at full size, to which it links (``overlays/``). It can be read and
+printed without scripts; with scripts, frames can be sorted, filtered and browsed with the keyboard. The same results
+give the same bytes: the page does not depend on the time or the machine.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view,
 from dvrk_cmaes.report.page_frames import (
     NOTHING,
     STATUSES,
-    FrameView,
-    LeftOut,
+    FrameCard,
+    LeaveOneOut,
     anchor,
-    doubt,
+    doubt_key,
     fixed,
-    frame_view,
+    frame_card,
     signed,
 )
 from dvrk_cmaes.report.page_plots import joint_plot, mark_path, rcm_plot, short
 from dvrk_cmaes.report.page_session import (
+    FrameBases,
     Run,
-    SessionBase,
     common_warnings,
     joint_summaries,
-    origins,
+    provenances,
     reason_counts,
     session_figures,
 )
@@ -48,28 +48,35 @@ _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _THREADS = 2
 
 
-def write_page(out: Path) -> Path:
-    """Make OUT/report.html of the results in OUT, and return its path.
+def write_page(out: Path, folder: ResultsFolder | None = None) -> Path:
+    """Write OUT/report.html for the results in OUT, and return its path.
 
-    Reads ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and where they are there ``summary.json``, ``session.json`` and
-    ``overlays_left_out/*.jpg``.
+    The inputs are ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and if they exist ``summary.json``, ``session.json``
+    and ``overlays_left_out/*.jpg``.
+
+    Parameters
+    ----------
+    out
+        The folder OUT.
+    folder
+        The results in OUT, if they were read before; by default they are read.
 
     Raises
     ------
     InputError
-        No results, or one that cannot be read, as ``read_results``; a folder that cannot be written to.
+        No results, or one that cannot be read, as in ``read_results``; a folder that cannot be written to.
     """
-    page = render_page(read_results(out)).encode("utf-8", errors="replace")
+    page = render_page(read_results(out) if folder is None else folder).encode("utf-8", errors="replace")
     path = out / "report.html"
     write_bytes(path, page)
     return path
 
 
 def render_page(folder: ResultsFolder) -> str:
-    """Make the page of results, HTML."""
+    """Render the HTML page of a results folder."""
     results = list(folder.frames.values())
     run = Run.of(folder.summary)
-    base = SessionBase.of(results)
+    base = FrameBases.of(results)
     calibration = calibration_of(folder)
     left_out = {} if calibration is None else left_out_views(folder, calibration, _documents(folder))
     views = _views(folder, results, base, left_out)
@@ -102,30 +109,30 @@ def render_page(folder: ResultsFolder) -> str:
         base=base,
         frames=views,
         calibration=None if calibration is None else calibration_view(folder, calibration, left_out),
-        origins=origins(results),
+        provenances=provenances(results),
         nothing=NOTHING,
     )
 
 
 def _documents(folder: ResultsFolder) -> dict[str, str]:
-    """Give the results' files by the frames' names.
+    """Return the paths of the result files, relative to the folder, by file name without suffix.
 
-    A name is from inside a result; it says where files are only if it is that of a file.
+    A frame's name is read from inside its result; only if it equals the name of a file are the frame's files known.
     """
     return {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
 
 
 def _views(
-    folder: ResultsFolder, results: Sequence[Result], base: SessionBase | None, left_out: Mapping[str, LeftOut]
-) -> list[FrameView]:
-    """All frames, the most doubtful first."""
+    folder: ResultsFolder, results: Sequence[Result], base: FrameBases | None, left_out: Mapping[str, LeaveOneOut]
+) -> list[FrameCard]:
+    """Make the entries of all frames, the most doubtful first."""
     documents = _documents(folder)
     overlays = [overlay_path(folder.folder, name) if name in documents else None for name in folder.frames]
     with ThreadPoolExecutor(_THREADS) as pool:
         thumbnails = list(pool.map(thumbnail, overlays, results))
     away = {} if base is None else dict(zip(base.frames, base.points - base.centre, strict=True))
     views = [
-        frame_view(
+        frame_card(
             result,
             place=place,
             thumbnail=small,
@@ -138,7 +145,7 @@ def _views(
             zip(folder.frames, results, overlays, thumbnails, strict=True)
         )
     ]
-    return sorted(views, key=lambda view: (doubt(view.result), view.place))
+    return sorted(views, key=lambda view: (doubt_key(view.result), view.place))
 
 
 def _address(path: str) -> str:
@@ -150,5 +157,5 @@ def _text(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """Name a script or style so that the page's policy lets it, and nothing else, run."""
+    """Return the hash of a script or style for the page's content security policy."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")

@@ -1,4 +1,4 @@
-"""Axes of a plot: round numbers to label, and where a value lies in the drawing."""
+"""Axes of the page's plots: ticks at round numbers, and the map from values to coordinates of the drawing."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _ROUND = (1.0, 2.0, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class Axis:
-    """A straight axis from ``low`` to ``high`` (in ``label``'s unit), drawn from ``start`` to ``end`` (the plot's).
+    """A linear axis of values from ``low`` to ``high``, drawn from coordinate ``start`` to ``end`` of the drawing.
 
-    ``ticks``: text, and where it lies in the drawing.
+    ``label`` names the quantity and its unit. ``ticks`` are texts and their coordinates.
     """
 
     label: str
@@ -23,20 +23,20 @@ class Axis:
     ticks: tuple[tuple[str, float], ...] = ()
 
     def at(self, value: float) -> float:
-        """Where a value lies in the drawing."""
+        """Return the coordinate of a value in the drawing."""
         return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
 
-    def holds(self, value: float) -> bool:
-        """Whether a value lies on the axis, and not beyond its ends."""
+    def contains(self, value: float) -> bool:
+        """Whether a value lies between the ends of the axis."""
         return self.low <= value <= self.high
 
     def clamped(self, value: float) -> float:
-        """Where a value lies, or the end of the axis that is nearest to it."""
+        """Return the coordinate of a value, clipped to the ends of the axis."""
         return self.at(min(max(value, self.low), self.high))
 
 
 def round_step(span: float, most: int) -> float:
-    """Smallest of 1, 2, 5 times a power of ten that divides a positive span into at most ``most`` parts."""
+    """Return the smallest of 1, 2, 5 times a power of ten that divides a positive span into at most ``most`` parts."""
     power = 10.0 ** math.floor(math.log10(span / most))
     return next(power * factor for factor in _ROUND if power * factor * most >= span * (1 - 1e-9))
 
@@ -44,7 +44,7 @@ def round_step(span: float, most: int) -> float:
 def value_axis(
     label: str, low: float, high: float, *, start: float, end: float, most: int = 7, to_ticks: bool = True
 ) -> Axis:
-    """Axis of numbers with round ones labelled; with ``to_ticks`` it is widened to begin and end at one."""
+    """Make an axis with about ``most`` ticks at round numbers; ``to_ticks`` extends it to begin and end at a tick."""
     step = round_step(high - low, most)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     if to_ticks:
@@ -57,12 +57,12 @@ def value_axis(
 
 
 def centred_axis(label: str, centre: float, reach: float, start: float, end: float) -> Axis:
-    """Axis of a reach to both sides of a centre, which need not be round numbers."""
+    """Make an axis from ``centre - reach`` to ``centre + reach``, with ticks at round numbers."""
     return value_axis(label, centre - reach, centre + reach, start=start, end=end, most=6, to_ticks=False)
 
 
 def name_axis(label: str, names: tuple[str, ...], *, start: float, end: float, most: int = 10) -> Axis:
-    """Axis of things in a row, at 0, 1, ...; evenly chosen ones are labelled by their names, cut where too long."""
+    """Make an axis of items at 0, 1, ...; at most ``most`` evenly chosen ones are labelled, with shortened names."""
     longest = round((end - start) / most / 7)
     step = max(1, math.ceil(len(names) / most))
     axis = Axis(label, -0.5, max(len(names) - 0.5, 0.5), start, end)

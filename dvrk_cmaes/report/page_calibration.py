@@ -1,7 +1,8 @@
-"""What the page says of a session's calibration: its base and offsets, how sure they are, and how each frame fits in.
+"""The page's section on a session's calibration: base and offsets with standard deviations, leave-one-out predictions.
 
-Leave one out: what the other frames predict for a frame, without its image, against its mask. It needs no truth, and
-cannot flatter itself as the overlap of frames that were solved together does.
+A leave-one-out prediction is the silhouette of a frame computed from the other frames and its readings, without its
+image; its overlap with the frame's mask measures accuracy without true poses. The overlap of frames that were solved
+together does not, since each frame's own mask was used to solve it.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.report.page_frames import LeftOut, Row, axis_angle, fixed, signed
-from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, amounts, offset_panels
-from dvrk_cmaes.report.page_session import Figure, correction
+from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
+from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, offset_estimates, offset_panels
+from dvrk_cmaes.report.page_session import KeyFigure, correction
 from dvrk_cmaes.report.page_shafts_plot import ShaftsPlot, shafts_plot
 from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
 from dvrk_cmaes.results.paths import left_out_path
@@ -27,12 +28,18 @@ from dvrk_cmaes.results.result import Result
 Float64 = NDArray[np.float64]
 
 MOST_PICTURES = 12
-"""Of predictions that are shown beside each other, the worst; each is with its frame, too."""
+"""Number of predictions whose pictures are shown in the section, the worst first; all are shown with their frames."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the other frames predict for a frame, and the overlap of its own solution."""
+    """Leave-one-out prediction of a frame.
+
+    frame, status : name and status of the frame.
+    iou, contour_px : overlap and median contour distance, px, of the predicted silhouette and the mask.
+    own_iou : overlap of the frame's own solution; None without a pose.
+    picture : address of the picture, None if there is none.
+    """
 
     frame: str
     status: str
@@ -44,18 +51,20 @@ class Prediction:
 
 @dataclass(frozen=True)
 class CalibrationView:
-    """A session's calibration as the template shows it.
+    """Contents of the page's section on a session's calibration.
 
-    base, offsets : rows of tables; matrix : camera_from_base, m. predictions : worst first; pictures : those of them
-    that are shown. left_out : frame, reason and whether it has a place on the page. alone : address of the page of the
-    frames solved by themselves, None where it is not there.
+    figures : key figures. base, offsets : rows of tables. matrix : camera_from_base as text, m.
+    offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
+    left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
+    lag : delay of the readings as text, empty if there is none.
+    alone : address of the page of the same frames solved one by one, None if it does not exist.
     """
 
     calibration: SessionCalibration
-    figures: tuple[Figure, ...]
-    base: tuple[Row, ...]
+    figures: tuple[KeyFigure, ...]
+    base: tuple[TableRow, ...]
     matrix: str
-    offsets: tuple[Row, ...]
+    offsets: tuple[TableRow, ...]
     offset_panels: tuple[OffsetPanel, ...]
     shafts: ShaftsPlot | None
     predictions: tuple[Prediction, ...]
@@ -71,14 +80,19 @@ class CalibrationView:
 
 
 def calibration_of(folder: ResultsFolder) -> SessionCalibration | None:
-    """Take the session's calibration of a folder, if there is one; InputError where it is damaged."""
+    """Return the session's calibration of a results folder, None if it has none; InputError if it is invalid."""
     if folder.session is None:
         return None
     return SessionCalibration.from_dict(folder.session, where=str(folder.folder / SESSION))
 
 
-def left_out_views(folder: ResultsFolder, calibration: SessionCalibration, names: Iterable[str]) -> dict[str, LeftOut]:
-    """Say by frame what leaving it out says of it; ``names`` are those of frames that are also names of files."""
+def left_out_views(
+    folder: ResultsFolder, calibration: SessionCalibration, names: Iterable[str]
+) -> dict[str, LeaveOneOut]:
+    """Collect leave-one-out predictions and reasons for leaving frames out, by frame.
+
+    ``names`` are the frames whose names are those of their result files; only these have pictures.
+    """
     files = set(names)
     found = {}
     for name in folder.frames:
@@ -88,14 +102,14 @@ def left_out_views(folder: ResultsFolder, calibration: SessionCalibration, names
         picture = quote(path.relative_to(folder.folder).as_posix(), errors="replace") if there else None
         reason = calibration.left_out.get(name, "")
         if picture or reason or iou is not None:
-            found[name] = LeftOut(iou, contour, picture, reason)
+            found[name] = LeaveOneOut(iou, contour, picture, reason)
     return found
 
 
 def calibration_view(
-    folder: ResultsFolder, calibration: SessionCalibration, left_out: Mapping[str, LeftOut]
+    folder: ResultsFolder, calibration: SessionCalibration, left_out: Mapping[str, LeaveOneOut]
 ) -> CalibrationView:
-    """Put a calibration in words, numbers and drawings."""
+    """Make the page's section on a calibration; ``left_out`` is that of `left_out_views`."""
     results = list(folder.frames.values())
     used = frozenset(place for place, name in enumerate(folder.frames) if name in calibration.frames)
     unsure = frozenset(place for place, result in enumerate(results) if result.status != "ok")
@@ -119,7 +133,7 @@ def calibration_view(
 
 
 def _predictions(
-    results: Mapping[str, Result], calibration: SessionCalibration, left_out: Mapping[str, LeftOut]
+    results: Mapping[str, Result], calibration: SessionCalibration, left_out: Mapping[str, LeaveOneOut]
 ) -> Iterator[Prediction]:
     for name, (iou, contour_px) in calibration.leave_one_out.items():
         if name in results:
@@ -128,60 +142,63 @@ def _predictions(
             yield Prediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
 
 
-def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[Figure]:
-    """Sum the calibration up."""
+def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:
+    """Yield the key figures of the calibration."""
     total = len(calibration.frames) + len(calibration.left_out)
     left = len(calibration.left_out)
-    yield Figure(
+    yield KeyFigure(
         "Frames used", f"{len(calibration.frames)} of {total}", f"{left} left out" if left else "none left out"
     )
     if predictions:
         worst = predictions[0]
-        yield Figure(
+        yield KeyFigure(
             "Predicted by the others, IoU",
             f"{np.mean([one.iou for one in predictions]):.3f}",
             f"mean; lowest {worst.iou:.3f} ({worst.frame})",
         )
         far = max(predictions, key=lambda one: one.contour_px)
-        yield Figure(
+        yield KeyFigure(
             "Predicted by the others, outline",
             f"{np.median([one.contour_px for one in predictions]):.1f} px",
             f"median; worst {far.contour_px:.1f} px ({far.frame})",
         )
     std = np.sqrt(np.diag(calibration.covariance))
-    yield Figure("RCM, standard deviation", f"{1e3 * std[:3].max():.2f} mm", "along the base's least certain axis")
-    yield Figure(
+    yield KeyFigure("RCM, standard deviation", f"{1e3 * std[:3].max():.2f} mm", "along the base's least certain axis")
+    yield KeyFigure(
         "Base's rotation, standard deviation",
         f"{np.degrees(std[3:6].max()):.2f}°",
         "about the base's least certain axis",
     )
 
 
-def _base(calibration: SessionCalibration) -> Iterator[Row]:
-    """Position and rotation of the arm's base in the camera, with standard deviations."""
+def _base(calibration: SessionCalibration) -> Iterator[TableRow]:
+    """Yield rows of the position and rotation of the arm's base in the camera, with standard deviations."""
     std = np.sqrt(np.diag(calibration.covariance))
 
     def cells(values: Float64) -> tuple[str, ...]:
         return tuple(fixed(float(value), 2) for value in values)
 
-    yield Row("position (RCM), mm", cells(1e3 * calibration.rcm))
-    yield Row("standard deviation along its own axes, mm", cells(1e3 * std[:3]), minor=True)
-    yield Row("axis-angle, deg", cells(axis_angle(calibration.camera_from_base)))
-    yield Row("standard deviation about its own axes, deg", cells(np.degrees(std[3:6])), minor=True)
+    yield TableRow("position (RCM), mm", cells(1e3 * calibration.rcm))
+    yield TableRow("standard deviation along its own axes, mm", cells(1e3 * std[:3]), minor=True)
+    yield TableRow("axis-angle, deg", cells(axis_angle(calibration.camera_from_base)))
+    yield TableRow("standard deviation about its own axes, deg", cells(np.degrees(std[3:6])), minor=True)
 
 
-def _offsets(calibration: SessionCalibration) -> Iterator[Row]:
-    """Offset of each joint, its standard deviation, and the spread from frame to frame."""
-    for name, unit, _, amount in amounts(calibration):
-        yield Row(f"{name}, {unit}", (signed(amount.offset, 2), fixed(amount.std, 2), f"± {fixed(amount.spread, 2)}"))
+def _offsets(calibration: SessionCalibration) -> Iterator[TableRow]:
+    """Yield a row for each joint: its offset, the offset's standard deviation, and that from frame to frame."""
+    for name, unit, _, estimate in offset_estimates(calibration):
+        yield TableRow(
+            f"{name}, {unit}", (signed(estimate.offset, 2), fixed(estimate.std, 2), f"± {fixed(estimate.frame_std, 2)}")
+        )
 
 
 def _corrections(
     results: Sequence[Result], calibration: SessionCalibration, used: frozenset[int]
 ) -> dict[str, dict[int, float]]:
-    """Found less read of each joint with an offset, rad or m, by the place of the frame.
+    """Compute found less read of each joint with an offset, rad or m, by joint and index of the frame.
 
-    Insertion and roll are those along and about the shaft that lead from the base to the pose as it was found.
+    For insertion and roll, the found value is the one that moves the predicted pose along and about the shaft to the
+    estimated pose.
     """
     joints = tuple(calibration.offsets)[2:]
     found: dict[str, dict[int, float]] = {name: {} for name in calibration.offsets}
@@ -202,7 +219,7 @@ def _corrections(
 
 
 def _lag(calibration: SessionCalibration) -> str:
-    """Say by how much the readings were late, if they were."""
+    """Return the delay of the readings as text; empty if there is none."""
     if not calibration.lag or not calibration.lag.get("frames"):
         return ""
     frames, seconds = calibration.lag["frames"], calibration.lag.get("seconds")

@@ -1,4 +1,4 @@
-"""What the page says of one frame, in words and numbers for people: millimetres and degrees."""
+"""The page's entry for one frame: texts and table rows, in millimetres and degrees."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from dvrk_cmaes.results.result import Alternative, Result
 Float64 = NDArray[np.float64]
 
 NOTHING = "-"
-"""Where there is no number to show."""
+"""Text shown for a missing number."""
 
 STATUSES = ("failed", "doubtful", "ok")
-"""Most doubtful first."""
+"""Statuses of results in the order of the page, the most doubtful first."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """A line of a table: its heading, its cells, and whether it says more about the line above it."""
+class TableRow:
+    """A row of a table: its heading, its cells, and whether it is a detail of the row above."""
 
     heading: str
     cells: tuple[str, ...]
@@ -36,10 +36,13 @@ class Row:
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """What the other frames of a session say of a frame: overlap of what they predict, and its outline's distance, px.
+class LeaveOneOut:
+    """Leave-one-out prediction of a frame by the session's other frames, and why the frame was left out of these.
 
-    picture : address of its picture, None where there is none. reason : why the frame was left out, if it was.
+    iou, contour_px : overlap and median contour distance, px, of the predicted silhouette and the mask; None if there
+        is no prediction.
+    picture : address of its picture, None if there is none.
+    reason : why the frame was left out of the session's calibration; empty if it was not.
     """
 
     iou: float | None
@@ -49,11 +52,14 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class FrameView:
-    """A frame as the template shows it.
+class FrameCard:
+    """Contents of the page's entry for a frame.
 
-    anchor : the name of its place on the page. place : 0, 1, ... in the order of names. keys : what to sort it by.
-    overlay, document : addresses of files beside the page, None where there is none.
+    anchor : identifier of its element on the page. place : index in the order of names, from 0.
+    keys : numbers that frames can be sorted by, by name.
+    overlay, document : addresses of the overlay and of the result's JSON beside the page, None if there are none.
+    pose, joints, alternatives : rows of tables. fit : names and values of the quality of fit.
+    change : text about what the session's calibration changed.
     """
 
     result: Result
@@ -63,27 +69,27 @@ class FrameView:
     overlay: str | None
     document: str | None
     keys: Mapping[str, float]
-    pose: tuple[Row, ...]
-    joints: tuple[Row, ...]
+    pose: tuple[TableRow, ...]
+    joints: tuple[TableRow, ...]
     fit: tuple[tuple[str, str], ...]
-    alternatives: tuple[Row, ...]
+    alternatives: tuple[TableRow, ...]
     change: str
-    left_out: LeftOut | None
+    left_out: LeaveOneOut | None
 
 
-def doubt(result: Result) -> tuple[int, int, float, float]:
-    """Sort key that puts the most doubtful first: failed, then most reasons to doubt, then least overlap."""
+def doubt_key(result: Result) -> tuple[int, int, float, float]:
+    """Return a sort key that puts the most doubtful first: by status, number of reasons, then least overlap."""
     q = result.quality
     overlap, outline = (-1.0, math.inf) if q is None else (q.iou, q.contour_px_95)
     return STATUSES.index(result.status), -len(result.reasons), overlap, -outline
 
 
 def anchor(name: str) -> str:
-    """Name a frame's place on the page, of characters that any address may hold."""
+    """Return the identifier of a frame's element on the page, in characters that are valid in addresses."""
     return "frame-" + quote(name, safe="", errors="replace")
 
 
-def frame_view(
+def frame_card(
     result: Result,
     *,
     place: int,
@@ -91,24 +97,24 @@ def frame_view(
     document: str | None,
     overlay: str | None,
     from_median: Float64 | None,
-    left_out: LeftOut | None = None,
-) -> FrameView:
-    """Put a result in words.
+    left_out: LeaveOneOut | None = None,
+) -> FrameCard:
+    """Make the page's entry for a frame.
 
     Parameters
     ----------
     result
-        Of the frame.
+        Result of the frame.
     place
-        The frame's place in the order of names, from 0.
+        Index of the frame in the order of names, from 0.
     thumbnail, document, overlay
-        Its picture, and the addresses of its files.
+        Its thumbnail, and the addresses of its files.
     from_median
-        (3,) m in the camera: from the median of the RCMs of all frames to this frame's, where it has one.
+        (3,) m in the camera: vector from the median of the RCMs of all frames to that of this frame, if it has one.
     left_out
-        What the session's other frames say of it, where it was calibrated.
+        Leave-one-out prediction of the frame, if the session was calibrated.
     """
-    return FrameView(
+    return FrameCard(
         result=result,
         anchor=anchor(result.frame),
         place=place,
@@ -126,7 +132,7 @@ def frame_view(
 
 
 def fixed(value: float | None, digits: int) -> str:
-    """Show a number with a fixed number of decimals, zero without a sign; a dash where there is none."""
+    """Format a number with a fixed number of decimals, zero without a sign; a missing or infinite one as a dash."""
     if value is None or not math.isfinite(value):
         return NOTHING
     text = f"{value:.{digits}f}"
@@ -134,13 +140,13 @@ def fixed(value: float | None, digits: int) -> str:
 
 
 def signed(value: float | None, digits: int) -> str:
-    """Show a number as ``fixed``, with its sign."""
+    """Format a number as `fixed`, with a sign unless it is zero."""
     text = fixed(value, digits)
     return text if text == NOTHING or text.startswith("-") or not text.strip("0.") else f"+{text}"
 
 
-def _keys(result: Result, from_median: Float64 | None, left_out: LeftOut | None) -> dict[str, float]:
-    """Numbers that frames can be sorted by; a name is left out where its number is not known."""
+def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | None) -> dict[str, float]:
+    """Return the known numbers that frames can be sorted by, by name."""
     keys = {"seconds": result.seconds}
     if result.quality is not None:
         keys |= {"iou": result.quality.iou, "contour": result.quality.contour_px_95}
@@ -158,31 +164,33 @@ def _cells(values: Iterable[float], digits: int) -> tuple[str, ...]:
     return tuple(fixed(float(value), digits) for value in values)
 
 
-def _pose(result: Result, from_median: Float64 | None) -> Iterable[Row]:
-    """Position and rotation of the root and of the arm's base, with what is known of their errors."""
+def _pose(result: Result, from_median: Float64 | None) -> Iterable[TableRow]:
+    """Yield rows of the position and rotation of the root and of the arm's base, with standard deviations if known."""
     pose = result.camera_from_root
     if pose is not None:
-        yield Row(f"{result.root_link}: position, mm", _cells(1e3 * pose[:3, 3], 2))
+        yield TableRow(f"{result.root_link}: position, mm", _cells(1e3 * pose[:3, 3], 2))
         if result.std_translation_mm is not None:
-            yield Row("standard deviation along its own axes, mm", _cells(result.std_translation_mm, 2), minor=True)
-        yield Row(f"{result.root_link}: axis-angle, deg", _cells(axis_angle(pose), 2))
+            yield TableRow(
+                "standard deviation along its own axes, mm", _cells(result.std_translation_mm, 2), minor=True
+            )
+        yield TableRow(f"{result.root_link}: axis-angle, deg", _cells(axis_angle(pose), 2))
         if result.std_rotation_deg is not None:
-            yield Row("standard deviation about its own axes, deg", _cells(result.std_rotation_deg, 2), minor=True)
+            yield TableRow("standard deviation about its own axes, deg", _cells(result.std_rotation_deg, 2), minor=True)
     if result.camera_from_base is not None:
-        yield Row("arm's base (RCM): position, mm", _cells(1e3 * result.camera_from_base[:3, 3], 2))
+        yield TableRow("arm's base (RCM): position, mm", _cells(1e3 * result.camera_from_base[:3, 3], 2))
         if from_median is not None:
             away = tuple(signed(float(value), 2) for value in 1e3 * from_median)
-            yield Row("from the median of all frames, mm", away, minor=True)
-        yield Row("arm's base: axis-angle, deg", _cells(axis_angle(result.camera_from_base), 2))
+            yield TableRow("from the median of all frames, mm", away, minor=True)
+        yield TableRow("arm's base: axis-angle, deg", _cells(axis_angle(result.camera_from_base), 2))
 
 
 def axis_angle(pose: Float64) -> Float64:
-    """Rotation of a pose (4, 4) as axis times angle, (3,) deg."""
+    """Return the rotation of a pose (4, 4) as axis times angle, (3,) deg."""
     return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True), dtype=np.float64)
 
 
-def _joints(result: Result) -> Iterable[Row]:
-    """Found, standard deviation, read, found less read; then the readings of joints that are not the instrument's."""
+def _joints(result: Result) -> Iterable[TableRow]:
+    """Yield rows of found, standard deviation, read, found less read; then the readings of the arm's joints."""
     std = result.std_joints_deg or {}
     for name, value in result.joints.items():
         change, read = correction(result, name), result.readings.get(name)
@@ -192,15 +200,15 @@ def _joints(result: Result) -> Iterable[Row]:
             fixed(None if read is None else math.degrees(read), 2),
             signed(None if change is None else math.degrees(change), 2),
         )
-        yield Row(f"{name}, deg", cells)
+        yield TableRow(f"{name}, deg", cells)
     for name, read in result.readings.items():
         if name not in result.joints:
             unit, shown = ("mm", 1e3 * read) if name == "insertion" else ("deg", math.degrees(read))
-            yield Row(f"{name}, {unit}", ("", "", fixed(shown, 2), ""), minor=True)
+            yield TableRow(f"{name}, {unit}", ("", "", fixed(shown, 2), ""), minor=True)
 
 
 def _fit(result: Result) -> Iterable[tuple[str, str]]:
-    """Name and value of how well the silhouette explains the mask, and of what that took."""
+    """Yield names and values: agreement of silhouette and mask, loss, time, and how the frame was solved."""
     q = result.quality
     if q is not None:
         yield "overlap (IoU)", fixed(q.iou, 4)
@@ -212,8 +220,8 @@ def _fit(result: Result) -> Iterable[tuple[str, str]]:
     yield "solved", "with the session's frames" if result.source == "session" else "by itself"
 
 
-def _alternative(result: Result, other: Alternative) -> Iterable[Row]:
-    """One other pose: overlap, loss, how far it is from the readings and from the result; below, its joints."""
+def _alternative(result: Result, other: Alternative) -> Iterable[TableRow]:
+    """Yield rows of an alternative pose: overlap, loss, distances from the readings and the result; its joints."""
     apart, turned = None, None
     if result.camera_from_root is not None:
         apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
@@ -225,14 +233,14 @@ def _alternative(result: Result, other: Alternative) -> Iterable[Row]:
         fixed(apart, 1),
         fixed(turned, 1),
     )
-    yield Row(other.relation, cells)
+    yield TableRow(other.relation, cells)
     joints = ", ".join(f"{name} {fixed(math.degrees(value), 1)}" for name, value in other.joints.items())
     if joints:
-        yield Row(f"{joints} deg", (), minor=True)
+        yield TableRow(f"{joints} deg", (), minor=True)
 
 
 def _in_words(change: Mapping[str, Any] | None) -> str:
-    """Write out what a session moved: names and values, lists and inner names in brackets."""
+    """Return the changes by a session's calibration as text: names and values; lists and mappings are flattened."""
 
     def value(thing: Any) -> str:
         if isinstance(thing, Mapping):

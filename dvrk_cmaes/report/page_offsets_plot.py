@@ -1,6 +1,6 @@
-"""Drawing of a session's joint offsets: how large, how sure, and how far single frames are from them.
+"""Plot of a session's joint offsets, with their standard deviations and the corrections of single frames.
 
-As in page_plots.py, what is computed here are places in a drawing; the template makes an SVG of them.
+As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
 """
 
 from __future__ import annotations
@@ -14,28 +14,32 @@ from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.report.page_axes import Axis, value_axis
 from dvrk_cmaes.report.page_plots import Mark, mark_size
 
-_WIDTH, _LEFT = 560.0, 96.0  # of the drawing, and where its axis begins
-_ROW, _TOP = 50.0, 6.0
-_ABOVE, _BELOW = 14.0, 10.0  # of a row's middle: the offset, and the middle of the frames' marks
-_SCATTER = 8.0  # to both sides of that
-_GOLDEN = 0.6180339887  # of a turn: places that follow each other never lie beside each other
-_SPREADS = 3.0  # on both sides of an offset; frames farther off are drawn at the border
+_WIDTH, _LEFT = 560.0, 96.0  # width of the drawing, and start of its axis
+_ROW, _TOP = 50.0, 6.0  # height of a row, and top of the first
+_ABOVE, _BELOW = 14.0, 10.0  # distances from a row's middle up to the offset, and down to the middle of the marks
+_SCATTER = 8.0  # largest vertical distance of the marks from their middle
+_GOLDEN = 0.6180339887  # golden ratio: successive multiples modulo 1 spread the marks evenly
+_DEVIATIONS = 3.0  # standard deviations on both sides of an offset that the axis contains
 
 
 @dataclass(frozen=True)
-class Amount:
-    """An offset in a unit, its standard deviation, and the spread of frames about it."""
+class OffsetEstimate:
+    """An offset, its standard deviation, and the standard deviation from frame to frame, all in one unit."""
 
     offset: float
     std: float
-    spread: float
+    frame_std: float
 
 
 @dataclass(frozen=True)
 class OffsetRow:
-    """One joint: where its offset lies, one standard deviation about it, and the spread from frame to frame.
+    """Coordinates in the drawing of one joint's offset.
 
-    ``offset_y`` and ``marks_y`` are heights of the offset and of the frames; ``series`` says which colour.
+    series : number of the colour.
+    offset_y, marks_y : vertical coordinates of the offset, and of the middle of the frames' marks.
+    offset, std, frame_std : horizontal coordinates of the offset, and of the intervals of one standard deviation about
+        it: of the offset, and from frame to frame.
+    marks : marks of the frames' corrections.
     """
 
     joint: str
@@ -44,13 +48,13 @@ class OffsetRow:
     marks_y: float
     offset: float
     std: tuple[float, float]
-    spread: tuple[float, float]
+    frame_std: tuple[float, float]
     marks: tuple[Mark, ...]
 
 
 @dataclass(frozen=True)
 class OffsetPanel:
-    """Joints of one unit below each other over one axis; ``zero`` is its zero, ``size`` the radius of marks."""
+    """Joints of one unit in rows over one axis; ``zero`` is the coordinate of 0, ``size`` the radius of marks."""
 
     width: float
     height: float
@@ -60,51 +64,52 @@ class OffsetPanel:
     rows: tuple[OffsetRow, ...]
 
 
-def amounts(calibration: SessionCalibration) -> Iterator[tuple[str, str, float, Amount]]:
-    """Give each joint, its unit for people, that unit in SI units' inverse, and its offset in that unit."""
+def offset_estimates(calibration: SessionCalibration) -> Iterator[tuple[str, str, float, OffsetEstimate]]:
+    """Yield each joint, its unit (deg or mm), the factor from rad or m to that unit, and its offset in that unit."""
     for (name, offset), std in zip(
         calibration.offsets.items(), np.sqrt(np.diag(calibration.covariance))[6:], strict=True
     ):
         unit, factor = ("mm", 1e3) if name == "insertion" else ("deg", 180 / np.pi)
-        spread = calibration.spreads.get(name, 0.0)
-        yield name, unit, factor, Amount(factor * offset, factor * float(std), factor * spread)
+        frame_std = calibration.spreads.get(name, 0.0)
+        yield name, unit, factor, OffsetEstimate(factor * offset, factor * float(std), factor * frame_std)
 
 
 def offset_panels(
     calibration: SessionCalibration, found: Mapping[str, Mapping[int, float]], unsure: frozenset[int]
 ) -> tuple[OffsetPanel, ...]:
-    """Plot offsets of the joints that turn, in degrees, and below of those that slide, in mm.
+    """Plot the offsets of revolute joints, in degrees, and below those of prismatic joints, in mm.
 
     Parameters
     ----------
     calibration
-        The session's.
+        The session's calibration.
     found
-        By joint and place of the frame: found less read, rad or m.
+        Found less read, rad or m, by joint and index of the frame.
     unsure
-        Places of frames that are not ok.
+        Indices of the frames whose status is not ok.
     """
-    by_unit: dict[str, dict[str, Amount]] = {}
+    by_unit: dict[str, dict[str, OffsetEstimate]] = {}
     in_unit: dict[str, dict[int, float]] = {}
-    for name, unit, factor, amount in amounts(calibration):
-        by_unit.setdefault(unit, {})[name] = amount
+    for name, unit, factor, estimate in offset_estimates(calibration):
+        by_unit.setdefault(unit, {})[name] = estimate
         in_unit[name] = {place: factor * value for place, value in found.get(name, {}).items()}
     size = 0.75 * mark_size(len(calibration.frames))
     names = tuple(calibration.offsets)
-    colours = {name: k for k, name in enumerate((*names[2:], *names[:2]))}  # the instrument's as where they are plotted
+    # the instrument's joints first, so that their colours are those of the plot of corrections
+    colours = {name: k for k, name in enumerate((*names[2:], *names[:2]))}
     panels = []
     for unit in sorted(by_unit):
         across = _axis(unit, by_unit[unit])
         rows = tuple(
-            _row(name, colours[name], _TOP + _ROW * (k + 0.5), across, amount, in_unit[name], unsure)
-            for k, (name, amount) in enumerate(by_unit[unit].items())
+            _row(name, colours[name], _TOP + _ROW * (k + 0.5), across, estimate, in_unit[name], unsure)
+            for k, (name, estimate) in enumerate(by_unit[unit].items())
         )
         panels.append(OffsetPanel(_WIDTH, _TOP + _ROW * len(rows) + 48, across, across.at(0.0), size, rows))
     return tuple(panels)
 
 
-def _axis(unit: str, joints: Mapping[str, Amount]) -> Axis:
-    reach = [max(1.2 * one.std, _SPREADS * one.spread) for one in joints.values()]
+def _axis(unit: str, joints: Mapping[str, OffsetEstimate]) -> Axis:
+    reach = [max(1.2 * one.std, _DEVIATIONS * one.frame_std) for one in joints.values()]
     low = min(0.0, *(one.offset - by for one, by in zip(joints.values(), reach, strict=True)))
     high = max(0.0, *(one.offset + by for one, by in zip(joints.values(), reach, strict=True)))
     least = max(0.0, 0.5 - (high - low)) / 2
@@ -116,24 +121,26 @@ def _row(
     series: int,
     middle: float,
     across: Axis,
-    amount: Amount,
+    estimate: OffsetEstimate,
     found: Mapping[int, float],
     unsure: frozenset[int],
 ) -> OffsetRow:
     def mark(place: int, value: float) -> Mark:
         aside = (((place + 1) * _GOLDEN) % 1 - 0.5) * 2 * _SCATTER
-        return Mark(place, across.clamped(value), middle + _BELOW + aside, place not in unsure, not across.holds(value))
+        return Mark(
+            place, across.clamped(value), middle + _BELOW + aside, place not in unsure, not across.contains(value)
+        )
 
     def about(by: float) -> tuple[float, float]:
-        return across.clamped(amount.offset - by), across.clamped(amount.offset + by)
+        return across.clamped(estimate.offset - by), across.clamped(estimate.offset + by)
 
     return OffsetRow(
         joint=joint,
         series=series,
         offset_y=middle - _ABOVE,
         marks_y=middle + _BELOW,
-        offset=across.at(amount.offset),
-        std=about(amount.std),
-        spread=about(amount.spread),
+        offset=across.at(estimate.offset),
+        std=about(estimate.std),
+        frame_std=about(estimate.frame_std),
         marks=tuple(mark(place, value) for place, value in found.items()),
     )

@@ -1,6 +1,6 @@
-"""The page's plots: how far joints are from their readings, and where each frame puts the remote centre of motion.
+"""The page's plots: the joints' corrections, and each frame's remote centre of motion (RCM).
 
-What is computed here are places in a drawing; the template makes an SVG of them, whose colours follow the page's.
+Coordinates in the drawing are computed here; the template makes the SVG, and the style sheet defines its colours.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvrk_cmaes.report.page_axes import Axis, centred_axis, name_axis, value_axis
-from dvrk_cmaes.report.page_session import SessionBase, correction
+from dvrk_cmaes.report.page_session import FrameBases, correction
 from dvrk_cmaes.results.result import Result
 
 _OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
@@ -21,23 +21,25 @@ _OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
     "diamond": ((0.0, -1.3), (1.3, 1.3), (-1.3, 1.3), (-1.3, -1.3)),
     "flat": ((-1.5, -0.55), (3.0, 0.0), (0.0, 1.1), (-3.0, 0.0)),
 }
-"""Where a mark of radius 1 begins, and its strokes from there."""
+"""Outlines of marks of radius 1: the start point relative to the centre, then relative line segments."""
 
 SHAPES = tuple(_OUTLINES)
-"""Of the marks of the first, second, ... series; they repeat."""
+"""Shapes of the marks of successive series, repeated cyclically."""
 
-_BARS_FOR_AT_MOST = 80  # frames; error bars of more would hide each other
-_FAR = 6.0  # times the median distance: what is farther off does not widen the plot
-_LEAST_REACH = 0.5  # mm
-_WIDE_FROM = 120  # frames
-_SIDE = 274.0  # of the square panels of the RCM
+_BARS_FOR_AT_MOST = 80  # largest number of frames for which error bars are drawn
+_FAR = 6.0  # multiple of the median distance; points farther from the median do not extend the axes
+_LEAST_REACH = 0.5  # mm, least half length of the axes
+_WIDE_FROM = 120  # number of frames from which the plot has the page's whole width
+_SIDE = 274.0  # side of the square panels of the RCM
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A frame's mark: the frame's place in the order of names, and where the mark's centre lies in the drawing.
+    """Mark of a frame.
 
-    sure : whether the frame is ok. beyond : whether the value lies outside, and the mark at the border.
+    place : index of the frame in the order of names. x, y : coordinates of the mark's centre in the drawing.
+    sure : whether the frame's status is ok.
+    beyond : whether the value lies outside the axes; the mark is then drawn at the border.
     """
 
     place: int
@@ -49,7 +51,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Series:
-    """Marks of one kind, and error bars (x, upper end, lower end)."""
+    """Marks of one shape and colour, and error bars (x, upper end, lower end)."""
 
     name: str
     shape: str
@@ -59,10 +61,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """A drawing of a size with one pair of axes, and what is drawn between them.
+    """A drawing with one pair of axes.
 
-    zero : height of the line of value zero, if it is to be drawn.
-    centre : where to mark the middle, and the radius of the ring about it, if any.
+    zero : vertical coordinate of the line of value 0, None if it is not drawn.
+    centre : coordinates of the marked centre and radius of the ring about it, None if they are not drawn.
     """
 
     width: float
@@ -76,9 +78,10 @@ class Panel:
 
 @dataclass(frozen=True)
 class Plot:
-    """Panels beside each other; ``size`` is the marks' radius.
+    """Panels in a row.
 
-    wide : whether it should have the page's whole width. beyond : in words, what lies outside.
+    size : radius of the marks. wide : whether the plot has the page's whole width.
+    beyond : texts about the frames outside the axes.
     """
 
     name: str
@@ -89,12 +92,12 @@ class Plot:
 
 
 def short(value: float) -> str:
-    """Write a coordinate with one decimal at most, which is finer than anybody sees."""
+    """Format a coordinate of the drawing with at most one decimal."""
     return f"{value:.1f}".removesuffix(".0")
 
 
 def mark_path(shape: str, x: float, y: float, radius: float) -> str:
-    """Outline of a mark about a point, as the path of an SVG; all shapes have about the same area."""
+    """Return the outline of a mark about a point as an SVG path; all shapes have about the same area."""
     start, *strokes = _OUTLINES[shape]
     outline = f"M{short(x + start[0] * radius)} {short(y + start[1] * radius)}"
     if shape == "circle":
@@ -104,7 +107,7 @@ def mark_path(shape: str, x: float, y: float, radius: float) -> str:
 
 
 def joint_plot(results: Sequence[Result]) -> Plot | None:
-    """Plot found less read, deg, over the frames, in the order given; None where no joint was read."""
+    """Plot each joint's found less read, deg, over the frames in the given order; None if no joint was read."""
     read: dict[str, list[tuple[int, float, float | None]]] = {}
     for place, result in enumerate(results):
         std = result.std_joints_deg or {}
@@ -144,10 +147,10 @@ def joint_plot(results: Sequence[Result]) -> Plot | None:
     return Plot("joints", mark_size(len(results)), (panel,), wide)
 
 
-def rcm_plot(results: Sequence[Result], base: SessionBase) -> Plot:
-    """Plot where each frame puts the RCM in the camera, mm: as the camera looks, and from its side, to one scale.
+def rcm_plot(results: Sequence[Result], base: FrameBases) -> Plot:
+    """Plot each frame's RCM in the camera's frame, mm: y over x, and y over z, to the same scale.
 
-    Points much farther from the median than most are drawn at the border.
+    Points outside the axes, which are much farther from the median than most, are drawn at the border.
     """
     places = {result.frame: place for place, result in enumerate(results)}
     points, centre, distances = 1e3 * base.points, 1e3 * base.centre, 1e3 * base.distances
@@ -162,7 +165,7 @@ def rcm_plot(results: Sequence[Result], base: SessionBase) -> Plot:
         marks = []
         for k, (name, point) in enumerate(zip(base.frames, points, strict=True)):
             x, y = float(point[column]), float(point[1])
-            beyond = not (across.holds(x) and up.holds(y))
+            beyond = not (across.contains(x) and up.contains(y))
             outside[k] |= beyond
             sure = results[places[name]].status == "ok"
             marks.append(Mark(places[name], across.clamped(x), up.clamped(y), sure, beyond))
@@ -180,5 +183,5 @@ def rcm_plot(results: Sequence[Result], base: SessionBase) -> Plot:
 
 
 def mark_size(frames: int) -> float:
-    """Radius of marks: smaller where there are many."""
+    """Return the radius of marks: 4.5 for at most 100 frames, else 3."""
     return 4.5 if frames <= 100 else 3.0

@@ -1,4 +1,4 @@
-"""What the page says of all frames together: counts, overlap, times, and how nearly they agree about the arm's base."""
+"""The page's summary of a session: overlap, times, agreement of the frames, corrections, reasons and warnings."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evaluate.consistency import FEWEST, PointSpread, converge_shafts, spread_of_bases
+from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_shafts, spread_of_bases
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A number that sums the session up: its name, its value with the unit, and what else belongs to it."""
+class KeyFigure:
+    """A key figure of a session: its name, its value with the unit, and a note."""
 
     name: str
     value: str
@@ -30,7 +30,11 @@ class Figure:
 
 @dataclass(frozen=True)
 class Run:
-    """What a batch's summary says of the run: the session's name, frames without a result, and how long it took, s."""
+    """Data of a run from a batch's summary.json.
+
+    session : name of the session. missing : number of frames without a result. seconds : duration, None if unknown.
+    frames : number of frames solved in that time.
+    """
 
     session: str = ""
     missing: int = 0
@@ -39,7 +43,7 @@ class Run:
 
     @staticmethod
     def of(summary: Mapping[str, Any] | None) -> Run:
-        """Take what is known from a summary.json of any version."""
+        """Read the known fields of a summary.json of any version; others have their defaults."""
         document = summary or {}
         session, missing, timing = document.get("session"), document.get("missing"), document.get("timing")
         run = timing.get("run") if isinstance(timing, Mapping) else None
@@ -53,45 +57,47 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class SessionBase:
-    """Where frames put the arm's base: ``frames`` (N names), ``camera_from_base`` (N, 4, 4).
+class FrameBases:
+    """Pose of the arm's base in each of N frames: ``frames``, their names, and ``camera_from_base`` (N, 4, 4).
 
-    Its origin is the remote centre of motion (RCM), ``p - (q3 - 0.0156) d`` for the Classic with a tool 400xxx, where p
-    is the root's origin, d the shaft's direction and q3 the insertion read, m.
+    The base's origin is the remote centre of motion (RCM), ``p - (q3 - 0.0156) d`` for the Classic with a tool 400xxx,
+    where p is the root's origin, d the shaft's direction and q3 the insertion reading, m.
     """
 
     frames: tuple[str, ...]
     camera_from_base: Float64
 
     @staticmethod
-    def of(results: Sequence[Result]) -> SessionBase | None:
-        """Gather the bases of all frames that have one; None where none has."""
+    def of(results: Sequence[Result]) -> FrameBases | None:
+        """Collect the poses of the base from all results that have one; None if there are none."""
         found = [(result.frame, result.camera_from_base) for result in results if result.camera_from_base is not None]
         if not found:
             return None
-        return SessionBase(tuple(name for name, _ in found), np.stack([pose for _, pose in found]))
+        return FrameBases(tuple(name for name, _ in found), np.stack([pose for _, pose in found]))
 
     @property
     def points(self) -> Float64:
-        """The RCM by each frame, (N, 3) m in the camera."""
+        """RCM of each frame, (N, 3) m in the camera."""
         return np.asarray(self.camera_from_base[:, :3, 3])
 
     @property
     def centre(self) -> Float64:
-        """Median of the points, axis by axis, (3,) m: wrong frames hardly move it."""
+        """Median of the points by coordinate, (3,) m."""
         return np.asarray(np.median(self.points, axis=0))
 
     @property
     def distances(self) -> Float64:
-        """Of the points from their median, (N,) m."""
+        """Distances of the points from their median, (N,) m."""
         return np.asarray(np.linalg.norm(self.points - self.centre, axis=1))
 
 
 @dataclass(frozen=True)
 class JointSummary:
-    """Correction of one joint (found less read) over the frames, deg.
+    """Corrections of one joint (found less read), deg, over the frames in which it was read.
 
-    Half of the frames are within ``half_within`` of the ``median``; ``largest`` is that of ``frame``.
+    frames : number of these frames. median : median correction. half_within : median absolute deviation from it.
+    largest, frame : correction of the largest magnitude, and its frame.
+    std : median of the estimates' standard deviations, None if they have none.
     """
 
     joint: str
@@ -104,8 +110,8 @@ class JointSummary:
 
 
 @dataclass(frozen=True)
-class Origin:
-    """How results came about: ``frames`` of them, by this version, instrument, seed and configuration (JSON)."""
+class Provenance:
+    """Version, instrument, seed and configuration (JSON) that ``frames`` results were computed with."""
 
     frames: int
     version: str
@@ -114,15 +120,15 @@ class Origin:
     config: str
 
 
-def session_figures(results: Sequence[Result], base: SessionBase | None, run: Run) -> Iterator[Figure]:
-    """Sum up a session of at least one frame."""
+def session_figures(results: Sequence[Result], base: FrameBases | None, run: Run) -> Iterator[KeyFigure]:
+    """Yield the key figures of a session of at least one frame."""
     judged = [(result.quality, result.frame) for result in results if result.quality is not None]
     if judged:
         worst, where = min(((q.iou, frame) for q, frame in judged))
-        yield Figure(
+        yield KeyFigure(
             "Overlap (IoU), median", f"{np.median([q.iou for q, _ in judged]):.3f}", f"lowest {worst:.3f} ({where})"
         )
-        yield Figure(
+        yield KeyFigure(
             "Outline to mask, median",
             f"{np.median([q.contour_px_median for q, _ in judged]):.1f} px",
             f"95 % of it within {np.median([q.contour_px_95 for q, _ in judged]):.1f} px, "
@@ -133,33 +139,33 @@ def session_figures(results: Sequence[Result], base: SessionBase | None, run: Ru
         note = f"slowest {max(seconds):.2f} s"
         if run.seconds is not None and run.frames:
             note += f"; {run.frames:,} frame{'' if run.frames == 1 else 's'} in {_duration(run.seconds)}"
-        yield Figure("Time a frame, median", f"{np.median(seconds):.2f} s", note)
+        yield KeyFigure("Time a frame, median", f"{np.median(seconds):.2f} s", note)
     yield from _agreement(results, base)
 
 
-def _agreement(results: Sequence[Result], base: SessionBase | None) -> Iterator[Figure]:
-    """How nearly the frames agree about where the arm stands, with at least three of them."""
+def _agreement(results: Sequence[Result], base: FrameBases | None) -> Iterator[KeyFigure]:
+    """Yield key figures of the agreement of at least three frames about the arm's base and the shafts' axes."""
     poses = [result.camera_from_root for result in results if result.camera_from_root is not None]
     kind = "; solved together: no check" if any(result.source == "session" for result in results) else ""
-    if base is not None and len(base.frames) >= FEWEST:
+    if base is not None and len(base.frames) >= LEAST_FRAMES:
         points = PointSpread(base.points)
-        yield Figure(
+        yield KeyFigure(
             "RCM, spread (rms)",
             f"{1e3 * points.rms:.1f} mm",
             f"half of {len(base.frames)} frames within {1e3 * np.median(base.distances):.1f} mm of the median{kind}",
         )
         turned = spread_of_bases(base.camera_from_base)
-        yield Figure(
+        yield KeyFigure(
             "Arm's base, rotation",
             f"{turned.median_deg:.1f}°",
             f"median from the most central frame, at most {turned.largest_deg:.1f}°{kind}",
         )
-    if len(poses) >= FEWEST:
+    if len(poses) >= LEAST_FRAMES:
         try:
             meeting = converge_shafts(np.stack(poses))
-        except InputError:  # The shaft hardly turned.
+        except InputError:  # the axes are parallel
             return
-        yield Figure(
+        yield KeyFigure(
             "Shaft axes meet, rms",
             f"{1e3 * meeting.rms:.2f} mm",
             f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm{kind}",
@@ -167,7 +173,7 @@ def _agreement(results: Sequence[Result], base: SessionBase | None) -> Iterator[
 
 
 def _duration(seconds: float) -> str:
-    """Say how long something took, to about a hundredth."""
+    """Format a duration with about three significant digits."""
     whole = round(seconds)
     if whole < 100:
         return f"{seconds:.3g} s"
@@ -175,13 +181,13 @@ def _duration(seconds: float) -> str:
 
 
 def correction(result: Result, joint: str) -> float | None:
-    """Found less read, rad, or None where the joint was not read."""
+    """Return a joint's found less read, rad, or None if it was not read or not found."""
     read = result.readings.get(joint)
     return None if read is None or joint not in result.joints else result.joints[joint] - read
 
 
 def joint_summaries(results: Sequence[Result]) -> Iterator[JointSummary]:
-    """Sum up each joint's corrections, in the instrument's order; joints that were never read are left out."""
+    """Yield a summary of each joint's corrections, in the instrument's order, without joints that were never read."""
     for joint in dict.fromkeys(name for result in results for name in result.joints):
         read, changes = [], []
         for result in results:
@@ -206,21 +212,21 @@ def joint_summaries(results: Sequence[Result]) -> Iterator[JointSummary]:
 
 
 def reason_counts(results: Sequence[Result]) -> list[tuple[str, int]]:
-    """Kinds of reasons (what stands before the colon) and in how many frames each is given, most frequent first."""
+    """Return the kinds of reasons (their texts before the colon) and their numbers of frames, most frequent first."""
     kinds = (dict.fromkeys(reason.partition(":")[0] for reason in result.reasons) for result in results)
     return sorted(Counter(kind for frame in kinds for kind in frame).items(), key=lambda item: (-item[1], item[0]))
 
 
 def common_warnings(results: Sequence[Result]) -> list[str]:
-    """Warnings that every one of several frames carries."""
+    """Return the warnings that all of at least two frames have."""
     if len(results) < 2:
         return []
     shared = set.intersection(*(set(result.warnings) for result in results))
     return [text for text in dict.fromkeys(results[0].warnings) if text in shared]
 
 
-def origins(results: Sequence[Result]) -> list[Origin]:
-    """How the results came about, those of most frames first."""
+def provenances(results: Sequence[Result]) -> list[Provenance]:
+    """Group the results by version, instrument, seed and configuration; the largest group first."""
     counts = Counter(
         (
             result.version,
@@ -230,4 +236,4 @@ def origins(results: Sequence[Result]) -> list[Origin]:
         )
         for result in results
     )
-    return [Origin(number, *kind) for kind, number in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]
+    return [Provenance(number, *kind) for kind, number in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]

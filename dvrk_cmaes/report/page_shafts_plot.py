@@ -1,6 +1,6 @@
-"""Drawing of the shafts' axes of a session's frames where they meet: at the remote centre of motion (RCM).
+"""Plot of the shafts' axes of a session's frames, which meet at the remote centre of motion (RCM).
 
-As in page_plots.py, what is computed here are places in a drawing; the template makes SVGs of them.
+As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVGs.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from dvrk_cmaes.report.page_axes import Axis, centred_axis
 
 Float64 = NDArray[np.float64]
 
-_SIDE = 274.0  # of the square panels of the axes, as of the RCM's
-_BEYOND = 0.15  # of its length that an axis is drawn beyond the RCM
-_FAR = 6.0  # times the median distance of the axes: what is farther off does not widen the plot
-_LEAST_REACH = 1.0  # mm
-_ARROW = 0.2  # of the plot's reach: the base's axes
-_SHORTEST, _NAME_BESIDE = 8.0, 8.0  # of an axis that is drawn at all, and of its name from its end
-_MANY = 60  # frames, whose axes are drawn fainter
+_SIDE = 274.0  # side of the square panels, as in page_plots.py
+_BEYOND = 0.15  # length drawn beyond the RCM, as a fraction of the distance from the root to the RCM
+_FAR = 6.0  # multiple of the axes' median distance from the RCM; axes farther off do not extend the plot
+_LEAST_REACH = 1.0  # mm, least half length of the plot's axes
+_ARROW = 0.2  # length of the base's axes, as a fraction of the plot's half length
+_SHORTEST, _NAME_BESIDE = 8.0, 8.0  # least length of a drawn base axis, and distance of its name from its end
+_MANY = 60  # number of frames above which their axes are drawn fainter
 
 VIEWS = (("x, mm (to the right)", 0), ("z, mm (away from the camera)", 2))
-"""What runs to the right in the two views of the camera's frame; y runs down in both."""
+"""Label and coordinate of the horizontal axis in the two views of the camera's frame; the vertical axis is y."""
 
 
 @dataclass(frozen=True)
 class ShaftLine:
-    """A frame's shaft: its place in the order of names, where it begins and ends, and whether it was used."""
+    """A frame's shaft: index in the order of names, coordinates of its ends, and whether the calibration used it."""
 
     place: int
     start: tuple[float, float]
@@ -40,10 +40,12 @@ class ShaftLine:
 
 @dataclass(frozen=True)
 class ShaftsView:
-    """One view of the axes: ``ellipse`` is one standard deviation of the RCM, its half axes and turn (deg).
+    """One view of the shafts' axes.
 
-    camera : where it is, None where that is outside. base : name of each of the base's axes, where it ends, and where
-    to write the name; without those that point along the view.
+    ellipse : one standard deviation of the RCM: the two half axes, and the rotation, deg.
+    camera : coordinates of the camera, None if it is outside or not drawn.
+    base : for each of the base's axes its name, its end and the place of the name; axes that are nearly parallel to the
+        viewing direction are omitted.
     """
 
     width: float
@@ -59,7 +61,7 @@ class ShaftsView:
 
 @dataclass(frozen=True)
 class ShaftsPlot:
-    """Two views of the whole arm, and two of what is about the RCM."""
+    """Two views of all shafts, two views of the surroundings of the RCM, and whether there are many shafts."""
 
     far: tuple[ShaftsView, ...]
     near: tuple[ShaftsView, ...]
@@ -69,7 +71,22 @@ class ShaftsPlot:
 def shafts_plot(
     calibration: SessionCalibration, poses: Mapping[int, Float64], used: frozenset[int]
 ) -> ShaftsPlot | None:
-    """Plot the shafts' axes of frames, from the poses (4, 4) of their roots by place; None where none was used."""
+    """Plot the shafts' axes of frames.
+
+    Parameters
+    ----------
+    calibration
+        The session's calibration.
+    poses
+        ``camera_from_root`` (4, 4) by index of the frame.
+    used
+        Indices of the frames that the calibration used.
+
+    Returns
+    -------
+    ShaftsPlot or None
+        None if no frame with a pose was used.
+    """
     if not used & poses.keys():
         return None
     rcm = 1e3 * calibration.rcm
@@ -102,7 +119,7 @@ def shafts_plot(
 
 
 def _distance(point: Float64, origin: Float64, direction: Float64) -> float:
-    """Distance of a point from an axis."""
+    """Return the distance of a point from the axis through ``origin`` along the unit vector ``direction``."""
     return float(np.linalg.norm(np.cross(point - origin, direction)))
 
 
@@ -132,7 +149,7 @@ def _view(
     values, vectors = np.linalg.eigh(covariance[np.ix_((column, 1), (column, 1))])
     half = scale * np.sqrt(np.maximum(values, 0))
     turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-    seen = base is not None and across.holds(0.0) and up.holds(0.0)
+    seen = base is not None and across.contains(0.0) and up.contains(0.0)
     arrows = []
     for name, axis in zip("xyz", () if base is None else base.T, strict=False):
         away = scale * _ARROW * reach * axis[[column, 1]]
@@ -156,7 +173,7 @@ def _view(
 def _clipped(
     start: Float64, end: Float64, low: Sequence[float], high: Sequence[float]
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Return the part of a line that lies in a rectangle, None where none does."""
+    """Return the ends of the part of a line segment that lies in a rectangle, None if no part does."""
     along = end - start
     first, last = 0.0, 1.0
     for k in range(2):

@@ -1,4 +1,4 @@
-"""Small pictures of overlays, for a page that holds a thousand of them: the instrument as large as it can be seen."""
+"""Thumbnails of overlays, cropped to the instrument and limited in file size."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.results.result import Result
 
 WIDTH = 288  # px
-LARGEST = 9000  # bytes
-_QUALITIES = (50, 35, 20, 8)  # of JPEG; the first that is small enough, or the last
-_LEAST_SHARE = 0.4  # of the picture's width that is always shown
-_BESIDE = 0.06  # of the outlines' extent, left free on each side
-_LIKE = 50  # a channel's largest difference from a colour that is drawn: thin lines mix with what is below
-_TALLEST = 1.25  # of the width; what is higher is narrowed
+LARGEST = 9000  # bytes, largest size at a quality above the lowest
+_QUALITIES = (50, 35, 20, 8)  # JPEG qualities; the first that gives a small enough file is used, or the last
+_LEAST_SHARE = 0.4  # least width of the crop, as a fraction of the picture's
+_MARGIN = 0.06  # margin on each side, as a fraction of the outlines' extent
+_LIKE = 50  # largest difference in each channel from an outline's colour; thin lines are blended with the background
+_TALLEST = 1.25  # largest ratio of height to WIDTH; taller pictures are reduced further
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class Thumbnail:
 
 
 def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
-    """Shrink the part of an overlay where outlines are drawn; None where there is no overlay that can be read.
+    """Make a thumbnail of the part of an overlay around its outlines; None if there is no readable overlay.
 
     Parameters
     ----------
     overlay
-        The picture, with its strips of text, that ``draw_overlay`` made of the result.
+        Path of the overlay that ``draw_overlay`` made of the result, with its strips of text.
     result
-        Its words, which say how high the strips are.
+        The result; its texts determine the heights of the strips.
     """
     if overlay is None:
         return None
@@ -54,7 +54,7 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
     unit = width / 1280
     above = header(result, width, unit).shape[0]
     below = footer(result, LEGEND, width, unit).shape[0]
-    if above + below < height / 2:  # else it is some other picture
+    if above + below < height / 2:  # otherwise it is another picture than this result's overlay
         picture = _around_outlines(picture[above : height - below])
     height, width = picture.shape[:2]
     scale = min(WIDTH / width, _TALLEST * WIDTH / height)
@@ -68,7 +68,7 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
 
 
 def _around_outlines(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Cut a picture (H, W, 3) to where the mask's and the silhouette's outlines are drawn, keeping its proportions."""
+    """Crop a picture (H, W, 3) to the outlines of mask and silhouette, found by colour; the aspect ratio is kept."""
     height, width = picture.shape[:2]
     drawn = np.zeros((height, width), dtype=bool)
     for colour in (MASK, SILHOUETTE):
@@ -77,9 +77,9 @@ def _around_outlines(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     v, u = np.nonzero(drawn)
     if not len(u):
         return picture
-    left, right = np.percentile(u, [0.5, 99.5])  # a few pixels of the image may look alike
+    left, right = np.percentile(u, [0.5, 99.5])  # a few pixels of the image may have these colours
     top, bottom = np.percentile(v, [0.5, 99.5])
-    wanted = max(right - left, (bottom - top) * width / height) * (1 + 2 * _BESIDE)
+    wanted = max(right - left, (bottom - top) * width / height) * (1 + 2 * _MARGIN)
     wide = min(max(round(wanted), round(_LEAST_SHARE * width)), width)
     high = round(wide * height / width)
     x = min(max(round((left + right - wide) / 2), 0), width - wide)

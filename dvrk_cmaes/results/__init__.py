@@ -1,1 +1,1 @@
-"""Results of frames, and the files and folders that they are written to and read from."""
+"""Results of frames, and the files and folders that contain them."""

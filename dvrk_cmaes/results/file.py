@@ -1,4 +1,4 @@
-"""A frame's result, read from the JSON that ``estimate`` or another program wrote."""
+"""Read the JSON file of a frame's result, as written by this or another program."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _EXPECTED = "a frame's result (JSON)"
 
 
 def read_result(path: str | Path) -> Result:
-    """Read a result; the frame is named as the file where the document does not name it.
+    """Read a result; a frame without a name in the document gets the name of the file.
 
     Raises
     ------
     InputError
-        Not readable, no JSON object, or as `Result.from_dict`; the message names the file and the field.
+        The file is not readable or no JSON object, or as in `Result.from_dict`; the message names file and field.
     """
     document = read_json_object(path, expected=_EXPECTED)
     if document.get("frame") is None:

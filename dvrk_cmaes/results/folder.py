@@ -1,4 +1,4 @@
-"""A folder of results: what a batch wrote, or any folder of result JSONs."""
+"""Read a folder of results: the output of a batch, or any folder of JSON files of results."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from dvrk_cmaes.results.result import Result
 SUMMARY = "summary.json"
 SESSION = "session.json"
 ALONE = "alone"
-"""Folder in that of a calibrated session: the same frames, each solved by itself."""
+"""Subfolder of a calibrated session's output with the results of its frames solved one by one."""
 
 _NO_RESULTS = (SUMMARY, SESSION, "golden.json")
 
 
 @dataclass(frozen=True, eq=False)
 class ResultsFolder:
-    """Results by frame, in the order of their names, and the documents of the whole session where they are there."""
+    """Results by frame, sorted by name, and the documents of the session, None where there are none."""
 
     folder: Path
     frames: dict[str, Result]
@@ -32,12 +32,12 @@ class ResultsFolder:
 
 
 def read_results(folder: str | Path) -> ResultsFolder:
-    """Read ``frames/*.json`` of a folder, or where it has no ``frames``, its own JSON files; and the session's.
+    """Read the results in ``frames`` or, without such a subfolder, in the folder itself, and the session's documents.
 
     Raises
     ------
     InputError
-        No such folder, no results in it, or a file that is none, naming it.
+        The folder does not exist or has no results, or a file is no result; the message names the file.
     """
     root = Path(folder)
     if not root.is_dir():
@@ -57,7 +57,7 @@ def read_results(folder: str | Path) -> ResultsFolder:
 
 
 def result_paths(root: Path) -> list[Path]:
-    """Files of the results of a folder, in the order of the frames' names."""
+    """List the result files of a folder, sorted by the names of the frames."""
     inner = root / "frames"
     source = inner if inner.is_dir() else root
     return sorted(

@@ -1,7 +1,19 @@
-"""A folder of frames, unattended: spread over processes, machines or a cluster, and survived.
+"""Resumable, fault-tolerant batch runs.
 
-``run.run_batch`` does the frames that have no result yet, ``merge.merge_shards`` gathers what several machines made of
-one session, ``run.finish`` makes the tables and the page. From the bottom up: `digests` and `manifest` (what results
-are made from), `worker` (one frame, in whatever process), `pool`, `anywhere` and `cluster` (many frames), `worklist`
-and `folder` (which, and where), `summary`, `run` and `merge`.
+frame : one frame, from its files to its result and overlay.
+image_frame : one frame that has an image and no mask.
+processes : worker processes, and running many tasks in them.
+worker : one frame of a batch in a worker process.
+executor : running many tasks in an executor of the caller.
+cluster : a Dask cluster as an executor.
+worklist : selection of the frames of a batch by pattern and shard.
+digests : digests of the inputs of results.
+manifest : ``run.json``, which states the inputs of a folder's results.
+output : the output folder of a batch: lock, removal of files, complete results.
+summary : ``summary.json``.
+batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
+page.
+merge : merging of the shards of a session.
+calibrate_folder : calibration of a session folder.
+golden : recording of golden poses, and comparison of results with them.
 """

@@ -1,4 +1,4 @@
-"""Do the frames of a session that have no result yet, write each as it is done, then the tables and the page."""
+"""Estimate the frames of a session that have no result yet; write each result, and at the end tables and page."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, read_results
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.digests import frame_digests
-from dvrk_cmaes.runs.executor import Elsewhere, through_executor
+from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.manifest import (
+    Manifest,
     check_same_frames,
     check_same_settings,
     manifest_of,
@@ -34,41 +35,49 @@ from dvrk_cmaes.runs.manifest import (
     with_frames,
     write_manifest,
 )
-from dvrk_cmaes.runs.output import POSES, clear, locked, refuse_strangers, sweep, whole_results, write_outcome
-from dvrk_cmaes.runs.processes import Died, through_processes
+from dvrk_cmaes.runs.output import (
+    POSES,
+    complete_results,
+    locked,
+    refuse_foreign_results,
+    remove_results,
+    remove_temporary_files,
+    write_outcome,
+)
+from dvrk_cmaes.runs.processes import WorkerDied, run_in_processes
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
     FrameOutcome,
     PackedSetup,
     failed_outcome,
-    named_from,
     prepare_process,
+    relative_text,
     run_task,
 )
 from dvrk_cmaes.runs.worklist import Shard, check_names, chosen_frames, shards_folder
-from dvrk_cmaes.segment.with_instrument import SegmentSettings
+from dvrk_cmaes.segment.silhouette_prior import SegmentSettings
 
 TIME_LIMIT = 600.0
-"""Seconds after which a frame is given up, in our own processes."""
+"""Seconds after which a frame is given up in a worker process."""
 
 
-class Watcher:
-    """Told how a batch gets on; this one does not care."""
+class BatchProgress:
+    """Progress callback of a batch that does nothing; subclasses report."""
 
-    def begins(self, todo: int, kept: Sequence[Status]) -> None:
-        """Hear how many frames are to be done, and the statuses of those that have a result already."""
+    def on_start(self, todo: int, kept: Sequence[Status]) -> None:
+        """Handle the start: the number of frames to do, and the statuses of those that have a result already."""
 
-    def done(self, outcome: FrameOutcome) -> None:
-        """Hear of a frame that is done and written."""
+    def on_frame(self, outcome: FrameOutcome) -> None:
+        """Handle the end of a frame, after its files were written."""
 
 
 @dataclass(frozen=True, eq=False)
 class BatchSummary:
-    """How a batch ended.
+    """Summary of a batch run.
 
-    ``folder`` has the results; ``counts`` are of all its frames, by status and ``missing``; ``ran`` frames were done
-    by this run. ``document`` is that of summary.json.
+    ``folder`` has the results; ``counts`` has the numbers of its frames by status and the number ``missing``; ``ran``
+    is the number of frames estimated by this run. ``document`` is the content of summary.json.
     """
 
     folder: Path
@@ -93,61 +102,62 @@ def run_batch(
     resume: bool = True,
     retry_failed: bool = False,
     workers: int | None = None,
-    executor: Executor | Elsewhere | None = None,
+    executor: Executor | ExternalExecutor | None = None,
     time_limit: float = TIME_LIMIT,
     stop: threading.Event | None = None,
-    watcher: Watcher | None = None,
+    progress: BatchProgress | None = None,
 ) -> BatchSummary:
     """Estimate the frames of a session that have no result in a folder yet, and write results, tables and page.
 
-    What comes out does not depend on workers, shards, executor or order. Processes are started by `spawn`: a script
-    that calls this needs ``if __name__ == "__main__":``.
+    The results do not depend on workers, shards, executor or order. Worker processes are spawned, so a script that
+    calls this function must do so below ``if __name__ == "__main__":``.
 
     Parameters
     ----------
     session, instrument
-        What was read of them. Where the workers run, the session's files must lie under the same paths.
+        The session and the instrument. The workers must find the session's files under the same paths.
     out
         Folder of the results.
     config, arm
         As in `estimate`; of the configuration, ``threads`` is replaced by the argument.
     segment
-        How frames without a mask get one.
+        How masks are found in the images of frames that have no mask.
     calibration
-        Start frames from what their session says.
+        The session's calibration, from whose predictions frames are started.
     threads
-        Of each worker.
+        Number of threads of each worker.
     pattern
-        A shell's pattern of the frames' names.
+        Shell pattern (``*``, ``?``, ``[..]``) of the names of the frames to do.
     shard
-        Do this part only, in a folder of its own below ``out``, for ``merge_shards``; no tables then.
+        Do only this part, in its own folder below ``out``, without tables; `merge_shards` merges the parts.
     resume
-        Keep the results that are there; otherwise they are removed first.
+        Keep the results that are there. If False, they are removed first.
     retry_failed
-        Do frames again that failed.
+        Do failed frames again.
     workers
-        Processes of our own; as many as there are cores for, unless given.
+        Number of worker processes; by default as many as the cores allow.
     executor
-        Somebody else's workers instead.
+        Executor to use instead of worker processes.
     time_limit
-        Seconds after which a frame in a process of our own is given up.
+        Seconds after which a frame in a worker process is given up.
     stop
-        Once it is set, the frames that are running are finished, and no more are begun.
-    watcher
-        Told of each frame.
+        Once this event is set, running frames are finished and no more are started.
+    progress
+        Progress callback.
 
     Raises
     ------
     InputError
-        Settings that make no sense, names that cannot be written, or results there that were made from something else.
+        The settings are invalid, files of these names cannot be written, or the folder has results of other inputs or
+        settings.
     DvrkCmaesError
-        Another batch is at the folder, the disk is full, or workers cannot be had.
+        Another batch is writing to the folder, the disk is full, or workers cannot be started or were lost.
     """
-    stop, watcher, out = stop or threading.Event(), watcher or Watcher(), Path(out)
+    stop, progress, out = stop or threading.Event(), progress or BatchProgress(), Path(out)
     settings = replace(EstimateConfig() if config is None else config, threads=threads)
     check_config(settings)
     folder = out if shard is None else shard.folder(out)
-    chosen = chosen_frames([_from_anywhere(files, session.folder) for files in session.frames], pattern)
+    chosen = chosen_frames([_with_absolute_paths(files, session.folder) for files in session.frames], pattern)
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
     home = Path(os.path.abspath(session.folder))
@@ -157,10 +167,10 @@ def run_batch(
     started = time.monotonic()
     with locked(folder):
         if resume:
-            refuse_strangers(folder)
+            refuse_foreign_results(folder)
         else:
-            clear(folder)
-        sweep(folder)
+            remove_results(folder)
+        remove_temporary_files(folder)
         todo, kept = _prepare(
             folder,
             None if shard is None else out,
@@ -170,45 +180,58 @@ def run_batch(
             session=[files.name for files in session.frames],
             retry_failed=retry_failed,
         )
-        watcher.begins(len(todo), kept)
+        progress.on_start(len(todo), kept)
         ran = 0
         for outcome in _outcomes(setup, todo, workers, executor, time_limit, stop):
             write_outcome(folder, outcome)
             ran += 1
-            watcher.done(outcome)
+            progress.on_frame(outcome)
         seconds = time.monotonic() - started
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
-        document = finish(out, timing) if shard is None else _summary(folder, timing, whole=False)
+        document = finish(out, timing) if shard is None else _summarize_shard(folder, timing)
     return BatchSummary(folder, document["counts"], ran, stop.is_set() and ran < len(todo), document)
 
 
 def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
-    """Write the tables and the page of the results that are there, and return the summary.
+    """Write the tables and the page of the results in a folder, and return the summary.
+
+    Each result is parsed once.
 
     Raises
     ------
     InputError
-        No batch was run there, or a result is damaged, naming it.
+        The folder has no results of a batch, or a result is damaged; the message has its path.
     """
     out = Path(out)
-    document = _summary(out, timing)
-    if document["frames"]:
-        results = read_results(out).frames
-        write_text(out / POSES, table_text(pose_rows(results.values())))
+    manifest = _manifest(out)
+    results = read_results(out) if _has_results(out) else None
+    document = summarize({} if results is None else results.frames, manifest, timing)
+    if results is not None:
+        write_text(out / POSES, table_text(pose_rows(results.frames.values())))
     write_json(out / SUMMARY, document)
-    if document["frames"]:
+    if results is not None:
         from dvrk_cmaes.report.page import write_page
 
-        write_page(out)
+        write_page(out, replace(results, summary=document))
     return document
 
 
-def _summary(folder: Path, timing: RunTiming | None, *, whole: bool = True) -> dict[str, Any]:
+def _summarize_shard(folder: Path, timing: RunTiming | None) -> dict[str, Any]:
+    """Summarize the results of a shard, without writing anything."""
+    manifest = _manifest(folder)
+    results = read_results(folder).frames if _has_results(folder) else {}
+    return summarize(results, manifest, timing, whole=False)
+
+
+def _manifest(folder: Path) -> Manifest:
     manifest = read_manifest(folder)
     if manifest is None:
         raise InputError(f"{folder}: expected results of a batch, got none")
-    there = any((folder / "frames").glob("*.json"))
-    return summarize(read_results(folder).frames if there else {}, manifest, timing, whole=whole)
+    return manifest
+
+
+def _has_results(folder: Path) -> bool:
+    return any((folder / "frames").glob("*.json"))
 
 
 def _prepare(
@@ -221,10 +244,10 @@ def _prepare(
     session: Sequence[str],
     retry_failed: bool,
 ) -> tuple[list[FrameFiles], list[Status]]:
-    """Find what is to be done, write down what it is made from, and return it with the statuses of what is kept.
+    """Write the manifest, and return the frames to do and the statuses of the frames whose results are kept.
 
-    ``merged`` is the folder where a shard's frames may have results from before; ``others`` are the frames of all
-    shards.
+    ``merged`` is the folder that shards are merged into, which may have results of a shard's frames; ``others`` are the
+    names of the frames of all shards, ``session`` those of the whole session.
     """
     if merged is None and shards_folder(folder).is_dir():
         raise InputError(f"{folder}: it has shards that are not merged; run dvrk-cmaes batch --merge {folder} first")
@@ -236,7 +259,7 @@ def _prepare(
         if old is None:
             continue
         check_same_settings(place, old, manifest)
-        there = {name: s for name, s in whole_results(place).items() if not (retry_failed and s == "failed")}
+        there = {name: s for name, s in complete_results(place).items() if not (retry_failed and s == "failed")}
         check_same_frames(place, old, digests, done=there, session=session)
         kept |= there
         if place == folder:
@@ -249,18 +272,18 @@ def _outcomes(
     setup: BatchSetup,
     todo: Sequence[FrameFiles],
     workers: int | None,
-    executor: Executor | Elsewhere | None,
+    executor: Executor | ExternalExecutor | None,
     time_limit: float,
     stop: threading.Event,
 ) -> Iterator[FrameOutcome]:
-    """Outcomes of frames as they are done."""
+    """Yield the outcomes of frames in the order of completion."""
     if not todo:
         return
     packed = PackedSetup.of(setup)
     call = functools.partial(run_task, packed)
     if executor is None:
         most = workers or max(1, usable_cores() // setup.config.threads)
-        done = through_processes(
+        done = run_in_processes(
             todo,
             call,
             start=functools.partial(prepare_process, packed),
@@ -269,10 +292,14 @@ def _outcomes(
             stop=stop,
         )
     else:
-        elsewhere = executor if isinstance(executor, Elsewhere) else Elsewhere(executor, lambda: 2 * usable_cores())
-        done = through_executor(todo, call, elsewhere=elsewhere, stop=stop)
+        external = (
+            executor
+            if isinstance(executor, ExternalExecutor)
+            else ExternalExecutor(executor, lambda: 2 * usable_cores())
+        )
+        done = run_in_executor(todo, call, external=external, stop=stop)
     for files, outcome in done:
-        yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, Died) else outcome
+        yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
 
 
 def usable_cores() -> int:
@@ -280,11 +307,11 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _from_anywhere(files: FrameFiles, folder: Path) -> FrameFiles:
-    """Name a frame's files so that any process finds them, and in words from the session's folder."""
+def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
+    """Return a frame with absolute paths, and with the paths in its notes relative to the session's folder."""
     mask, image, ignore = (
         None if path is None else Path(os.path.abspath(path)) for path in (files.mask, files.image, files.ignore)
     )
-    notes = tuple(named_from(folder, note) for note in files.notes)
-    problem = None if files.problem is None else named_from(folder, files.problem)
+    notes = tuple(relative_text(folder, note) for note in files.notes)
+    problem = None if files.problem is None else relative_text(folder, files.problem)
     return replace(files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem)

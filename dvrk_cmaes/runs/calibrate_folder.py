@@ -1,4 +1,4 @@
-"""A session folder and its frames' own results, solved together by several processes, and written.
+"""Calibration of a session folder from its frames' own results, in several processes, with all files written.
 
 OUT/session.json, OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv,
 OUT/summary.json, OUT/report.html
@@ -8,25 +8,24 @@ from __future__ import annotations
 
 import csv
 import functools
-import multiprocessing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
-from threadpoolctl import threadpool_limits
-
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.atomic import write_bytes, write_json
+from dvrk_cmaes.io.atomic import encoded_image, write_bytes, write_json
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.results.folder import SESSION
@@ -34,15 +33,46 @@ from dvrk_cmaes.results.paths import check_output, left_out_path, mask_path, ove
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.runs.frame import draw_frame
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
+from dvrk_cmaes.runs.processes import spawn_pool
 from dvrk_cmaes.runs.worker import BatchSetup
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette import Body, Renderer
 
 _of_this_process: dict[str, Any] = {}
 
 
+@dataclass(frozen=True, eq=False)
+class DrawTask:
+    """Draw a frame's result and what the session's other frames predict for it; ``files`` has a mask."""
+
+    files: FrameFiles
+    camera: Camera
+    result: Result
+    left_out: LeaveOneOutPrediction
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Both pictures of a frame as JPEG: the overlay of its result, and that of its leave-one-out prediction."""
+
+    overlay: bytes
+    left_out: bytes
+
+
+def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
+    """Draw one frame."""
+    data = read_frame(task.files, task.camera)
+    overlay = draw_frame(task.result, task.files, data, body)
+    predicted = Renderer(body, data.camera, threads=1).masks(
+        task.left_out.camera_from_root[None], task.left_out.joints[None]
+    )[0]
+    second = draw_left_out(data.mask, predicted, task.left_out.iou, task.left_out.contour_px, image=data.image)
+    return Pictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second))
+
+
 def image_times(folder: Path) -> dict[str, float]:
-    """Read the times of a session's frames, s, from images.csv, or else from joints.csv; none where neither says."""
+    """Read the times of a session's frames, s, from images.csv, or else from joints.csv; empty if neither has times."""
     for name in ("images.csv", "joints.csv"):
         path = folder / name
         if not path.is_file():
@@ -69,8 +99,8 @@ def calibrate_folder(
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
-    ``alone`` is the folder of those results, with masks that were found in images and overlays of frames that are left
-    out; ``times`` are frames', s.
+    ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
+    are taken from there. ``times`` are the times of the frames' images, s.
 
     Raises
     ------
@@ -79,46 +109,54 @@ def calibrate_folder(
     DvrkCmaesError
         A process died, or the disk is full.
     """
+    files = {one.name: _with_mask(one, alone) for one in session.frames}
     frames = []
-    for files in session.frames:
-        check_output(out, files.name)
-        if files.name not in results:
+    for name, one in files.items():
+        check_output(out, name)
+        if name not in results:
             continue
-        result = results[files.name]
+        result = results[name]
         if result.instrument != instrument.name:
             raise InputError(
-                f"frame {files.name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
+                f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
-        reader = functools.partial(read_frame, _with_mask(files, alone), session.camera)
-        at = None if times is None else times.get(files.name)
-        frames.append(SessionFrame(files.name, reader, result, files.keypoints, at))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start, (instrument, config)) as pool:
-
-        def run(function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]) -> list[Any]:
-            return list(pool.map(functools.partial(_call, function), tasks))
-
-        try:
-            solved = calibrate_session(
-                frames, instrument, arm=arm, config=config, run=run, draw=True, progress=progress
-            )
-        except BrokenExecutor:
-            raise DvrkCmaesError("a process died, perhaps for want of memory: try fewer --workers") from None
-    _write(solved, session, instrument, out, arm, config, alone)
+        # The image is only needed for the overlay.
+        reader = functools.partial(_read_without_image, one, session.camera)
+        at = None if times is None else times.get(name)
+        frames.append(SessionFrame(name, reader, result, one.keypoints, at))
+    with _workers(workers, instrument, config) as run:
+        solved = calibrate_session(frames, instrument, arm=arm, config=config, run=run, progress=progress)
+        progress("drawing", len(solved.leave_one_out))
+        (out / SESSION).unlink(missing_ok=True)
+        tasks = [
+            DrawTask(files[name], session.camera, solved.results[name], left_out)
+            for name, left_out in solved.leave_one_out.items()
+        ]
+        pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
+    _write(solved, pictures, session, instrument, out, arm, config, alone)
     return solved
 
 
-def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
-    if files.mask is not None or alone is None:
-        return files
-    mask = mask_path(alone, files.name)
-    return replace(files, mask=mask if mask.exists() else None)
+@contextmanager
+def _workers(
+    count: int, instrument: Instrument, config: EstimateConfig
+) -> Iterator[Callable[[Callable[[Body, EstimateConfig, Any], Any], Sequence[Any]], list[Any]]]:
+    """Start worker processes, and give a function that applies a function of body, settings and task to all tasks."""
+    with spawn_pool(count, functools.partial(_start, instrument, config)) as pool:
+        try:
+            yield functools.partial(_run, pool)
+        except BrokenExecutor:
+            raise DvrkCmaesError("a process died, perhaps for want of memory: try fewer --workers") from None
+
+
+def _run(
+    pool: ProcessPoolExecutor, function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]
+) -> list[Any]:
+    return list(pool.map(functools.partial(_call, function), tasks))
 
 
 def _start(instrument: Instrument, config: EstimateConfig) -> None:
-    """Prepare a process: its scenes, and one thread for its libraries."""
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
+    """Build the instrument's scenes in a worker process."""
     _of_this_process["body"], _of_this_process["config"] = Body.prepare(instrument), config
 
 
@@ -126,8 +164,21 @@ def _call(function: Callable[[Body, EstimateConfig, Any], Any], task: Any) -> An
     return function(_of_this_process["body"], _of_this_process["config"], task)
 
 
+def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
+    """Return a frame with the mask that was found in its image, where it has no mask of its own."""
+    if files.mask is not None or alone is None:
+        return files
+    mask = mask_path(alone, files.name)
+    return replace(files, mask=mask if mask.exists() else None)
+
+
+def _read_without_image(files: FrameFiles, camera: Camera) -> FrameData:
+    return read_frame(files if files.mask is None else replace(files, image=None), camera)
+
+
 def _write(
     solved: SolvedSession,
+    pictures: Mapping[str, Pictures],
     session: Session,
     instrument: Instrument,
     out: Path,
@@ -135,11 +186,11 @@ def _write(
     config: EstimateConfig,
     alone: Path | None,
 ) -> None:
-    """Write results, overlays, tables and page; the calibration is there when its frames are."""
-    (out / SESSION).unlink(missing_ok=True)
+    """Write results, pictures, tables and page; session.json after its frames."""
     for name, result in solved.results.items():
-        if name in solved.pictures:
-            solved.pictures[name].write(out, name)
+        if name in pictures:
+            write_bytes(overlay_path(out, name), pictures[name].overlay)
+            write_bytes(left_out_path(out, name), pictures[name].left_out)
         else:
             left_out_path(out, name).unlink(missing_ok=True)
             if alone is not None and overlay_path(alone, name).is_file():

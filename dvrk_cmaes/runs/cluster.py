@@ -1,4 +1,4 @@
-"""A Dask cluster as the workers of a batch: the scheduler's address in, an executor out (extra ``cluster``)."""
+"""A Dask cluster as the executor of a batch; needs the extra ``cluster``."""
 
 from __future__ import annotations
 
@@ -10,30 +10,31 @@ from typing import Any, Final
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.short_text import shown
-from dvrk_cmaes.runs.executor import Elsewhere
+from dvrk_cmaes.runs.executor import ExternalExecutor
 
-_CONNECT: Final = 15  # seconds to find the scheduler, and then its first worker
-_AHEAD: Final = 2  # tasks a thread, so that none waits for us
+_TIMEOUT: Final = 15  # s, for the connection to the scheduler, and then for its first worker
+_TASKS_PER_THREAD: Final = 2  # submitted at a time, so that no thread of a worker waits for its next task
 
 
 @contextmanager
-def dask_executor(address: str, folder: str | Path) -> Iterator[Elsewhere]:
-    """Connect to the scheduler at an address and give its workers as an executor, until the block is left.
+def dask_executor(address: str, folder: str | Path) -> Iterator[ExternalExecutor]:
+    """Return a context manager that connects to a Dask scheduler and gives its workers as an executor.
 
-    Workers may come and go meanwhile. A frame whose worker dies is done by another; after the scheduler's
-    ``allowed-failures`` (3 unless configured otherwise) it is given up.
+    Workers may join and leave during the run. If a worker dies, its frames are given to other workers. A frame on
+    which more workers have died than the scheduler's setting ``allowed-failures`` (3 by default) is given up.
 
     Parameters
     ----------
     address
-        As Dask writes it, ``tcp://host:8786``.
+        Address of the scheduler, e.g. ``tcp://host:8786``.
     folder
-        The session's; the workers must see it under the same path.
+        Folder of the session, which the workers must find under the same path.
 
     Raises
     ------
     InputError
-        Dask is not installed, there is no scheduler, or a worker has another version or does not see the folder.
+        Dask is not installed, there is no scheduler at the address, a worker has another version of this package, or a
+        worker does not find the folder.
     DvrkCmaesError
         The scheduler has no workers.
     """
@@ -42,36 +43,37 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[Elsewhere]:
         from distributed.scheduler import KilledWorker
     except ImportError as error:
         raise InputError(f"--scheduler: Dask is missing ({error}); pip install 'dvrk-cmaes[cluster]'") from None
-    connect: Any = Client  # has no types
+    connect: Any = Client  # Dask has no type annotations
     try:
-        client = connect(address, timeout=_CONNECT, set_as_default=False)
+        client = connect(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler: expected a Dask scheduler's address, got {shown(address)}: {error}") from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=_CONNECT)
+            client.wait_for_workers(1, timeout=_TIMEOUT)
         except TimeoutError:
             raise DvrkCmaesError(f"--scheduler: {address} has no workers") from None
         _check_workers(client, Path(folder).absolute())
 
         def at_once() -> int:
-            return _AHEAD * max(1, int(sum(client.nthreads().values())))
+            return _TASKS_PER_THREAD * max(1, int(sum(client.nthreads().values())))
 
-        yield Elsewhere(client.get_executor(pure=False), at_once, (KilledWorker,))
+        yield ExternalExecutor(client.get_executor(pure=False), at_once, (KilledWorker,))
 
 
 def _check_workers(client: Any, folder: Path) -> None:
-    """Refuse workers that would give other results, or none."""
-    found = client.run(_what_a_worker_has, str(folder), on_error="return")
-    for worker, answer in found.items():
+    """Check that all workers have this version of the package and find the folder; raises `InputError`."""
+    answers = client.run(_version_and_access, str(folder), on_error="return")
+    for worker, answer in answers.items():
         if isinstance(answer, BaseException):
             raise InputError(f"--scheduler: worker {worker}: expected dvrk-cmaes {__version__} there, got {answer}")
-        version, sees = answer
+        version, has_access = answer
         if version != __version__:
             raise InputError(f"--scheduler: worker {worker}: expected dvrk-cmaes {__version__}, got {version}")
-        if not sees:
+        if not has_access:
             raise InputError(f"--scheduler: worker {worker} does not see {folder}: expected it under the same path")
 
 
-def _what_a_worker_has(folder: str) -> tuple[str, bool]:
+def _version_and_access(folder: str) -> tuple[str, bool]:
+    """Return the version of the package in this process, and whether a folder is found."""
     return __version__, Path(folder).is_dir()

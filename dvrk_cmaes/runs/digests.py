@@ -1,4 +1,4 @@
-"""Short digests of what results are made from, to notice when it is no longer the same."""
+"""Short digests of the inputs of results, by which changed inputs are detected."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.files import file_digest
 
 _LENGTH = 16
-"""Hexadecimal digits: among a million frames two are alike by chance once in thirty million sessions."""
+"""Hexadecimal digits of a digest; among a million digests, two are equal by chance with a probability of 3e-8."""
 
 UNREADABLE = "unreadable"
+"""Stands for the digest of a file that cannot be read."""
 
 
 def instrument_digest(instrument: Instrument) -> str:
-    """Digest of all that an instrument is, wherever its files lie."""
+    """Compute the digest of an instrument's content; the paths of its files do not matter."""
     return _digest(instrument)
 
 
 def calibration_digest(calibration: SessionCalibration) -> str:
-    """Digest of a session's calibration."""
+    """Compute the digest of a session's calibration."""
     return _digest(json_text(calibration.to_dict()))
 
 
 def frame_digests(files: FrameFiles) -> dict[str, str]:
-    """Digests of the parts of a frame by name; a file that cannot be read has none."""
+    """Compute the digests of the parts of a frame, by name of the part; `UNREADABLE` for a file that cannot be read."""
     digests = {
         name: _file_digest(path)
         for name, path in (("mask", files.mask), ("image", files.image), ("ignore", files.ignore))
@@ -48,8 +49,9 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
 
 
 def _file_digest(path: Path) -> str:
+    """Compute the digest of a file's content."""
     try:
-        if not path.is_file():  # A pipe would never end.
+        if not path.is_file():  # reading a pipe may never end
             return UNREADABLE
         return file_digest(path)[:_LENGTH]
     except OSError:
@@ -57,14 +59,15 @@ def _file_digest(path: Path) -> str:
 
 
 def _digest(value: Any) -> str:
-    sum_of_all = hashlib.sha256()
+    """Compute the digest of a tree of dataclasses, mappings, sequences, arrays and plain values."""
+    sha256 = hashlib.sha256()
     for part in _parts(value):
-        sum_of_all.update(len(part).to_bytes(8, "little") + part)
-    return sum_of_all.hexdigest()[:_LENGTH]
+        sha256.update(len(part).to_bytes(8, "little") + part)
+    return sha256.hexdigest()[:_LENGTH]
 
 
 def _parts(value: Any) -> Iterator[bytes]:
-    """All plain values of a tree of dataclasses, mappings, sequences and arrays, as bytes."""
+    """Yield the content of such a tree as bytes: names of fields, keys, lengths and values."""
     if isinstance(value, np.ndarray):
         yield f"{value.dtype.str}{value.shape}".encode()
         yield np.ascontiguousarray(value).tobytes()

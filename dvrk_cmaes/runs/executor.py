@@ -1,4 +1,4 @@
-"""Many tasks over any ``concurrent.futures.Executor``: somebody else's processes, threads, or a cluster."""
+"""Running many tasks in an executor of the caller: any ``concurrent.futures.Executor``, e.g. of a cluster."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.runs.processes import Died
+from dvrk_cmaes.runs.processes import WorkerDied
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class Elsewhere:
-    """An executor, and what must be known of it.
+class ExternalExecutor:
+    """An executor and its properties.
 
-    ``at_once()`` is how many tasks to hand over at a time, more than it has workers, so that none has to wait;
-    ``gives_up`` are the exceptions of a task's future that say that its worker died, and not for the first time.
+    ``at_once()`` is how many tasks to submit at a time: more than it has workers, so that no worker waits. ``gives_up``
+    are the exceptions of a future whose worker has died so often that the executor gave the task up.
     """
 
     executor: Executor
@@ -28,13 +28,13 @@ class Elsewhere:
     gives_up: tuple[type[BaseException], ...] = ()
 
 
-def through_executor(
-    tasks: Iterable[T], call: Callable[[T], R], *, elsewhere: Elsewhere, stop: threading.Event
-) -> Iterator[tuple[T, R | Died]]:
-    """Do tasks by an executor, and yield each with its value as it is done, in no certain order.
+def run_in_executor(
+    tasks: Iterable[T], call: Callable[[T], R], *, external: ExternalExecutor, stop: threading.Event
+) -> Iterator[tuple[T, R | WorkerDied]]:
+    """Run tasks in an executor, and yield each with its value in the order of completion.
 
-    ``call`` must be picklable where the executor's workers are processes, and should not raise. Once ``stop`` is set,
-    what was handed over is finished, and nothing more is.
+    ``call`` must not raise, and must be picklable if the executor's workers are processes. Once ``stop`` is set, tasks
+    that were submitted are finished, and no more are submitted.
 
     Raises
     ------
@@ -45,12 +45,12 @@ def through_executor(
     running: dict[Future[R], T] = {}
     try:
         while True:
-            while not stop.is_set() and len(running) < elsewhere.at_once() and (task := next(source, None)) is not None:
-                running[_submitted(elsewhere.executor, call, task)] = task
+            while not stop.is_set() and len(running) < external.at_once() and (task := next(source, None)) is not None:
+                running[_submitted(external.executor, call, task)] = task
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                value = _value(future, elsewhere.gives_up)
+                value = _value(future, external.gives_up)
                 yield running.pop(future), value
     finally:
         for future in running:
@@ -64,12 +64,12 @@ def _submitted(executor: Executor, call: Callable[[T], R], task: T) -> Future[R]
         raise _lost(error) from error
 
 
-def _value(future: Future[R], gives_up: tuple[type[BaseException], ...]) -> R | Died:
+def _value(future: Future[R], gives_up: tuple[type[BaseException], ...]) -> R | WorkerDied:
     try:
         return future.result()
     except gives_up as error:
-        return Died(f"its worker died, more than once: out of memory, or a crash in a native library ({error})")
-    except (Exception, CancelledError) as error:  # ``call`` does not raise: it is the way there or back.
+        return WorkerDied(f"its worker died, more than once: out of memory, or a crash in a native library ({error})")
+    except (Exception, CancelledError) as error:  # ``call`` does not raise: the error lies in the transport
         raise _lost(error) from error
 
 

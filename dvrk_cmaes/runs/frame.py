@@ -1,56 +1,113 @@
-"""One frame from what was read to what is written: estimate, draw, write. What every command does with a frame."""
+"""One frame, from its files to its result and overlay: what every command does with a frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_frame, read_frame_image
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
 
 @dataclass(frozen=True, eq=False)
+class SolvedFrame:
+    """A frame in memory and its result; ``found_mask`` tells whether the mask was found in the image."""
+
+    data: FrameData
+    result: Result
+    found_mask: bool = False
+
+
+@dataclass(frozen=True, eq=False)
 class FrameRun:
-    """A frame's result, and the files written: JSON, overlay, and the mask if it was found, if any."""
+    """A frame's result, and the files written: JSON, overlay and, if it was found in the image, the mask."""
 
     result: Result
     written: tuple[Path, ...]
 
 
+def read_any_frame(files: FrameFiles, camera: Camera) -> FrameData | FrameImage:
+    """Read a frame that has a mask, or only an image; errors as `read_frame` and `read_frame_image`."""
+    if files.mask is None and files.image is not None:
+        return read_frame_image(files, camera)
+    return read_frame(files, camera)
+
+
 def run_frame(
     files: FrameFiles,
-    data: FrameData,
+    frame: FrameData | FrameImage,
     body: Body,
     *,
     arm: Arm,
     config: EstimateConfig,
     out: Path | None,
     session: SessionCalibration | None = None,
+    settings: SegmentSettings | None = None,
+    hints: Hints | None = None,
 ) -> FrameRun:
-    """Estimate the pose in a frame that was read from its files; with ``out``, write its result and overlay there.
+    """Estimate the pose in a frame that was read, and write its result and overlay to the folder ``out`` if given.
+
+    Arguments as in `solve_frame`.
 
     Raises
     ------
     InputError
-        As `estimate`; a name or folder that cannot be written to. Nothing is written then.
+        As `solve_frame`; a name or folder that cannot be written to, in which case nothing is written.
     """
     if out is not None:
         check_output(out, files.name)
-    result = estimate_frame(files, data, body, arm=arm, config=config, session=session)
+    solved = solve_frame(files, frame, body, arm=arm, config=config, session=session, settings=settings, hints=hints)
     if out is None:
-        return FrameRun(result, ())
-    overlay = draw_frame(result, files, data, body)
-    return FrameRun(result, write_frame(out, result, overlay, None if data.segmentation is None else data.mask))
+        return FrameRun(solved.result, ())
+    overlay = draw_frame(solved.result, files, solved.data, body)
+    found_mask = solved.data.mask if solved.found_mask else None
+    return FrameRun(solved.result, write_frame(out, solved.result, overlay, found_mask))
+
+
+def solve_frame(
+    files: FrameFiles,
+    frame: FrameData | FrameImage,
+    body: Body,
+    *,
+    arm: Arm,
+    config: EstimateConfig,
+    session: SessionCalibration | None = None,
+    settings: SegmentSettings | None = None,
+    hints: Hints | None = None,
+) -> SolvedFrame:
+    """Estimate the pose in a frame that was read; in a frame without a mask, find the mask first.
+
+    ``settings`` and ``hints`` say how, as in `segment_and_estimate`. Errors as `estimate` and `segment_and_estimate`.
+    """
+    if isinstance(frame, FrameData):
+        return SolvedFrame(frame, estimate_frame(files, frame, body, arm=arm, config=config, session=session))
+    from dvrk_cmaes.runs.image_frame import segment_and_estimate
+
+    segmented = segment_and_estimate(
+        frame,
+        files.name,
+        files.readings,
+        body,
+        keypoints=files.keypoints,
+        arm=arm,
+        session=session,
+        config=config,
+        settings=settings,
+        hints=hints,
+    )
+    return SolvedFrame(segmented.data, segmented.result, found_mask=True)
 
 
 def estimate_frame(
@@ -62,12 +119,8 @@ def estimate_frame(
     config: EstimateConfig,
     session: SessionCalibration | None = None,
 ) -> Result:
-    """Estimate the pose in a frame that was read from its files; errors as `estimate`.
-
-    Where the mask was found in the image, the result says so, is doubtful if the mask is a guess, and if it is
-    doubtful, says whether mask or pose is to blame.
-    """
-    result = estimate(
+    """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`."""
+    return estimate(
         data.mask,
         data.camera,
         files.readings,
@@ -80,25 +133,10 @@ def estimate_frame(
         config=config,
         warnings=data.notes,
     )
-    found = data.segmentation
-    if found is None or data.image is None:
-        return result
-    from dvrk_cmaes.segment.confidence import GUESS
-    from dvrk_cmaes.segment.mask_or_pose import who_is_to_blame
-    from dvrk_cmaes.segment.with_instrument import drawn
-
-    reasons = result.reasons
-    if found.confidence < GUESS:
-        reasons = (*reasons, f"mask is a guess: confidence {found.confidence:.2f}, expected at least {GUESS}")
-    if reasons:
-        silhouette = drawn(result, data.camera, body)
-        reasons = (*reasons, f"mask or pose: {who_is_to_blame(data.image, found, silhouette, data.ignore)}")
-    status = "doubtful" if reasons else result.status
-    return replace(result, status=status, reasons=reasons, seconds=result.seconds + data.segment_seconds)
 
 
 def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -> NDArray[np.uint8]:
-    """Draw a frame's result over its image, or where there is none, over its mask: (H, W, 3) BGR."""
+    """Draw a frame's result over its image, or over its mask where it has no image; returns (H, W, 3) BGR."""
     return draw_overlay(
         result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
     )

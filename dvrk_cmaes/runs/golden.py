@@ -1,4 +1,4 @@
-"""Golden poses of a lab's own frames: what is worth keeping of results, and whether later ones still agree."""
+"""Golden poses of a lab's own frames: recording them from results, and comparing later results with them."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from dvrk_cmaes.silhouette import Body
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """Golden poses, and the frames that were left out, each with its reason."""
+class GoldenRecord:
+    """Golden poses ``truth``, and the reasons for frames that were ``left_out``, by name."""
 
     truth: SessionTruth
     left_out: Mapping[str, str]
@@ -32,7 +32,7 @@ class Recording:
 def estimate_all(
     frames: Iterable[FrameFiles], session: Session, body: Body, *, arm: Arm, config: EstimateConfig
 ) -> Iterator[Result]:
-    """Estimate frames of a session one after the other; one that cannot be is a failed result with its reason."""
+    """Estimate frames of a session one after the other; a frame with an error gives a failed result with the reason."""
     for files in frames:
         try:
             yield estimate_frame(files, read_frame(files, session.camera), body, arm=arm, config=config)
@@ -43,8 +43,8 @@ def estimate_all(
             )
 
 
-def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful: bool = False) -> Recording:
-    """Keep the poses of results that are ok, and of doubtful ones only if they are allowed."""
+def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful: bool = False) -> GoldenRecord:
+    """Return the poses of the results that are ok and, if ``allow_doubtful``, of those that are doubtful."""
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
     for result in results:
@@ -53,22 +53,21 @@ def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful:
             continue
         tips = None
         if instrument.jaw_tips:
-            pose = result.camera_from_root
-            own = instrument.tips([result.joints[name] for name in instrument.joint_names])
-            tips = apply(pose, own)
+            tips_in_root = instrument.tips([result.joints[name] for name in instrument.joint_names])
+            tips = apply(result.camera_from_root, tips_in_root)
         kept[result.frame] = FrameTruth(result.camera_from_root, result.joints, tips)
-    return Recording(SessionTruth(kept), left_out)
+    return GoldenRecord(SessionTruth(kept), left_out)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameCheck:
-    """A frame's result, and how it compares with its golden pose."""
+    """A frame's result, and its comparison with the golden pose."""
 
     result: Result
     check: PoseCheck
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; errors are named ``root_mm``, ``wrist_pitch_deg`` and so on."""
+        """Return plain values for JSON; keys of errors have the unit: ``root_mm``, ``wrist_pitch_deg`` and so on."""
         return {
             "frame": self.result.frame,
             "status": self.result.status,
@@ -88,7 +87,21 @@ def check(
     *,
     modulo_twin: bool = False,
 ) -> Iterator[FrameCheck]:
-    """Compare results with their golden poses, one after the other; each must have one."""
+    """Compare results with their golden poses, one after the other.
+
+    Parameters
+    ----------
+    results
+        Results of frames that have a golden pose.
+    golden
+        The golden poses.
+    instrument
+        The instrument of both.
+    tolerance
+        The largest errors of a result that is right.
+    modulo_twin
+        Whether the mirror twin of the golden pose is right, too.
+    """
     for result in results:
         found = check_pose(result, golden.frames[result.frame], instrument, tolerance, modulo_twin=modulo_twin)
         yield FrameCheck(result, found)

@@ -1,7 +1,7 @@
-"""``run.json``: what a folder's results were made from, so that nothing else is mixed into them.
+"""Read and write ``run.json``: the inputs and settings of the results in a folder, compared before results are added.
 
-schema, version, instrument {name, digest}, arm, camera, config, segment, session (its path; not compared),
-frames {frame: {part: digest}, or null for a frame that another shard does}
+Fields: schema, version, instrument {name, digest}, arm, camera, config, segment {model, weights}, calibration (digest
+or null), session (its path; not compared), frames {frame: {part: digest}, or null for a frame of another shard}
 """
 
 from __future__ import annotations
@@ -11,26 +11,36 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
+from msgspec import Struct
+
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.runs.digests import calibration_digest, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
 Manifest = dict[str, Any]
 FrameParts = Mapping[str, Mapping[str, str] | None]
+"""Digests of the parts of each frame; None for a frame of another shard."""
 
 MANIFEST: Final = "run.json"
 _SCHEMA: Final = 1
 _NOT_COMPARED: Final = ("session", "frames")
 _MOST_SHOWN: Final = 5
-_WAY_OUT: Final = "choose another --out, or begin anew with --overwrite"
+_ADVICE: Final = "choose another --out, or begin anew with --overwrite"
+
+
+class _ManifestFields(Struct):
+    """Fields of a manifest that are checked when it is read; the settings are only compared."""
+
+    frames: dict[str, dict[str, str] | None]
 
 
 def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
-    """State what results are made from; ``frames`` are the digests of each frame's parts, None for other shards'."""
+    """Return the manifest of a batch; ``frames`` are the digests of each frame's parts, None for other shards."""
     camera = asdict(setup.camera)
     return {
         "schema": _SCHEMA,
@@ -50,13 +60,15 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
 
 
 def read_manifest(out: Path) -> Manifest | None:
-    """Read a folder's manifest, None where there is none; InputError if it is damaged."""
+    """Read a folder's manifest, None if there is none; InputError if it is damaged."""
     path = out / MANIFEST
     if not path.exists():
         return None
     manifest = read_json_object(path, expected="what a batch was run with (run.json)")
-    if not isinstance(manifest.get("frames"), dict):
-        raise InputError(f"{path}: frames: expected an object, got none: {_WAY_OUT}")
+    try:
+        convert_document(str(path), manifest, _ManifestFields)
+    except InputError as error:
+        raise InputError(f"{error}: {_ADVICE}") from None
     return manifest
 
 
@@ -66,12 +78,12 @@ def write_manifest(out: Path, manifest: Manifest) -> None:
 
 
 def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
-    """Refuse to go on in a folder whose results were made otherwise.
+    """Check that the results in a folder were computed with the same settings.
 
     Raises
     ------
     InputError
-        Naming each setting that differs, with its old and new value.
+        A setting differs; the message states the old and new values of the first few.
     """
     before, after = dict(_leaves(old)), dict(_leaves(new))
     changes = [
@@ -82,14 +94,14 @@ def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
     if changes:
         more = f" and {len(changes) - _MOST_SHOWN} more" if len(changes) > _MOST_SHOWN else ""
         raise InputError(
-            f"{out}: its results were made otherwise ({'; '.join(changes[:_MOST_SHOWN])}{more}): {_WAY_OUT}"
+            f"{out}: its results were made otherwise ({'; '.join(changes[:_MOST_SHOWN])}{more}): {_ADVICE}"
         )
 
 
 def check_same_frames(
     out: Path, old: Manifest, new: FrameParts, *, done: Collection[str], session: Iterable[str]
 ) -> None:
-    """Refuse to go on in a folder that has results of other frames than are there now.
+    """Check that the results in a folder are those of the session's frames as they are now.
 
     Parameters
     ----------
@@ -98,20 +110,20 @@ def check_same_frames(
     old
         The folder's manifest.
     new
-        Digests of the frames to be done.
+        Digests of the frames to be computed.
     done
-        Frames whose results are kept.
+        Frames whose results exist and are not computed again.
     session
         All frames of the session.
 
     Raises
     ------
     InputError
-        Naming the frames, and which of their files have changed.
+        A frame is not in the session, or its files have changed; the message names the frames and files.
     """
-    gone = sorted(set(done) - set(session))
-    if gone:
-        raise InputError(f"{out}: it has results of frames that are not in the session: {listed(gone)}: {_WAY_OUT}")
+    missing = sorted(set(done) - set(session))
+    if missing:
+        raise InputError(f"{out}: it has results of frames that are not in the session: {listed(missing)}: {_ADVICE}")
     changes = []
     for name in sorted(set(done) & set(new)):
         before, after = old["frames"].get(name) or {}, new[name] or {}
@@ -119,21 +131,22 @@ def check_same_frames(
         if parts:
             changes.append(f"{name} ({', '.join(parts)})")
     if changes:
-        raise InputError(f"{out}: frames have changed since their results were made: {listed(changes)}: {_WAY_OUT}")
+        raise InputError(f"{out}: frames have changed since their results were made: {listed(changes)}: {_ADVICE}")
 
 
 def with_frames(manifest: Manifest, more: FrameParts) -> Manifest:
-    """Add frames to a manifest; those of ``more`` win, unless they are only named there."""
-    known = manifest["frames"]
-    return {**manifest, "frames": _sorted({**known, **{n: parts or known.get(n) for n, parts in more.items()}})}
+    """Add frames to a manifest; digests in ``more`` replace older ones, None does not."""
+    old = manifest["frames"]
+    return {**manifest, "frames": _sorted({**old, **{n: parts or old.get(n) for n, parts in more.items()}})}
 
 
 def _sorted(frames: FrameParts) -> FrameParts:
+    """Sort frames by name."""
     return {name: frames[name] for name in sorted(frames)}
 
 
 def _leaves(tree: Mapping[str, Any], table: str = "") -> Iterator[tuple[str, Any]]:
-    """List settings as ``table.key`` and value, without those that may differ."""
+    """Yield settings as ``table.key`` and value, without those that are not compared."""
     for name, value in tree.items():
         if not table and name in _NOT_COMPARED:
             continue

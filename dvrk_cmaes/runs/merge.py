@@ -1,4 +1,4 @@
-"""Shards of one session, done by several machines, become one folder of results as if one had done it all."""
+"""Merging of the shards of one session, estimated on several machines, into one folder of results."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from dvrk_cmaes.runs.manifest import (
     with_frames,
     write_manifest,
 )
-from dvrk_cmaes.runs.output import locked, refuse_strangers, sweep
+from dvrk_cmaes.runs.output import locked, refuse_foreign_results, remove_temporary_files
 from dvrk_cmaes.runs.worklist import shard_of, shards_folder
 
 
 def merge_shards(out: str | Path) -> dict[str, Any]:
-    """Move the results of a folder's shards into the folder itself, write its tables and page, return its summary.
+    """Move the results of all shards below ``out`` into ``out``, write tables and page, and return the summary.
 
-    It may be killed and run again, and be run before all shards are complete: these go on where they were.
+    The merged folder is the same as that of a batch without shards. An interrupted merge can be repeated. Shards may be
+    merged before they are complete, and continued and merged again later.
 
     Raises
     ------
     InputError
-        No results of a batch there, or shards that were made from something else than each other.
+        The folder has no results of a batch, or the shards were made with different settings.
     DvrkCmaesError
         A shard is still being written, or the disk is full.
     """
@@ -46,9 +47,9 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
     with ExitStack() as locks:
         for folder in (out, *folders):
             locks.enter_context(locked(folder))
-        refuse_strangers(out)
-        sweep(out)
-        _unite_manifests(out, folders)
+        refuse_foreign_results(out)
+        remove_temporary_files(out)
+        _merge_manifests(out, folders)
         try:
             for folder in folders:
                 _move_results(folder, out)
@@ -56,30 +57,30 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
         except OSError as error:
             raise not_written(out, error, "results") from None
         summary = finish(out)
-    with suppress(OSError):  # A shard has been begun in the meantime, or there were none.
+    with suppress(OSError):  # not empty, because a shard was started in the meantime; or not there
         shards_folder(out).rmdir()
     return summary
 
 
-def _unite_manifests(out: Path, folders: Sequence[Path]) -> None:
-    """State what the results of all folders are made from, before any of them is moved."""
-    united = read_manifest(out)
+def _merge_manifests(out: Path, folders: Sequence[Path]) -> None:
+    """Write the manifest of the merged results, before any result is moved."""
+    merged = read_manifest(out)
     for folder in folders:
         manifest = read_manifest(folder)
-        if united is not None and manifest is not None:
-            check_same_settings(folder, united, manifest)
-            manifest = with_frames(united, manifest["frames"])
-        united = manifest
-    if united is not None:
-        write_manifest(out, united)
+        if merged is not None and manifest is not None:
+            check_same_settings(folder, merged, manifest)
+            manifest = with_frames(merged, manifest["frames"])
+        merged = manifest
+    if merged is not None:
+        write_manifest(out, merged)
 
 
 def _move_results(folder: Path, out: Path) -> None:
-    """Move whole results, each after its overlay."""
+    """Move the complete results of a folder, each after its mask and overlay."""
     for path in sorted((folder / "frames").glob("*.json")):
         try:
             frame = read_result(path).frame
-        except InputError:  # Damaged: as good as missing.
+        except InputError:  # damaged, therefore treated as missing
             continue
         for source, target in (
             (mask_path(folder, frame), mask_path(out, frame)),

@@ -1,4 +1,4 @@
-"""A folder of results while a batch writes there: one batch at a time, no leftovers, and what is whole."""
+"""The output folder of a batch: its lock, removal of temporary files and results, complete results, and writing."""
 
 from __future__ import annotations
 
@@ -25,17 +25,19 @@ LOCK: Final = ".lock"
 POSES: Final = "poses.csv"
 PAGE: Final = "report.html"
 _FOLDERS: Final = ("frames", "overlays", "masks")
-_LEFTOVER: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")
+_TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")  # names of the temporary files of io.atomic
 
 
 @contextmanager
 def locked(out: Path) -> Iterator[None]:
-    """Keep other batches out of a folder, which is made if need be; the lock ends with the process, however it ends.
+    """Return a context manager that locks a folder against other batches; the folder is made if it does not exist.
+
+    The operating system releases the lock when the process ends, even if it is killed.
 
     Raises
     ------
     DvrkCmaesError
-        Another batch is at it.
+        Another batch has locked the folder, or the disk is full.
     InputError
         The folder cannot be made or written to.
     """
@@ -53,19 +55,25 @@ def locked(out: Path) -> Iterator[None]:
         lock.release()
 
 
-def sweep(out: Path) -> None:
-    """Remove what a batch that was killed had begun to write."""
+def remove_temporary_files(out: Path) -> None:
+    """Remove the temporary files of a batch that was killed while writing."""
     for folder in (out, *(out / name for name in _FOLDERS)):
         for path in folder.iterdir() if folder.is_dir() else ():
-            if _LEFTOVER.fullmatch(path.name):
+            if _TEMPORARY.fullmatch(path.name):
                 with suppress(OSError):
                     path.unlink()
 
 
-def clear(out: Path) -> None:
-    """Remove all that batches wrote, what they were run with last; InputError where there are other files instead."""
-    refuse_strangers(out)
-    with suppress(InputError):  # of a damaged manifest: no mask is known to be ours
+def remove_results(out: Path) -> None:
+    """Remove all files that batches have written to a folder, the manifest last.
+
+    Raises
+    ------
+    InputError
+        The folder's results are not those of a batch.
+    """
+    refuse_foreign_results(out)
+    with suppress(InputError):  # a damaged manifest does not tell which masks a batch has written
         for frame, parts in (read_manifest(out) or {"frames": {}})["frames"].items():
             if parts and "mask" not in parts:
                 mask_path(out, frame).unlink(missing_ok=True)
@@ -79,14 +87,14 @@ def clear(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def refuse_strangers(out: Path) -> None:
-    """Refuse a folder that has results, but not from a batch."""
+def refuse_foreign_results(out: Path) -> None:
+    """Raise `InputError` if a folder has results that are not those of a batch."""
     if not (out / MANIFEST).exists() and (out / "frames").is_dir() and any((out / "frames").glob("*.json")):
         raise InputError(f"{out}: it has results, but not of a batch (no {MANIFEST}); choose another --out")
 
 
-def whole_results(out: Path) -> dict[str, Status]:
-    """Status of each frame whose result is there and whole, with its overlay unless it failed."""
+def complete_results(out: Path) -> dict[str, Status]:
+    """Return the status of each frame that has a valid result and, unless it failed, an overlay."""
     found: dict[str, Status] = {}
     for path in sorted((out / "frames").glob("*.json")):
         try:
@@ -101,7 +109,7 @@ def whole_results(out: Path) -> dict[str, Status]:
 
 
 def write_outcome(out: Path, outcome: FrameOutcome) -> None:
-    """Write a frame's files, the result last: where it is, all is there."""
+    """Write a frame's files, the result last, so that a frame with a result has all its files."""
     if outcome.mask is not None:
         write_bytes(mask_path(out, outcome.frame), outcome.mask)
     if outcome.overlay is not None:

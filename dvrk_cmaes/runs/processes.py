@@ -1,12 +1,13 @@
-"""Many tasks over processes of our own; one that dies on a task costs that task only.
+"""Worker processes on this machine, and running many tasks in them; a process that dies fails one task only.
 
-Each process is driven by a thread of its own, so when one dies it is known on which task. That task is tried once more
-in a fresh process (something else may have used up the memory), then given up.
+Each process is driven by a thread of its own, so that the task on which a process dies is known. That task is tried
+once more in a new process, since the cause may have been a temporary lack of memory, and then given up.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import multiprocessing
 import os
 import queue
@@ -17,23 +18,26 @@ from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import cv2
+from threadpoolctl import threadpool_limits
+
 from dvrk_cmaes.errors import DvrkCmaesError
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 _TRIES = 2  # of a task that its process dies on
-_STARTS = 3  # of a process, before it is taken for impossible
+_STARTS = 3  # of a process that dies at its start, after which the run fails
 
 
 @dataclass(frozen=True)
-class Died:
-    """Instead of a task's value: why there is none."""
+class WorkerDied:
+    """Stands for the value of a task that was given up; ``reason`` says why."""
 
     reason: str
 
 
-def through_processes(
+def run_in_processes(
     tasks: Iterable[T],
     call: Callable[[T], R],
     *,
@@ -41,21 +45,21 @@ def through_processes(
     workers: int,
     time_limit: float,
     stop: threading.Event,
-) -> Iterator[tuple[T, R | Died]]:
-    """Do tasks in processes of our own, and yield each with its value as it is done, in no certain order.
+) -> Iterator[tuple[T, R | WorkerDied]]:
+    """Run tasks in worker processes, and yield each with its value in the order of completion.
 
     Parameters
     ----------
     tasks
-        What ``call`` takes.
+        Arguments of ``call``, one each.
     call, start
-        Functions that can be pickled; ``start`` is called first in each process. Neither should raise.
+        Picklable functions that do not raise. ``start`` is called first in each process.
     workers
-        How many processes.
+        Number of processes.
     time_limit
-        Seconds after which a task's process is ended.
+        Seconds after which a task is given up and its process killed.
     stop
-        Once it is set, what is running is finished, and nothing more is begun.
+        Once this event is set, running tasks are finished and no more are started.
 
     Raises
     ------
@@ -63,7 +67,7 @@ def through_processes(
         Processes cannot be started.
     """
     source = _Source(tasks, stop)
-    done: queue.SimpleQueue[tuple[T, R | Died] | Exception | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = queue.SimpleQueue()
     processes = [_Process(start) for _ in range(workers)]
     threads = [
         threading.Thread(target=_drive, args=(one, source, call, time_limit, done.put), daemon=True)
@@ -91,11 +95,11 @@ def through_processes(
 
 
 class _NothingMoreError(Exception):
-    """A task is left undone, because nobody wants it any more."""
+    """A task was not done because the run was stopped."""
 
 
 class _Source(Generic[T]):
-    """Tasks for several threads, until there are none or nobody wants them."""
+    """Iterator over tasks that several threads share; it ends early when the run is stopped or closed."""
 
     def __init__(self, tasks: Iterable[T], stop: threading.Event) -> None:
         self._tasks, self._stop = iter(tasks), stop
@@ -123,9 +127,9 @@ def _drive(
     source: _Source[T],
     call: Callable[[T], R],
     time_limit: float,
-    give: Callable[[tuple[T, R | Died] | Exception | None], None],
+    give: Callable[[tuple[T, R | WorkerDied] | Exception | None], None],
 ) -> None:
-    """Do tasks one after the other in one process."""
+    """Run tasks one after the other in one process."""
     try:
         with contextlib.suppress(_NothingMoreError):
             for task in source:
@@ -136,23 +140,23 @@ def _drive(
         give(error)
 
 
-def _tried(process: _Process, call: Callable[[T], R], task: T, time_limit: float, source: _Source[T]) -> R | Died:
-    """Do a task, again if its process dies, unless nothing more should be begun by then."""
+def _tried(process: _Process, call: Callable[[T], R], task: T, time_limit: float, source: _Source[T]) -> R | WorkerDied:
+    """Run a task, and again if its process dies, unless the run has been stopped by then."""
     for _ in range(_TRIES):
         try:
             return process.run(call, task, time_limit)
         except TimeoutError:
             process.kill()
-            return Died(f"no result after {time_limit:g} s: its process was ended")
+            return WorkerDied(f"no result after {time_limit:g} s: its process was ended")
         except BrokenExecutor:
             process.close()
             if source.ended:
                 raise _NothingMoreError from None
-    return Died(f"its process died {_TRIES} times: out of memory, or a crash in a native library")
+    return WorkerDied(f"its process died {_TRIES} times: out of memory, or a crash in a native library")
 
 
 class _Process:
-    """A process that is started when it is needed, and again when it has died."""
+    """A worker process that is started when it is needed, and again after it has died."""
 
     def __init__(self, start: Callable[[], object]) -> None:
         self._start = start
@@ -161,17 +165,17 @@ class _Process:
         self._over = False
 
     def run(self, call: Callable[[T], R], task: T, time_limit: float) -> R:
-        """Do a task; raises BrokenExecutor if the process died on it, TimeoutError if it takes too long."""
+        """Run a task; raises BrokenExecutor if the process died on it, TimeoutError if it takes too long."""
         pool = self._started()
         return pool.submit(call, task).result(timeout=time_limit)
 
     def _started(self) -> ProcessPoolExecutor:
         deaths = 0
         while self._pool is None and not self._over:
-            pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+            pool = spawn_pool(1, self._start)
             _leave_interrupts_to_the_main_thread()
             try:
-                self._id = pool.submit(_begin, self._start).result()
+                self._id = pool.submit(os.getpid).result()
                 self._pool = pool
             except BrokenExecutor:
                 pool.shutdown(wait=False)
@@ -186,39 +190,55 @@ class _Process:
         return self._pool
 
     def close(self, *, wait: bool = False) -> None:
-        """Let the process end once it has nothing to do."""
+        """Let the process end after its current task."""
         if self._pool is not None:
             self._pool.shutdown(wait=wait, cancel_futures=True)
         self._pool = None
 
     def kill(self) -> None:
-        """End the process whatever it is doing."""
+        """Kill the process."""
         for one in multiprocessing.active_children():
             if one.pid == self._id:
                 one.kill()
         self.close()
 
     def end(self) -> None:
-        """End the process for good."""
+        """Kill the process, and do not start it again."""
         self._over = True
         self.kill()
 
 
 def _leave_interrupts_to_the_main_thread() -> None:
-    """Block Ctrl-C in this thread: the processes it starts inherit that, and finish what they are doing."""
+    """Block SIGINT in this thread; the processes it starts inherit that, and finish their task after Ctrl-C."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
-def _begin(start: Callable[[], object]) -> int:
-    """Prepare a fresh process, and see to it that it ends with the one that started it, however that ends."""
+def spawn_pool(workers: int, start: Callable[[], object]) -> ProcessPoolExecutor:
+    """Return a pool of spawned processes, in each of which `prepare_worker` and then ``start`` are called first."""
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (start,))
+
+
+def _begin(start: Callable[[], object]) -> None:
+    prepare_worker()
+    start()
+
+
+def prepare_worker() -> None:
+    """Prepare a worker process: its libraries use one thread, and it exits when the process that started it does."""
+    limit_library_threads()
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
-    start()
-    return os.getpid()
+        threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
 
 
-def _end_after(parent: multiprocessing.process.BaseProcess) -> None:
+@functools.cache
+def limit_library_threads() -> threadpool_limits:
+    """Limit OpenCV and the BLAS libraries of this process to one thread each; the cores are used by processes."""
+    cv2.setNumThreads(1)
+    return threadpool_limits(1)
+
+
+def _exit_after(parent: multiprocessing.process.BaseProcess) -> None:
     parent.join()
     os._exit(1)

@@ -1,4 +1,4 @@
-"""``summary.json``: a session's results in figures. All that may differ between runs of the same lies in ``timing``."""
+"""``summary.json``: counts, medians and times of a session's results. Only ``timing`` differs between equal runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DIGITS: Final = 6
 
 @dataclass(frozen=True)
 class RunTiming:
-    """How long a run took: frames done by it, seconds from its start to its end, frames a second."""
+    """Duration of a run: number of frames estimated by it, seconds from start to end, and frames per second."""
 
     frames: int
     seconds: float
@@ -25,11 +25,11 @@ class RunTiming:
 
 
 def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
-    """Count frames by status; ``missing`` are those without a result yet."""
-    counted = Counter(statuses)
+    """Count frames by status; ``missing`` is the number of those without a result."""
+    counter = Counter(statuses)
     return {
         "frames": len(statuses) + missing,
-        **{status: counted[status] for status in get_args(Status)},
+        **{status: counter[status] for status in get_args(Status)},
         "missing": missing,
     }
 
@@ -37,35 +37,49 @@ def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
 def summarize(
     results: Mapping[str, Result], manifest: Mapping[str, Any], timing: RunTiming | None = None, *, whole: bool = True
 ) -> dict[str, Any]:
-    """Sum up results by frame; ``manifest`` says what they were made from, and of which frames.
+    """Return the content of summary.json.
 
-    Of a shard, not the ``whole``, frames that another one does are not missing.
+    Parameters
+    ----------
+    results
+        The results by name of the frame.
+    manifest
+        The manifest, with all frames of the session.
+    timing
+        Duration of the run that has just ended, if any.
+    whole
+        Whether the results are of the whole session. If False, they are of a shard, and frames of other shards do not
+        count as missing.
     """
     missing = sorted({name for name, parts in manifest["frames"].items() if whole or parts} - set(results))
-    all_of_them = list(results.values())
+    values = list(results.values())
     return {
         "schema": _SCHEMA,
         "session": manifest["session"],
         "version": manifest["version"],
         "instrument": manifest["instrument"]["name"],
-        "counts": count_frames([result.status for result in all_of_them], len(missing)),
-        "medians": _medians(all_of_them),
+        "counts": count_frames([result.status for result in values], len(missing)),
+        "medians": _medians(values),
         "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
         "missing": missing,
-        "timing": {"frame_seconds": _seconds(all_of_them), "run": None if timing is None else asdict(timing)},
+        "timing": {"frame_seconds": _seconds(values), "run": None if timing is None else asdict(timing)},
         "config": manifest["config"],
     }
 
 
 def _medians(results: Sequence[Result]) -> dict[str, Any]:
-    """Medians over the frames that have a pose; of joints by name, found less read where they were read."""
+    """Compute medians over the frames that have a pose.
+
+    Medians of joints are by name, in degrees; ``found_less_read_deg`` is that of estimate minus reading, over the
+    frames with a reading.
+    """
     quality = [result.quality for result in results if result.quality is not None]
     joints = list(dict.fromkeys(name for result in results for name in result.joints))
     changes = {
         name: [np.degrees(r.joints[name] - r.readings[name]) for r in results if {name} <= {*r.joints} & {*r.readings}]
         for name in joints
     }
-    spreads = {
+    stds = {
         name: [std[name] for r in results if (std := r.std_joints_deg) is not None and name in std] for name in joints
     }
     return {
@@ -74,17 +88,18 @@ def _medians(results: Sequence[Result]) -> dict[str, Any]:
         "contour_px_95": _median([q.contour_px_95 for q in quality]),
         "std_translation_mm": _median([r.std_translation_mm for r in results if r.std_translation_mm is not None]),
         "std_rotation_deg": _median([r.std_rotation_deg for r in results if r.std_rotation_deg is not None]),
-        "std_joints_deg": {name: _median(values) for name, values in spreads.items()},
+        "std_joints_deg": {name: _median(values) for name, values in stds.items()},
         "found_less_read_deg": {name: _median(values) for name, values in changes.items()},
     }
 
 
 def _median(values: Sequence[Any]) -> Any:
-    """Median over the first axis, None of nothing."""
+    """Return the median over the first axis, rounded; None if there are no values."""
     return np.round(np.median(values, axis=0), _DIGITS).tolist() if len(values) else None
 
 
 def _seconds(results: Sequence[Result]) -> dict[str, float] | None:
+    """Return statistics of the seconds per frame, without failed frames; None if there are no others."""
     seconds = [result.seconds for result in results if result.status != "failed"]
     if not seconds:
         return None

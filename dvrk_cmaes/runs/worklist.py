@@ -1,4 +1,4 @@
-"""Which frames of a session are to be done: those a pattern names, and of these a shard's part."""
+"""Selection of the frames of a batch: those whose names match a pattern, and of these the part of a shard."""
 
 from __future__ import annotations
 
@@ -14,46 +14,46 @@ from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.results.paths import check_output, result_path
 
-_LONGEST_NAME = 255  # bytes, on nearly all file systems
+_LONGEST_NAME = 255  # bytes, the limit of nearly all file systems
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Part ``index`` (from 1) of ``count`` parts of a session, each for a machine of its own."""
+    """Part ``index`` (from 1) of ``count`` parts of a session, each of which one machine estimates."""
 
     index: int
     count: int
 
     @staticmethod
     def parse(text: str) -> Shard:
-        """Read ``2/8``; InputError for anything else."""
+        """Parse a text ``index/count``, e.g. ``2/8``; raises `InputError` for any other text."""
         match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if match is None or not 1 <= int(match[1]) <= int(match[2]):
             raise InputError(f"--shard: expected I/N with I from 1 to N, e.g. 2/8, got {shown(text)}")
         return Shard(int(match[1]), int(match[2]))
 
     def folder(self, out: Path) -> Path:
-        """Where the shard's results lie until they are merged."""
+        """Return the folder of the shard's results until they are merged."""
         return shards_folder(out) / f"{self.index}-of-{self.count}"
 
     def part(self, frames: Sequence[FrameFiles]) -> tuple[FrameFiles, ...]:
-        """Every ``count``-th frame, beginning with the ``index``-th, so that slow stretches are shared out."""
+        """Return every ``count``-th frame from the ``index``-th on, so that consecutive slow frames are distributed."""
         return tuple(frames[self.index - 1 :: self.count])
 
 
 def shards_folder(out: Path) -> Path:
-    """Folder of the shards that are not merged yet."""
+    """Return the folder that contains the folders of shards that are not merged yet."""
     return out / "shards"
 
 
 def shard_of(folder: Path) -> Shard | None:
-    """Shard that a folder is named after."""
+    """Return the shard that a folder's name states; None if it states none."""
     match = re.fullmatch(r"(\d+)-of-(\d+)", folder.name)
     return None if match is None else Shard(int(match[1]), int(match[2]))
 
 
 def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:
-    """Choose the frames whose names match a shell's pattern (``*``, ``?``, ``[..]``), or all; sorted by name.
+    """Return the frames whose names match a shell pattern (``*``, ``?``, ``[..]``), or all frames, sorted by name.
 
     Raises
     ------
@@ -68,12 +68,12 @@ def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[Fr
 
 
 def check_names(out: Path, frames: Sequence[FrameFiles]) -> None:
-    """Refuse, before any work is done, names and folders that results cannot be written to.
+    """Check that the results of all frames can be written to a folder.
 
     Raises
     ------
     InputError
-        As ``check_output``; a name that is too long for a file with its extension.
+        As `check_output`; or a file name would be too long.
     """
     for frame in frames:
         check_output(out, frame.name)

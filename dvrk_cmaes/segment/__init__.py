@@ -1,7 +1,8 @@
-"""From an image to the instrument's mask.
+"""Segmentation of the instrument in an image.
 
-`segment` finds the instrument with or without prompts (a box, points on it, points beside it) by one of two models:
-``classic``, which needs nothing but the image, or ``sam2``, which needs a checkpoint of Segment Anything 2.
+`segment` returns a mask, with or without prompts (a box around the instrument, points on it, points beside it). It uses
+one of two models: ``classic`` uses colours and edges and needs no weights; ``sam2`` runs an exported checkpoint of
+Segment Anything 2.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def segment(
     weights: str | Path | None = None,
     threads: int = 2,
 ) -> Segmentation:
-    """Find the instrument in an image.
+    """Segment the instrument in an image.
 
     Parameters
     ----------
@@ -47,12 +48,12 @@ def segment(
     weights
         Folder of a checkpoint's exported files, for ``sam2``.
     threads
-        How many threads ``sam2`` uses; ``classic`` uses OpenCV's.
+        Number of threads of ``sam2``; ``classic`` uses the threads of OpenCV.
 
     Raises
     ------
     InputError
-        Prompts outside the image, an unknown model, weights that are missing or not wanted.
+        Prompts outside the image, an unknown model, ``sam2`` without weights or ``classic`` with weights.
     """
     image = np.asarray(image)
     check_prompts(image, box, points, not_points)

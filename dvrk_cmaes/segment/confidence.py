@@ -1,7 +1,7 @@
-"""How far a mask that was found in an image can be trusted, without knowing the right one.
+"""Confidence in a mask that was found in an image, estimated without the true mask.
 
-Three questions, each answered by a share of 1: do the colours just inside and just outside differ, pixel by pixel? Does
-the image change across the outline, more than it does beside it? Is the mask shaped like an instrument in view?
+Three measures from 0 to 1 are multiplied: how well the colours inside and outside the outline are separated; the share
+of the outline that lies on an edge of the image; and a plausibility by the mask's size, position and number of pieces.
 """
 
 from __future__ import annotations
@@ -16,31 +16,33 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
 from dvrk_cmaes.segment.colours import Colours
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.regions import border_of, meets_border
+from dvrk_cmaes.segment.regions import border_contact, meets_border
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
-GUESS = 0.5  # below, a mask is called a guess
+GUESS = 0.5
+"""Confidence below which a mask is called a guess."""
 
-_BAND = (2.0, 12.0)  # px from the outline, where colours are compared
-_ACROSS = 4.0  # px from the outline, where the image is compared with itself
-_FARTHER, _SHARP = 12.0, 0.5  # px, and the share of the change over that reach which an edge has over the shorter one
-_BESIDE = 16.0  # px beside the outline, where the background is compared with itself
-_CLEAR = 2.0  # times the background's own change, for an edge to be one
-_LEAST_AREA, _LARGEST_AREA = 0.004, 0.6  # of the image
-_MOST_SIDES = 2  # of the image, that an instrument comes in over
-_FROM_NOWHERE = 0.45  # plausibility of what does not come in from the border: a guess
-_ONE_PIECE = 0.8  # of the mask, in its largest region
+_BAND = (2.0, 12.0)  # px, distances from the outline between which colours are compared
+_ACROSS = 4.0  # px, distance of the two points on either side of the outline whose difference is measured
+_FARTHER, _SHARP = 12.0, 0.5  # px; least ratio of the difference over _ACROSS to that over _FARTHER at an edge
+_BESIDE = 16.0  # px, distance from the outline of the level line along which the background's differences are measured
+_CLEAR = 2.0  # least ratio of the difference at an edge to the median difference in the background
+_LEAST_AREA, _LARGEST_AREA = 0.004, 0.6  # fractions of the image
+_MOST_SIDES = 2  # largest number of the image's sides that an instrument meets
+_NO_BORDER_CONTACT = 0.45  # factor for a mask that does not meet the border; below GUESS
+_ONE_PIECE = 0.8  # least share of the mask's area in its largest region
 
 
 @dataclass(frozen=True)
-class Trust:
-    """The three answers, 0 to 1 each, and in words what speaks against a mask.
+class MaskAssessment:
+    """Three measures of a mask, each from 0 to 1, and messages about what speaks against it.
 
-    separation : how much better than chance colours tell inside from outside near the outline.
-    edges : share of the outline across which the image changes clearly.
-    plausibility : 1, lessened by each way in which the mask is not like an instrument in view.
+    separation : 2 a - 1, at least 0, where a is the balanced accuracy of classifying pixels near the outline by colour.
+    edges : share of the outline's points that lie on an edge of the image.
+    plausibility : 1, multiplied by a factor below 1 for each implausible property of the mask.
+    notes : messages for the user.
     """
 
     separation: float
@@ -50,28 +52,30 @@ class Trust:
 
     @property
     def confidence(self) -> float:
-        """All three together, 0 to 1: a mask is as good as the weakest, lessened by the others."""
+        """Confidence in the mask, 0 to 1: separation times the square root of edges times plausibility."""
         return float(np.clip(self.separation * np.sqrt(self.edges) * self.plausibility, 0, 1))
 
 
-def trust(mask: Bool, window: tuple[slice, slice], odds: Float32, colours: Colours, *, prompts: Prompts) -> Trust:
-    """Judge a mask.
+def assess_mask(
+    mask: Bool, window: tuple[slice, slice], odds: Float32, colours: Colours, *, prompts: Prompts
+) -> MaskAssessment:
+    """Measure how far a mask can be trusted.
 
     Parameters
     ----------
     mask
         (H, W).
     window
-        Of the image, (h, w), that holds the mask and what is around it.
+        Rows and columns of the image, (h, w), that hold the mask and its surroundings.
     odds
-        (h, w), log-odds by the colours alone.
+        (h, w), log-odds of instrument by the colours alone.
     colours
-        The window's.
+        Colours of the window.
     prompts
-        If somebody said where the instrument is, it need not come in from the border.
+        With a box or points on the instrument, a mask that is small or does not meet the border is not implausible.
     """
     if not mask.any() or mask.all() or mask[window].all():
-        return Trust(0.0, 0.0, 0.0, ("no instrument found",))
+        return MaskAssessment(0.0, 0.0, 0.0, ("no instrument found",))
     away = signed_distance(mask[window])
     separation = _separation(odds, away)
     edges = _edges(away, colours)
@@ -80,11 +84,14 @@ def trust(mask: Bool, window: tuple[slice, slice], odds: Float32, colours: Colou
         notes.append("colours inside and outside the mask hardly differ")
     if edges < 0.6:
         notes.append("much of the mask's outline follows no edge in the image")
-    return Trust(separation, edges, plausibility, tuple(notes))
+    return MaskAssessment(separation, edges, plausibility, tuple(notes))
 
 
 def _separation(odds: Float32, away: Float32) -> float:
-    """How much better than chance the odds tell the two sides of the outline apart."""
+    """Return 2 a - 1, at least 0, for the balanced accuracy a of the log-odds' sign on the outline's two sides.
+
+    ``away`` (h, w) is the signed distance from the outline, px, positive outside.
+    """
     inside, outside = ((side > _BAND[0]) & (side < _BAND[1]) for side in (-away, away))
     if not inside.any() or not outside.any():
         return 0.0
@@ -93,7 +100,7 @@ def _separation(odds: Float32, away: Float32) -> float:
 
 
 def _edges(away: Float32, colours: Colours) -> float:
-    """Share of the outline across which the image changes sharply, and clearly more than the background does."""
+    """Return the share of the outline's points across which the image changes sharply and more than the background."""
     across, farther = _changes(away, colours, 0.0, (_ACROSS, _FARTHER))
     if not len(across):
         return 0.0
@@ -104,9 +111,10 @@ def _edges(away: Float32, colours: Colours) -> float:
 
 
 def _changes(away: Float32, colours: Colours, level: float, reaches: Sequence[float]) -> list[NDArray[np.float64]]:
-    """Measure changes of the image, in logarithms of its colours, across a level line of the distance.
+    """Measure differences of the image's features across a level line of the signed distance.
 
-    One array (N,) for each reach, px, to either side of the same points of the line.
+    Returns one array (N,) for each reach, px: norms of the differences between points at this distance on either side
+    of the line, at the same N points of the line.
     """
     height, width = away.shape
     found, _ = cv2.findContours((away < level).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -129,11 +137,11 @@ def _changes(away: Float32, colours: Colours, level: float, reaches: Sequence[fl
 
 
 def _plausibility(mask: Bool, prompts: Prompts) -> tuple[float, list[str]]:
-    """Whether a mask is shaped like an instrument in view, and in words where not."""
+    """Return the plausibility of a mask, 0 to 1, by size, border contact and pieces; and a message for each defect."""
     likely, notes = 1.0, []
-    border, share = border_of(mask), float(mask.mean())
+    border, share = border_contact(mask), float(mask.mean())
     if not prompts.given and not meets_border(mask, prompts.outside):
-        likely *= _FROM_NOWHERE
+        likely *= _NO_BORDER_CONTACT
         notes.append("the mask does not come in from the image's border, as instruments do")
     if border.sides > _MOST_SIDES:
         likely *= 0.5

@@ -1,8 +1,9 @@
-"""Where along an outline the image is halfway between inside and outside.
+"""Log-odds of instrument by where a blurred edge crosses the midpoint between the colours of its two sides.
 
-A lens and a sensor blur every edge; the instrument ends where a pixel's colour is half its own and half the
-background's. Counted colours do not know this: a mixed colour may happen to be frequent on one side. Here each pixel is
-compared with the mean colours just inside and just outside, nearby.
+Lens and sensor blur every edge, so that the colour of a pixel on the edge is a mixture of the colours on its two sides;
+the edge is where the mixture has equal parts. Colour histograms cannot locate it, since mixed colours may be frequent
+on one of the sides. Here each pixel's share of the instrument's colour is computed from the local mean colours inside
+and outside the outline.
 """
 
 from __future__ import annotations
@@ -16,20 +17,33 @@ from dvrk_cmaes.evidence.outline_noise import signed_distance
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
-_BAND = (2.5, 14.0)  # px from the outline, where the means are taken
-_NEARBY = 8.0  # px, spread of the means' weights
-_SMOOTH = 1.0  # px
-_BRIGHTNESS = 0.5  # weight of brightness beside colour: shadows have the background's colour, and lie beside the tool
-_TEXTURE = 6.0  # grey levels: differences between the means that count little
-_STEEPNESS = 8.0  # log-odds between all background and all instrument
+_BAND = (2.5, 14.0)  # px, distances from the outline between which the means are taken
+_NEARBY = 8.0  # px, standard deviation of the Gaussian weights of the means
+_SMOOTH = 1.0  # px, standard deviation of the Gaussian that smooths the image
+_BRIGHTNESS = 0.5  # weight of brightness beside colour; below 1, because the tool casts shadows beside its outline
+_TEXTURE = 6.0  # grey levels, difference of the two means at which the log-odds have half their weight
+_STEEPNESS = 8.0  # difference of the log-odds between the background's and the instrument's mean colour
 
 
-def halfway_odds(image: NDArray[np.uint8], mask: Bool) -> Float32:
-    """Log-odds of instrument (H, W) by the mean colours inside and outside of a mask (H, W), 0 far from its outline."""
+def edge_log_odds(image: NDArray[np.uint8], mask: Bool) -> Float32:
+    """Return log-odds of instrument (H, W) by the local mean colours on both sides of a mask's outline.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8, BGR.
+    mask
+        (H, W).
+
+    Returns
+    -------
+    (H, W) float32
+        Positive where a pixel's colour is nearer to the mean inside than to the mean outside; 0 far from the outline.
+    """
     away = signed_distance(mask)
     colours = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTH)
     blue, green, red = (colours[..., k] for k in range(3))
-    # differences of channels, and brightness: linear, so that a mixture lies on the line between what is mixed
+    # differences of channels, and brightness: linear, so that a mixture of two colours lies on the line between them
     parts = np.stack([blue - red, green - red, green - blue, _BRIGHTNESS * (blue + green + red)], axis=-1) / np.sqrt(3)
     inside, outside = (_local_mean(parts, (side > _BAND[0]) & (side < _BAND[1])) for side in (-away, away))
     between = inside - outside
@@ -41,7 +55,7 @@ def halfway_odds(image: NDArray[np.uint8], mask: Bool) -> Float32:
 
 
 def _local_mean(parts: Float32, where: Bool) -> Float32:
-    """Mean of an image (H, W, C) over the pixels of a region near each pixel; 0 where there are none."""
+    """Return the Gaussian-weighted local mean (H, W, C) of an image (H, W, C) over a region (H, W); 0 far from it."""
     weight = cv2.GaussianBlur(where.astype(np.float32), (0, 0), _NEARBY)
     total = cv2.GaussianBlur(parts * where[..., None], (0, 0), _NEARBY)
     return np.asarray(total / np.maximum(weight, 1e-6)[..., None], np.float32)

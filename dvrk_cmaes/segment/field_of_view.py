@@ -1,6 +1,8 @@
-"""Where the endoscope sees nothing: the black around a round picture.
+"""Detection of the black area outside an endoscope's circular field of view.
 
-Black is as grey as a shaft, and it meets the image's border as an instrument does. It is what instruments come in from.
+The black area is grey and meets the image's border, so colours and border contact do not distinguish it from a shaft.
+It is therefore excluded from the segmentation, and an instrument may enter the picture from it as from the image's
+border.
 """
 
 from __future__ import annotations
@@ -11,18 +13,20 @@ from numpy.typing import NDArray
 
 Bool = NDArray[np.bool_]
 
-_BLACK = 12.0  # grey levels, of the brightest channel
-_BLUR = 1.5  # px
-_LEAST_CORNERS = 2  # of the image that are black
-_LEAST_SHARE = 0.01  # of the image
-_RIM = 4  # px that a lens's edge fades over
+_BLACK = 12.0  # grey levels, brightness (largest channel) below which a pixel is black
+_BLUR = 1.5  # px, standard deviation of the Gaussian that smooths the brightness
+_LEAST_CORNERS = 2  # least number of the image's corners that are black
+_LEAST_SHARE = 0.01  # least black share of the image
+_RIM = 4  # px, width of the dark transition at the edge of the field of view
 
 
 def outside_view(image: NDArray[np.uint8]) -> Bool:
-    """Pixels (H, W) of an image (H, W, 3) that are outside the round picture of a lens; none where it fills the image.
+    """Return the pixels (H, W) of an image (H, W, 3) that lie outside the lens's circular field of view.
 
-    Black regions at the image's corners, if they are at two corners or more, and of these what is outside the convex
-    hull of the rest: a lens's picture is convex, and a dark shaft that runs into the black is a notch in it.
+    If black regions contain at least two of the image's corners and 1 % of its pixels, the result is the complement of
+    the convex hull of all other pixels, widened by the edge's transition. The field of view is convex, so the hull also
+    contains a dark shaft that is connected to the black region. Otherwise, or if the image is all black, no pixel is
+    outside.
     """
     brightness = cv2.GaussianBlur(image.max(axis=2).astype(np.float32), (0, 0), _BLUR)
     _, labels = cv2.connectedComponents((brightness < _BLACK).astype(np.uint8), connectivity=4)

@@ -1,9 +1,10 @@
-"""The smoothest mask that still agrees with the log-odds of its pixels: a minimum cut, by OpenCV.
+"""Binary segmentation by a minimum graph cut over the log-odds of pixels, by OpenCV's GrabCut.
 
-OpenCV cuts graphs only inside GrabCut, whose pixels must have colours that two mixtures of Gaussians explain. Here the
-first of three colour channels holds the log-odds, and the two mixtures are one Gaussian each, of equal spread, about
-the channel's two ends: the difference of their log-likelihoods is linear in the channel, hence the log-odds. In the
-other two channels both are the same and as good as flat; these hold what the outline should follow the edges of.
+OpenCV offers its graph cut only as part of GrabCut, which models foreground and background by mixtures of Gaussians
+over three colour channels. Here the first channel holds the log-odds, and each mixture is one Gaussian, of equal
+variances, with its mean at one end of the channel's range: the difference of their log-likelihoods is linear in the
+channel, hence proportional to the log-odds. The other two channels hold the guide image whose edges the outline
+follows; in these the two Gaussians are equal and nearly flat.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from numpy.typing import NDArray
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
-LARGEST = 5.0  # log-odds beyond which more makes no difference
-_RANGE = 80  # levels of the channel of log-odds: few, so that its own edges count little
-_GUIDE = 200  # levels of the other two
-_WEIGHT = 10.0  # of log-odds against length of outline, where GrabCut has 50 for a pixel's
+LARGEST = 5.0  # bound of the log-odds
+_RANGE = 80  # levels of the log-odds' channel; few, so that its edges contribute little to the smoothness term
+_GUIDE = 200  # levels of the other two channels
+_WEIGHT = 10.0  # of the log-odds against the smoothness term, whose weight in GrabCut is 50
 
 
 def cut(log_odds: Float32, guide: Float32, *, background: Bool | None = None, tool: Bool | None = None) -> Bool:
-    """Cut the instrument out.
+    """Label pixels as instrument or background by a minimum cut.
 
     Parameters
     ----------
@@ -31,11 +32,12 @@ def cut(log_odds: Float32, guide: Float32, *, background: Bool | None = None, to
     guide
         (H, W, 2); the outline costs less where these change.
     background, tool
-        (H, W), where the answer is known.
+        (H, W), pixels whose label is given.
 
     Returns
     -------
     (H, W) bool
+        True on the instrument.
     """
     picture = np.zeros((*log_odds.shape, 3), np.uint8)
     picture[..., 0] = np.round((np.clip(log_odds, -LARGEST, LARGEST) / LARGEST + 1) * _RANGE / 2)
@@ -52,8 +54,8 @@ def cut(log_odds: Float32, guide: Float32, *, background: Bool | None = None, to
 
 
 def _mixture(mean: float) -> NDArray[np.float64]:
-    """GrabCut's model, (1, 65): weights of five Gaussians, their means, their covariances; only the first counts."""
-    # log-odds over the channel's range are range^2 / variance, and shall be 2 * LARGEST * _WEIGHT
+    """Return GrabCut's model (1, 65) with one Gaussian of weight 1: five weights, five means, five covariances."""
+    # the log-odds differ by range^2 / variance over the channel's range, to be 2 * LARGEST * _WEIGHT
     variance = _RANGE**2 / (2 * LARGEST * _WEIGHT)
     model = np.zeros((1, 65))
     model[0, 0] = 1

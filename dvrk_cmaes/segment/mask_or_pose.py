@@ -1,8 +1,8 @@
-"""When a pose is doubtful and its mask was found in the image: which of the two is to blame, as far as can be told.
+"""Attribution of a doubtful pose to its mask or to the pose, where the mask was found in the image.
 
-Where the pose's silhouette and the mask differ, somebody is wrong. The colours there decide, by tables counted where
-the two agree: if the image bears out the silhouette, the mask is wrong; if it bears out the mask, the pose is, or what
-it was made from: instrument, camera, readings.
+The pixels where the pose's silhouette and the mask differ are classified by colour, with histograms of the pixels where
+the two agree. If most of these pixels are classified as in the silhouette, the mask is probably wrong; if most are
+classified as in the mask, the pose or its inputs (instrument, camera, readings) are probably wrong.
 """
 
 from __future__ import annotations
@@ -11,33 +11,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
-from dvrk_cmaes.segment.colours import ColourTable, look
+from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.regions import distance_to
 from dvrk_cmaes.segment.segmentation import Segmentation
 
 Bool = NDArray[np.bool_]
 
-_TOLERANCE = 2.5  # px by which outlines may differ
-_AROUND = 40.0  # px about both, where colours are compared
-_LEAST_SHARE = 0.01  # of the instrument's area, on which the two must differ for it to matter
-_SURE = 0.9  # confidence at which a mask that nothing speaks against is right
-_CLEARLY = 0.65  # share of the differing pixels that takes one side
+_TOLERANCE = 2.5  # px by which the outlines may differ
+_AROUND = 40.0  # px, width of the surroundings from which the background's histogram is taken
+_LEAST_SHARE = 0.01  # share of the mask's area; if fewer pixels differ, the two agree
+_SURE = 0.9  # confidence from which a mask that the pixels' colours support is taken to be right
+_CLEARLY = 0.65  # share of the differing pixels from which they decide for one of the two
 
 
-def who_is_to_blame(image: NDArray[np.uint8], found: Segmentation, silhouette: Bool, ignore: Bool | None = None) -> str:
-    """Say in words whether a mask or the pose fitted to it is to blame for the doubt about the pose.
+def attribute_doubt(image: NDArray[np.uint8], found: Segmentation, silhouette: Bool, ignore: Bool | None = None) -> str:
+    """Return a message that says whether a doubtful pose is probably due to the mask that it was fitted to.
 
     Parameters
     ----------
     image
         (H, W, 3) uint8, BGR.
     found
-        The mask that was found in it.
+        The mask that was found in the image.
     silhouette
-        (H, W), the pose's.
+        (H, W), the silhouette of the pose.
     ignore
-        (H, W), pixels that count neither way.
+        (H, W), pixels that are not compared.
     """
     if found.confidence < GUESS:
         return f"the mask is probably to blame: it is a guess, confidence {found.confidence:.2f}"
@@ -52,7 +52,7 @@ def who_is_to_blame(image: NDArray[np.uint8], found: Segmentation, silhouette: B
     both, neither = mask & silhouette, ~(mask | silhouette) & (distance_to(mask | silhouette) < _AROUND)
     left, top, width, height = window_around(mask | silhouette, round(_AROUND))
     window = np.s_[top : top + height, left : left + width]
-    odds = ColourTable(look(np.ascontiguousarray(image[window]))).log_odds(both[window], neither[window])
+    odds = ColourTable(measure_colours(np.ascontiguousarray(image[window]))).log_odds(both[window], neither[window])
     sides_with_mask = float(((odds > 0) == mask[window])[differ[window]].mean())
     if sides_with_mask > _CLEARLY and found.confidence >= _SURE:
         return (

@@ -1,4 +1,4 @@
-"""The picture of a mask that was found in an image: its outline, the prompts, and how far it is trusted."""
+"""Drawing of a mask over its image: the outline, the prompts, the confidence and the notes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, SKY_BLUE, VERMILLION, WH
 from dvrk_cmaes.segment import Box, Pixel, Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 
-_WIDTH = 960  # px, at least
-_GROUND = (52, 46, 43)
-_LINE = 28.0
-_FADED = 0.45  # share of dark that is mixed into what is not instrument
+_WIDTH = 960  # px, least width of the drawing
+_BACKGROUND = (52, 46, 43)
+_LINE = 28.0  # units of the canvas from line to line
+_FADED = 0.45  # share of the dark colour that is mixed into the background
 
 
 def draw_segmentation(
@@ -27,7 +27,24 @@ def draw_segmentation(
     points: Sequence[Pixel] = (),
     not_points: Sequence[Pixel] = (),
 ) -> NDArray[np.uint8]:
-    """Draw a mask over its image (H, W, 3) BGR, with its prompts: (h, w, 3) BGR, larger if the image is small."""
+    """Draw a mask over its image.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8, BGR.
+    found
+        The mask, its confidence and notes.
+    name
+        Title of the drawing.
+    box, points, not_points
+        Prompts, as in `dvrk_cmaes.segment.segment`.
+
+    Returns
+    -------
+    (h, w, 3) uint8, BGR
+        A strip of text above the image, which is enlarged by a whole factor if it is narrower than 960 px.
+    """
     height, width = image.shape[:2]
     scale = int(np.ceil(_WIDTH / width)) if width < _WIDTH else 1
     size = width * scale, height * scale
@@ -51,11 +68,11 @@ def draw_segmentation(
 
 
 def _header(found: Segmentation, name: str, width: int, unit: float) -> NDArray[np.uint8]:
-    """Draw the verdict in a strip: whether it is a guess, the confidence, and the notes."""
+    """Draw the strip of text: whether the mask is a guess, its confidence, and the notes."""
     margin = 14 * unit
     probe = Canvas(np.zeros((1, 1, 3), np.uint8), unit)
     notes = [line for note in found.notes for line in probe.wrapped(f"- {note}", width - 2 * margin)]
-    strip = np.full((round((_LINE * (1 + len(notes)) + 12) * unit), width, 3), _GROUND, np.uint8)
+    strip = np.full((round((_LINE * (1 + len(notes)) + 12) * unit), width, 3), _BACKGROUND, np.uint8)
     canvas = Canvas(strip, unit)
     word, colour = ("A GUESS", ORANGE) if found.confidence < GUESS else ("MASK", GREEN)
     middle = (6 + _LINE / 2) * unit

@@ -1,4 +1,4 @@
-"""Prompts drawn into an image of some size: where there surely is an instrument, and where none."""
+"""Prompts as regions of an image: pixels known to be instrument and pixels known to be background."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from dvrk_cmaes.segment.segmentation import Box, Pixel
 
 Bool = NDArray[np.bool_]
 
-_RADIUS = 4.0  # px of the full image, about a point
+_RADIUS = 4.0  # px of the full image, radius of the disc about a point
 
 
 @dataclass(frozen=True, eq=False)
 class Prompts:
-    """What somebody said about where the instrument is, in pixels of one size of the image.
+    """Prompts in pixels of the image at one size.
 
-    background, tool : (H, W) bool, where there surely is none, or is; None where nothing was said.
-    points : on the instrument. box : around it.
-    outside : (H, W) bool, where the camera sees nothing, None if it sees everywhere; part of the background.
+    background, tool : (H, W) bool, pixels known to be background or instrument; None if there are none.
+    points : pixels (u, v) on the instrument. box : left, top, right, bottom of a box around it.
+    outside : (H, W) bool, pixels outside the field of view, also part of ``background``; None if there are none.
     """
 
     background: Bool | None = None
@@ -33,25 +33,28 @@ class Prompts:
 
     @property
     def given(self) -> bool:
-        """Whether anything was said of where the instrument is."""
+        """Whether there is a box or a point on the instrument."""
         return self.box is not None or bool(self.points)
 
     @property
     def around_box(self) -> Bool | None:
-        """What the camera sees outside of the box, (H, W): what the background looks like. None without a box."""
+        """Background pixels (H, W) within the field of view, if there is a box; None without a box."""
         if self.box is None or self.background is None:
             return None
         return self.background if self.outside is None else self.background & ~self.outside
 
-    def seen(self, outside: Bool) -> Prompts:
-        """Add what the camera does not see, (H, W)."""
+    def with_outside(self, outside: Bool) -> Prompts:
+        """Return the prompts with pixels (H, W) added that are outside the field of view."""
         if not outside.any():
             return self
         background = outside if self.background is None else self.background | outside
         return replace(self, background=background, outside=outside)
 
     def resized(self, width: int, height: int, scale: float) -> Prompts:
-        """Return the same for an image that is ``scale`` times as large."""
+        """Return the prompts for the image resized to ``width`` x ``height``, ``scale`` times as large.
+
+        The box is not scaled.
+        """
 
         def small(region: Bool | None) -> Bool | None:
             if region is None:
@@ -67,7 +70,7 @@ class Prompts:
         )
 
     def within(self, window: tuple[slice, slice]) -> Prompts:
-        """Return the regions within a window of the image, without points and box."""
+        """Return the regions within a window (rows, columns) of the image, without points and box."""
         regions = (self.background, self.tool, self.outside)
         background, tool, outside = (None if region is None else region[window] for region in regions)
         return Prompts(background, tool, outside=outside)
@@ -76,7 +79,17 @@ class Prompts:
 def draw_prompts(
     shape: tuple[int, ...], scale: float, box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]
 ) -> Prompts:
-    """Draw prompts in pixels of the full image into one of a shape (H, W, ..) that is ``scale`` times as large."""
+    """Rasterise prompts for a resized image.
+
+    Parameters
+    ----------
+    shape
+        (H, W, ...) of the resized image.
+    scale
+        Size of the resized image relative to the full image.
+    box, points, not_points
+        Prompts in pixels of the full image, as in `dvrk_cmaes.segment.segment`.
+    """
     height, width = shape[:2]
 
     def at(u: float, v: float) -> Pixel:

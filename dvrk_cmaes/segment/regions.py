@@ -1,7 +1,7 @@
-"""Regions of a mask: which of them are the instrument, and what a single one looks like.
+"""Connected regions of a mask: choice of those that are the instrument, contact with the border, holes.
 
-An instrument comes in from the image's border and is one piece, but for bands of glare or shadow across it that part
-its wrist from its shaft.
+An instrument enters the image from its border. In a mask it may be in several pieces, because glare or shadow across it
+separates the wrist from the shaft.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from dvrk_cmaes.segment.prompts import Prompts
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
-_INSIDE_SHARE = 0.2  # a region that does not meet the border counts for so much of its area
-_LEAST_BORDER = 5  # pixels on the border that make a region meet it
-_LEAST_SHARE = 0.004  # of the largest region's area, for a piece to belong to it
-_LARGEST_HOLE = 0.01  # of the image
+_INSIDE_SHARE = 0.2  # weight of the area of a region that does not meet the border, against 1 for one that does
+_LEAST_BORDER = 5  # least number of pixels on the border for a region to meet it
+_LEAST_SHARE = 0.004  # least area of a further piece, as a fraction of the chosen region's
+_LARGEST_HOLE = 0.01  # largest area of a hole that is filled, as a fraction of the image
 
 
 @dataclass(frozen=True)
 class Border:
-    """Where a mask meets the image's border: pixels on the left, top, right and bottom."""
+    """Numbers of a mask's pixels on the left, top, right and bottom border of the image."""
 
     left: int
     top: int
@@ -34,40 +34,43 @@ class Border:
 
     @property
     def pixels(self) -> int:
-        """Pixels on all sides."""
+        """Sum over the four sides."""
         return self.left + self.top + self.right + self.bottom
 
     @property
     def sides(self) -> int:
-        """Sides that the mask meets by more than a few pixels."""
+        """Number of sides that the mask meets with at least 5 pixels."""
         return sum(count >= _LEAST_BORDER for count in (self.left, self.top, self.right, self.bottom))
 
 
 def meets_border(mask: Bool, outside: Bool | None = None) -> bool:
-    """Whether a mask (H, W) comes in from the image's border, or from ``outside`` (H, W) what the camera sees."""
-    pixels = border_of(mask).pixels
+    """Whether a mask (H, W) meets the image's border or the pixels ``outside`` (H, W) the field of view."""
+    pixels = border_contact(mask).pixels
     if outside is not None:
         pixels += int((cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & mask).sum())
     return pixels >= _LEAST_BORDER
 
 
-def border_of(mask: Bool) -> Border:
-    """Measure where a mask (H, W) meets the image's border."""
+def border_contact(mask: Bool) -> Border:
+    """Count the pixels of a mask (H, W) on each side of the image's border."""
     sides = mask[:, 0], mask[0], mask[:, -1], mask[-1]
     return Border(*(int(side.sum()) for side in sides))
 
 
 def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
-    """Keep the region that is most likely the instrument, and its pieces.
+    """Keep the region that is most likely the instrument, and the pieces near it.
+
+    The region with the largest area is chosen, where the area of regions that do not meet the border has less weight.
+    Then all regions within ``gap`` of the chosen ones are added until there are no more.
 
     Parameters
     ----------
     mask
         (H, W).
     gap
-        How far a piece may be from the rest, px.
+        Largest distance of a piece from the regions chosen before, px.
     prompts
-        Only regions with one of its points can be the instrument, where there are such regions.
+        The regions that contain its points are chosen instead, if there are any.
 
     Returns
     -------
@@ -80,7 +83,7 @@ def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
     marked = {int(labels[round(v), round(u)]) for u, v in prompts.points} - {0}
     areas = measures[:, cv2.CC_STAT_AREA].astype(np.float64)
     areas[0] = 0
-    chosen = marked or {max(range(1, count), key=lambda i: areas[i] * _likely(labels == i, prompts))}
+    chosen = marked or {max(range(1, count), key=lambda i: areas[i] * _border_weight(labels == i, prompts))}
     least = _LEAST_SHARE * max(areas[i] for i in chosen)
     pieces = [i for i in range(1, count) if i not in chosen and areas[i] >= least]
     while pieces:
@@ -93,8 +96,8 @@ def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
     return np.isin(labels, list(chosen))
 
 
-def without_holes(mask: Bool) -> Bool:
-    """Fill a mask's holes, (H, W), but for large ones; what the border closes off is no hole."""
+def fill_holes(mask: Bool) -> Bool:
+    """Fill the small holes of a mask (H, W): regions of background that do not meet the image's border."""
     count, labels, measures = _regions(~mask, connectivity=4)
     height, width = mask.shape
     left, top = measures[:, cv2.CC_STAT_LEFT], measures[:, cv2.CC_STAT_TOP]
@@ -106,22 +109,22 @@ def without_holes(mask: Bool) -> Bool:
 
 
 def distance_to(mask: Bool) -> Float32:
-    """Distance of each pixel to a mask, (H, W), px; 0 on it, and everywhere far where it is empty."""
+    """Return the distance of each pixel from a mask (H, W), px; 0 on the mask, large everywhere if it is empty."""
     return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
 
 
 def _regions(mask: Bool, connectivity: int) -> tuple[int, NDArray[np.int32], NDArray[np.int32]]:
-    """Label a mask's regions: how many labels, the background's 0 among them, the labels (H, W), and their measures."""
+    """Label the regions of a mask; returns the number of labels with the background's 0, labels (H, W), statistics."""
     count, labels, measures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=connectivity)
     return count, np.asarray(labels, np.int32), np.asarray(measures, np.int32)
 
 
-def _likely(region: Bool, prompts: Prompts) -> float:
-    """Weigh a region's area by whether it comes in from the border."""
+def _border_weight(region: Bool, prompts: Prompts) -> float:
+    """Return the weight of a region's area: 1 if it meets the border, less otherwise."""
     return 1.0 if meets_border(region, prompts.outside) else _INSIDE_SHARE
 
 
 def _window(measures: NDArray[np.int32]) -> tuple[slice, slice]:
-    """Rows and columns of a region."""
+    """Return the rows and columns of a region's bounding box, from its statistics."""
     left, top, width, height = (int(value) for value in measures[:4])
     return slice(top, top + height), slice(left, left + width)

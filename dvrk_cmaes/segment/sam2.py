@@ -1,7 +1,7 @@
-"""The instrument in an image by Segment Anything 2, from exported files that the user has downloaded.
+"""Segmentation by Segment Anything 2, from exported model files provided by the user.
 
-The encoder looks at an image once, the decoder answers each prompt about it: with a few candidates, each with the
-overlap (IoU) it expects to have with what was meant, of which the best is taken.
+The encoder runs once an image, the decoder once a prompt. The decoder returns a few candidate masks, each with a
+predicted overlap (IoU) with the true mask; the candidate with the largest predicted overlap is used.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.segment.sam2_exports import OFF, ON, Prompt, Role, Tensors
 from dvrk_cmaes.segment.sam2_files import open_export
-from dvrk_cmaes.segment.sam2_images import encoder_input, probability, stretch, to_square
+from dvrk_cmaes.segment.sam2_images import encoder_input, probability, resize_logits, to_square
 from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation, check_prompts
 
 
 class Sam2:
-    """An exported Segment Anything 2 or 2.1, ready for images.
+    """An exported Segment Anything 2 or 2.1 model, loaded with onnxruntime.
 
     Parameters
     ----------
     weights
         Folder of the export's encoder and decoder, of any family in `dvrk_cmaes.segment.sam2_exports`.
     threads
-        How many threads to use, at least 1.
+        Number of threads, at least 1.
 
     Raises
     ------
@@ -53,12 +53,12 @@ class Sam2:
         points: Sequence[Pixel] = (),
         not_points: Sequence[Pixel] = (),
     ) -> Segmentation:
-        """Find what the prompts mean in an image; they count together.
+        """Segment the object that all prompts together indicate.
 
         Parameters
         ----------
         image
-            (H, W, 3) uint8, BGR. Asked about again with other prompts, it is not encoded again.
+            (H, W, 3) uint8, BGR. If it is the image of the last call, its features are not computed again.
         box
             Left, top, right, bottom of a box around the instrument, px.
         points, not_points
@@ -67,15 +67,15 @@ class Sam2:
         Returns
         -------
         Segmentation
-            ``score`` is the mask's probability; ``confidence`` the IoU that the model expects, or the probability that
-            there is an object at all if the export gives that and it is less.
+            ``score`` is the probability of instrument at each pixel. ``confidence`` is the predicted IoU, or the
+            predicted probability that there is an object at the prompt if the export gives it and it is less.
 
         Raises
         ------
         InputError
             No box and no point on the instrument, or prompts outside the image.
         DvrkCmaesError
-            The model fails, or returns what is no mask.
+            The model fails, or its outputs are not masks of finite values.
         """
         image = np.asarray(image)
         check_prompts(image, box, points, not_points)
@@ -87,7 +87,7 @@ class Sam2:
         masks, overlaps = self._output(outputs, "masks"), self._output(outputs, "overlaps").reshape(-1)
         best = self._best(overlaps)
         logits = masks if masks.dtype != np.bool_ else self._output(outputs, "logits")
-        candidate = stretch(self._candidate(logits, best, len(overlaps)), shape)
+        candidate = resize_logits(self._candidate(logits, best, len(overlaps)), shape)
         if masks.dtype == np.bool_ and masks.shape[-2:] == shape:
             mask = masks.reshape(-1, *shape)[best]
         else:
@@ -96,7 +96,7 @@ class Sam2:
         return Segmentation(mask, probability(candidate), confidence, (*notes, *self._export.notes))
 
     def _features(self, image: NDArray[np.uint8]) -> Tensors:
-        """Encode an image, unless it is the one just encoded."""
+        """Return the features of an image, from the last call if the image is the same."""
         digest = hashlib.blake2b(repr(image.shape).encode() + np.ascontiguousarray(image).tobytes()).digest()
         seen = self._seen
         if seen is None or seen[0] != digest:
@@ -107,18 +107,18 @@ class Sam2:
         return seen[1]
 
     def _output(self, outputs: list[NDArray[Any]], role: Role) -> NDArray[Any]:
-        """Pick the decoder's output that means this, numbers in float32."""
+        """Return the decoder's output of a role; numbers as float32."""
         output = self._export.decoder.output(outputs, self._export.family.outputs[role])
         return output if output.dtype == np.bool_ else output.astype(np.float32)
 
     def _best(self, overlaps: NDArray[np.float32]) -> int:
-        """Choose among the masks by the overlap each expects."""
+        """Return the index of the mask with the largest predicted overlap."""
         if not overlaps.size or not np.isfinite(overlaps).all():
             raise DvrkCmaesError(f"{self._export.decoder.file}: {_NOT_FINITE}")
         return int(np.argmax(overlaps))
 
     def _candidate(self, logits: NDArray[np.float32], best: int, count: int) -> NDArray[np.float32]:
-        """Take one of the masks (1, count, h, w) or (1, 1, count, h, w)."""
+        """Return mask ``best``, (h, w), of an array (1, count, h, w) or (1, 1, count, h, w)."""
         if logits.ndim < 3 or logits.size != count * logits.shape[-2] * logits.shape[-1]:
             raise DvrkCmaesError(
                 f"{self._export.decoder.file}: expected {count} masks, as many as overlaps, "
@@ -132,7 +132,7 @@ class Sam2:
     def _trust(
         self, overlap: float, outputs: list[NDArray[Any]], mask: NDArray[np.bool_]
     ) -> tuple[float, tuple[str, ...]]:
-        """Say how far a mask can be trusted, 0 to 1, and why not."""
+        """Return the confidence in a mask, 0 to 1, and notes for the user."""
         if not mask.any():
             return 0.0, ("the model found nothing at the prompt",)
         confidence = min(max(overlap, 0.0), 1.0)
@@ -148,7 +148,7 @@ _NOT_FINITE = "the model returned values that are not finite; use an export in f
 
 @lru_cache(maxsize=1)
 def load_sam2(weights: Path, threads: int) -> Sam2:
-    """Open an export, or return it if it was the last one opened: opening takes seconds, an image less."""
+    """Load an export, or return it from the cache if it was the last one loaded; loading takes seconds."""
     return Sam2(weights, threads)
 
 
@@ -161,7 +161,11 @@ def segment_sam2(
     points: Sequence[Pixel] = (),
     not_points: Sequence[Pixel] = (),
 ) -> Segmentation:
-    """Find the instrument as `Sam2.segment` does; with nothing on it pointed at, in the box that ``classic`` finds."""
+    """Segment the instrument as `Sam2.segment` does; without a box or a point, in the box of the ``classic`` mask.
+
+    Parameters and errors are as in `Sam2` and `Sam2.segment`, except that without a prompt InputError is raised only if
+    ``classic`` finds no instrument.
+    """
     model = load_sam2(weights, threads)
     if box is not None or points:
         return model.segment(image, box=box, points=points, not_points=not_points)
@@ -179,7 +183,7 @@ def segment_sam2(
 
 
 def _prompt(shape: tuple[int, int], box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]) -> Prompt:
-    """Bring prompts to the encoder's square; a box is cut at the image's border."""
+    """Scale prompts to the encoder's square; a box is clipped to the image's border."""
     height, width = shape
     pixels = np.array([*points, *not_points], np.float64).reshape(-1, 2)
     labels = np.array([ON] * len(points) + [OFF] * len(not_points), np.int64)

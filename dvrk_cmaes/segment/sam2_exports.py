@@ -1,17 +1,17 @@
-"""The families of Segment Anything 2 exports, told apart by their tensors' names.
+"""Families of Segment Anything 2 exports, identified by the names of their tensors.
 
-An export splits the model in two files: an encoder, run once an image, and a decoder, run once a prompt. Exporters name
-and order the tensors in their own ways; what differs is held here, one `Family` each, and everything else treats them
-alike. All four take prompts in the encoder's square of 1024 pixels, x before y:
+An export consists of two files: an encoder, run once an image, and a decoder, run once a prompt. Exporters differ in
+the names and the order of the tensors; a `Family` describes those of one exporter. All four families take prompts in
+pixels of the encoder's square of 1024 pixels, x before y:
 
 - samexporter: `samexporter/export_sam2.py` and `sam2_onnx.py` (coordinates are divided by the image's size and
-  multiplied by the encoder's; the graph appends the padding point). Older files of this line also want
-  ``orig_im_size``, later ones also give ``low_res_masks``.
+  multiplied by the encoder's; the graph appends the padding point). Older versions also take ``orig_im_size``, later
+  ones also return ``low_res_masks``.
 - onnxruntime: `onnxruntime/python/tools/transformers/models/sam2/image_decoder.py` ("normalized with H=W=1024"; the
-  graph appends the padding point, and returns masks of the image's size, already decided, beside logits).
+  graph appends the padding point, and returns boolean masks of the image's size beside logits).
 - onnx-community: `Sam2Model.forward` in transformers.js (a box in ``input_boxes``; where there is no point, or no box,
   an empty tensor; the processor scales both to the square).
-- osam: `osam/_models/sam2` (its encoder's outputs are known by position; its graph scales masks to the image).
+- osam: `osam/_models/sam2` (the encoder's outputs are identified by position; the graph scales masks to the image).
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from dvrk_cmaes.segment.sam2_images import SIDE
 Tensors = dict[str, NDArray[Any]]
 Role = Literal["masks", "overlaps", "logits", "presence"]
 
-ON, OFF, BOX_START, BOX_END = 1, 0, 2, 3  # labels of points; -1 is padding, which the graphs append themselves
+ON, OFF, BOX_START, BOX_END = 1, 0, 2, 3  # labels of points; -1 is padding, which the graphs append
 _MASK_SIDE = SIDE // 4  # of a mask given as a prompt, px
 
 
 @dataclass(frozen=True, eq=False)
 class Prompt:
-    """Where the instrument is, in the encoder's square.
+    """Prompts in pixels of the encoder's square.
 
     points : (N, 2) float32, x and y.
     labels : (N,) int64, 1 on the instrument, 0 beside it.
     box : (4,) float32, left, top, right, bottom, or None.
-    shape : height and width of the image itself, px.
+    shape : height and width of the original image, px.
     """
 
     points: NDArray[np.float32]
@@ -48,7 +48,7 @@ class Prompt:
     shape: tuple[int, int]
 
     def with_corners(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Points (1, M, 2) and labels (1, M), the box's corners among them as points with labels of their own."""
+        """Return points (1, M, 2) and labels (1, M); the box's corners are included as points with labels 2 and 3."""
         if self.box is None:
             return self.points[None], self.labels[None]
         points = np.concatenate([self.box.reshape(2, 2), self.points])
@@ -57,16 +57,16 @@ class Prompt:
 
 @dataclass(frozen=True)
 class Family:
-    """How one exporter names what it takes and gives.
+    """Names of the inputs and outputs in the files of one exporter.
 
-    name : of the exporter.
+    name : name of the exporter.
     image : the encoder's input.
-    encoded : the encoder's outputs, by name or, where names are no guide, by position.
-    features : the decoder's inputs that take them, in the same order.
-    prompt_inputs : makes the decoder's other inputs of a prompt.
-    outputs : the decoder's outputs, by name or position, by what they mean: ``masks`` (logits, or booleans already
-        decided), ``overlaps`` (predicted IoU of each), ``logits`` (where masks are decided), ``presence`` (whether
-        there is an object at all, a logit).
+    encoded : the encoder's outputs, by name or, where names differ between files, by position.
+    features : the decoder's inputs for these outputs, in the same order.
+    prompt_inputs : function that makes the decoder's other inputs from a prompt.
+    outputs : the decoder's outputs, by name or position, keyed by role: ``masks`` (logits, or boolean masks),
+        ``overlaps`` (predicted IoU of each mask), ``logits`` (if ``masks`` are boolean), ``presence`` (logit of whether
+        there is an object at the prompt).
     optional : inputs of the decoder that only some files have.
     """
 
@@ -80,13 +80,13 @@ class Family:
 
     @property
     def decoder_inputs(self) -> frozenset[str]:
-        """Names of all that a decoder takes, what is optional included."""
+        """Names of all inputs of a decoder, including the optional ones."""
         nowhere = Prompt(np.zeros((0, 2), np.float32), np.zeros(0, np.int64), None, (SIDE, SIDE))
         return frozenset(self.features) | frozenset(self.prompt_inputs(nowhere))
 
 
 def _no_mask(mask: str, has_mask: str) -> Tensors:
-    """No mask is given as a prompt, which the graphs want to be told in two tensors."""
+    """Return the two inputs that state that no mask is given as a prompt."""
     return {mask: np.zeros((1, 1, _MASK_SIDE, _MASK_SIDE), np.float32), has_mask: np.zeros(1, np.float32)}
 
 

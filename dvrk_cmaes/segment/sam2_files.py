@@ -1,7 +1,7 @@
-"""Finding the two files of a Segment Anything 2 export in a folder, whatever they are called.
+"""Loading of the encoder and the decoder of a Segment Anything 2 export from a folder, independent of the file names.
 
-Every model in the folder is opened, and known by the names of its tensors; those that are opened are kept. What cannot
-serve is refused by name: other families, video modules, damaged or incomplete downloads, several sizes side by side.
+Every model in the folder is opened and identified by the names of its tensors. Files that cannot be used are reported
+with the reason: exports of other kinds, parts of video exports, damaged or incomplete downloads, several models.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _DTYPES = {
     "tensor(int32)": np.int32,
     "tensor(int64)": np.int64,
 }
-_PRECISIONS = ("", "_fp16", "_quantized", "_int8", "_uint8", "_q4", "_q4f16", "_bnb4")  # of one model, best first
-_MOST_FILES = 8
+_PRECISIONS = ("", "_fp16", "_quantized", "_int8", "_uint8", "_q4", "_q4f16", "_bnb4")  # suffixes, best first
+_MOST_FILES = 8  # models in a folder that are opened
 _INSTALL = "pip install 'onnxruntime>=1.22,<2'"
-_FOREIGN = (  # a tensor's name that gives away a part of another kind of export
+_FOREIGN = (  # patterns of tensors' names that identify parts of other kinds of exports, with their descriptions
     (r"mem|obj_ptr|object_pointer|feats2", "a part of a video export, which needs the memory of earlier frames"),
     (r"sparse_|dense_|image_pe", "a part of an export that keeps prompts and masks in files of their own"),
     (r"image_positional_embeddings", "a part of an export of the first Segment Anything"),
@@ -44,8 +44,8 @@ _FOREIGN = (  # a tensor's name that gives away a part of another kind of export
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """An open model: its file, onnxruntime's session, and its tensors' types and shapes by name, in their order."""
+class OnnxModel:
+    """An open model: its file, onnxruntime's session, and the types and shapes of its tensors by name, in order."""
 
     file: Path
     session: Any
@@ -53,31 +53,31 @@ class Model:
     outputs: dict[str, tuple[str, list[int | str | None]]]
 
     def run(self, tensors: Tensors) -> list[NDArray[Any]]:
-        """Run the model on what it takes of these tensors, in the types it declares.
+        """Run the model on its inputs among ``tensors``, converted to their declared types, and return its outputs.
 
         Raises
         ------
         DvrkCmaesError
-            The model fails on them.
+            onnxruntime raises an error.
         """
         feeds = {name: tensors[name].astype(_DTYPES[kind], copy=False) for name, (kind, _) in self.inputs.items()}
         try:
             return [np.asarray(output) for output in self.session.run(None, feeds)]
-        except Exception as error:  # onnxruntime's errors have no base of their own
+        except Exception as error:  # onnxruntime's errors have no common base class
             raise DvrkCmaesError(f"{self.file}: the model failed: {one_line(error)}") from None
 
     def output(self, outputs: list[NDArray[Any]], key: str | int) -> NDArray[Any]:
-        """Pick one of the outputs of `run` by its name or position."""
+        """Return one of the outputs of `run` by its name or position."""
         return outputs[list(self.outputs).index(key) if isinstance(key, str) else key]
 
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """The encoder and the decoder of one export, and what was noticed in choosing them."""
+    """The encoder and the decoder of one export, and notes about files of the folder that are not used."""
 
     family: Family
-    encoder: Model
-    decoder: Model
+    encoder: OnnxModel
+    decoder: OnnxModel
     notes: tuple[str, ...]
 
 
@@ -87,20 +87,20 @@ def open_export(folder: Path, threads: int) -> Export:
     Parameters
     ----------
     folder
-        Holds one export: two .onnx files, and the files beside them where they keep their weights apart.
+        Folder of one export: two .onnx files, and the files of their weights if these are stored separately.
     threads
-        How many threads each model uses.
+        Number of threads of each model.
 
     Raises
     ------
     InputError
-        onnxruntime is not installed, the folder is not there, or holds no pair that can be used; the message says
-        why, and what to use instead.
+        onnxruntime is not installed, the folder does not exist, or it has no pair that can be used; the message gives
+        the reason and what to use instead.
     """
     if importlib.util.find_spec("onnxruntime") is None:
         raise InputError("model sam2: needs the library onnxruntime, which is not installed; run: " + _INSTALL)
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected the folder of an exported checkpoint, got {_what(folder)}")
+        raise InputError(f"{folder}: expected the folder of an exported checkpoint, got {_describe_path(folder)}")
     files = _models_in(folder) or _models_in(folder / "onnx")
     if not files:
         raise InputError(f"{folder}: expected an exported checkpoint, got no .onnx file; {INSTEAD}")
@@ -112,8 +112,8 @@ def open_export(folder: Path, threads: int) -> Export:
             models.append(_open(file, threads))
         except InputError as error:
             broken.append(str(error))
-    encoders: dict[str, list[Model]] = {}
-    decoders: dict[str, list[Model]] = {}
+    encoders: dict[str, list[OnnxModel]] = {}
+    decoders: dict[str, list[OnnxModel]] = {}
     for model in models:
         for family in FAMILIES:
             if _is_encoder(model, family):
@@ -123,10 +123,10 @@ def open_export(folder: Path, threads: int) -> Export:
                 decoders.setdefault(family.name, []).append(model)
                 break
         else:
-            foreign.append(_why_not(model))
+            foreign.append(_describe_unusable(model))
     pairs = [family for family in FAMILIES if family.name in encoders and family.name in decoders]
     if not pairs:
-        raise InputError(_unpaired(folder, encoders, decoders, broken, foreign))
+        raise InputError(_describe_missing_pair(folder, encoders, decoders, broken, foreign))
     found = [model for family in pairs for model in encoders[family.name]]
     wanted = [model for family in pairs for model in _with_most_masks(decoders[family.name], family)]
     if len(found) > 1 or len(wanted) > 1:
@@ -136,16 +136,16 @@ def open_export(folder: Path, threads: int) -> Export:
         )
     notes = tuple(f"not used: {reason}" for reason in (*broken, *foreign))
     encoder, decoder = found[0], wanted[0]
-    _check(encoder, decoder, pairs[0])
+    _check_inputs(encoder, decoder, pairs[0])
     return Export(pairs[0], encoder, decoder, notes)
 
 
-def _what(folder: Path) -> str:
+def _describe_path(folder: Path) -> str:
     return "a file" if folder.exists() else "no such folder"
 
 
 def _models_in(folder: Path) -> list[Path]:
-    """List the models of a folder, each in its best precision only (model.onnx, not model_int8.onnx beside it)."""
+    """List the models of a folder, each in its best precision (model.onnx rather than model_int8.onnx)."""
     best: dict[str, tuple[int, Path]] = {}
     for file in sorted(folder.glob("*.onnx")):
         suffix = next((end for end in _PRECISIONS[1:] if file.stem.endswith(end)), "")
@@ -156,21 +156,21 @@ def _models_in(folder: Path) -> list[Path]:
     return sorted(file for _, file in best.values())
 
 
-def _open(file: Path, threads: int) -> Model:
+def _open(file: Path, threads: int) -> OnnxModel:
     """Open one model; InputError if onnxruntime cannot read the file."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # fatal only: what fails is raised as well
+    options.log_severity_level = 4  # log fatal errors only: other errors are raised
     options.use_deterministic_compute = True
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads leave the cores alone
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads sleep
     try:
         session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's errors have no base of their own
-        raise InputError(f"{file}: {_why_not_read(file, error, onnxruntime.__version__)}") from None
-    return Model(
+    except Exception as error:  # onnxruntime's errors have no common base class
+        raise InputError(f"{file}: {_describe_load_error(file, error, onnxruntime.__version__)}") from None
+    return OnnxModel(
         file,
         session,
         {tensor.name: (tensor.type, tensor.shape) for tensor in session.get_inputs()},
@@ -178,8 +178,8 @@ def _open(file: Path, threads: int) -> Model:
     )
 
 
-def _why_not_read(file: Path, error: Exception, version: str) -> str:
-    """Say why onnxruntime refused a file, and what to do."""
+def _describe_load_error(file: Path, error: Exception, version: str) -> str:
+    """Return a message that says why onnxruntime cannot open a file, and what to do."""
     text = " ".join(str(error).split())
     try:
         with file.open("rb") as start:
@@ -205,20 +205,20 @@ def _named(names: Sequence[str], keys: Iterable[str | int]) -> bool:
     return all(key in names if isinstance(key, str) else key < len(names) for key in keys)
 
 
-def _is_encoder(model: Model, family: Family) -> bool:
+def _is_encoder(model: OnnxModel, family: Family) -> bool:
     if list(model.inputs) != [family.image] or not _named(list(model.outputs), family.encoded):
         return False
     by_position = any(isinstance(key, int) for key in family.encoded)
     return not by_position or len(model.outputs) == len(family.encoded)
 
 
-def _is_decoder(model: Model, family: Family) -> bool:
+def _is_decoder(model: OnnxModel, family: Family) -> bool:
     takes, needed = frozenset(model.inputs), family.decoder_inputs - family.optional
     return needed <= takes <= family.decoder_inputs and _named(list(model.outputs), family.outputs.values())
 
 
-def _with_most_masks(decoders: list[Model], family: Family) -> list[Model]:
-    """Of decoders that differ in how many masks they propose, keep the one with the most (three, not one)."""
+def _with_most_masks(decoders: list[OnnxModel], family: Family) -> list[OnnxModel]:
+    """Keep the decoders that return the largest number of candidate masks (three rather than one)."""
     if len(decoders) < 2:
         return decoders
     counts = []
@@ -229,8 +229,8 @@ def _with_most_masks(decoders: list[Model], family: Family) -> list[Model]:
     return [decoder for decoder, count in zip(decoders, counts, strict=True) if count == max(counts)]
 
 
-def _check(encoder: Model, decoder: Model, family: Family) -> None:
-    """Refuse tensors of a type or size that nothing here can fill."""
+def _check_inputs(encoder: OnnxModel, decoder: OnnxModel, family: Family) -> None:
+    """Raise InputError for an encoder of another image size, or inputs of a type that is not supported."""
     _, shape = encoder.inputs[family.image]
     side = [length for length in shape[2:] if isinstance(length, int)]
     if len(shape) != 4 or any(length != SIDE for length in side):
@@ -242,17 +242,17 @@ def _check(encoder: Model, decoder: Model, family: Family) -> None:
                 raise InputError(f"{model.file}: {name}: expected float32 or integers, got {kind}; {INSTEAD}")
 
 
-def _why_not(model: Model) -> str:
-    """Say of a model that is neither encoder nor decoder what it seems to be."""
+def _describe_unusable(model: OnnxModel) -> str:
+    """Return a message that says what a model seems to be that is neither encoder nor decoder of a family."""
     names = [*model.inputs, *model.outputs]
     for family in FAMILIES:
         if frozenset(family.features) <= frozenset(model.inputs):
             extra = frozenset(model.inputs) - family.decoder_inputs
             lacking = family.decoder_inputs - family.optional - frozenset(model.inputs)
             if extra or lacking:
-                told = [f"wants {listed(sorted(extra))} besides"] if extra else []
-                told += [f"has no {listed(sorted(lacking))}"] if lacking else []
-                return f"{model.file}: like a decoder of {family.name}, but it {' and '.join(told)}"
+                differences = [f"wants {listed(sorted(extra))} besides"] if extra else []
+                differences += [f"has no {listed(sorted(lacking))}"] if lacking else []
+                return f"{model.file}: like a decoder of {family.name}, but it {' and '.join(differences)}"
     for pattern, meaning in _FOREIGN:
         if any(re.search(pattern, name) for name in names):
             return f"{model.file}: {meaning}"
@@ -261,14 +261,14 @@ def _why_not(model: Model) -> str:
     return f"{model.file}: neither encoder nor decoder of a known export (takes {listed(model.inputs)})"
 
 
-def _unpaired(
+def _describe_missing_pair(
     folder: Path,
-    encoders: dict[str, list[Model]],
-    decoders: dict[str, list[Model]],
+    encoders: dict[str, list[OnnxModel]],
+    decoders: dict[str, list[OnnxModel]],
     broken: list[str],
     foreign: list[str],
 ) -> str:
-    """Say what is missing for a pair, and what is there instead."""
+    """Return a message that says which file of a pair is missing, and which files were found."""
     there = [f"{_names(models)} (encoder of {name})" for name, models in encoders.items()]
     there += [f"{_names(models)} (decoder of {name})" for name, models in decoders.items()]
     others = [*broken, *foreign]
@@ -280,5 +280,5 @@ def _unpaired(
     return f"{folder}: {missing}expected encoder and decoder of one export, got {found}{instead}"
 
 
-def _names(models: list[Model]) -> str:
+def _names(models: list[OnnxModel]) -> str:
     return listed(model.file.name for model in models)

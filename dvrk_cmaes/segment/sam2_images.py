@@ -1,9 +1,9 @@
-"""An image and its prompts as Segment Anything 2 takes them, and its masks as the image takes them.
+"""Conversion of images, prompts and mask logits between an image and the encoder's square of Segment Anything 2.
 
-The encoder sees every image as a square of 1024 pixels: both sides are stretched to it, whatever the aspect. Prompts
-are stretched along, u 1024 / width and v 1024 / height: the model's own predictor scales them so, and every export
-adds half a pixel itself before it normalises them. Mask logits, of whatever size, are stretched back to the image
-before anything is decided by them; deciding first would leave the steps of a 256-pixel mask in the outline.
+Every image is resized to a square of 1024 pixels, whatever its aspect ratio. Prompts are scaled in the same way, to
+u 1024 / width and v 1024 / height, as in the model's own predictor; every export adds half a pixel itself before it
+normalises them. Mask logits are interpolated to the image's size before they are thresholded: thresholding first would
+leave the steps of a 256-pixel mask in the outline.
 
 Source of the numbers: `SAM2Transforms` and `SAM2ImagePredictor` in facebookresearch/sam2.
 """
@@ -14,16 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-SIDE = 1024  # of the square that the encoder sees, px
+SIDE = 1024  # px, side of the encoder's square
 
-_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # of ImageNet, RGB, of values 0 to 1
+_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # mean of ImageNet, RGB, for values from 0 to 1
 _DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
 
 
 def encoder_input(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Make the encoder's input, (1, 3, 1024, 1024), RGB and normalised, of an image (H, W, 3) uint8 BGR.
+    """Convert an image (H, W, 3) uint8 BGR to the encoder's input (1, 3, 1024, 1024), RGB and normalised.
 
-    A side that shrinks is averaged over, one that grows is interpolated: skipped pixels would alias.
+    A side longer than 1024 is reduced by area averaging, to avoid aliasing; a shorter one is interpolated bilinearly.
     """
     height, width = image.shape[:2]
     rgb = image[:, :, ::-1].astype(np.float32) / np.float32(255)
@@ -38,7 +38,7 @@ def to_square(pixels: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np
     return np.asarray(pixels * (SIDE / width, SIDE / height), np.float32)
 
 
-def stretch(logits: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+def resize_logits(logits: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
     """Interpolate mask logits (h, w) bilinearly to an image's height and width."""
     height, width = shape
     if logits.shape == (height, width):

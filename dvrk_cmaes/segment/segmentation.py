@@ -1,4 +1,4 @@
-"""What every way of finding the instrument in an image returns, and the prompts that all of them take."""
+"""Result of a segmentation, and the check of an image and its prompts; common to all models."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """The instrument in an image, and how far it can be trusted.
+    """Mask of the instrument in an image, with a confidence.
 
     mask : (H, W) bool, True on the instrument.
-    score : (H, W) float32, how much each pixel looks like instrument, 0 to 1; None where the model has no such thing.
-    confidence : 0 to 1; below a half, the mask is a guess.
-    notes : what a person should know of the mask, in words.
+    score : (H, W) float32, probability of instrument at each pixel, 0 to 1; None if there is none.
+    confidence : 0 to 1; below 0.5, the mask is called a guess.
+    notes : messages for the user about the mask.
     """
 
     mask: NDArray[np.bool_]
@@ -34,7 +34,7 @@ class Segmentation:
 def check_prompts(
     image: NDArray[np.uint8], box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]
 ) -> None:
-    """Refuse an image or prompts that no model can work with.
+    """Raise InputError for an image that is not a colour image, or for prompts outside it.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def check_prompts(
     Raises
     ------
     InputError
-        An array that is no colour image, a point outside the image, a box that is not one or lies outside.
+        An array that is not (H, W, 3) uint8, a point outside the image, a box that is empty or outside the image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise InputError(f"image: expected (H, W, 3) uint8, got {image.shape} {image.dtype}")

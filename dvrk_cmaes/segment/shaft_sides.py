@@ -1,7 +1,7 @@
-"""The straight sides of the shaft in a rough mask, and what they say about the pixels beside it.
+"""Log-odds of instrument by the straight sides of the shaft, fitted to a rough mask.
 
-In the dark corners of an endoscope's view cloth and tissue are as grey as the shaft, and a mask found by colours runs
-out into them. The shaft does not: its sides go on straight to the border.
+In the dark corners of an endoscope's image, cloth and tissue are as grey as the shaft, and a mask found by colours
+leaks into them. The sides of the shaft are straight up to the image's border, which limits the mask there.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
-_FOCAL = 1.2  # in longer sides of the image: any endoscope's is near enough to tell a shaft from what is none
-_RADIUS = 0.004  # m, likewise
-_SLACK = 1.5  # px either side of a line, where the colours alone decide
-_STEEPNESS = 1.0  # log-odds a px beyond that
-_LARGEST = 4.0  # log-odds
+_FOCAL = 1.2  # assumed focal length, in longer sides of the image; its exact value matters little to find the sides
+_RADIUS = 0.004  # m, assumed radius of the shaft, likewise
+_SLACK = 1.5  # px on either side of a line, in which the log-odds are 0
+_STEEPNESS = 1.0  # log-odds per px beyond that
+_LARGEST = 4.0  # bound of the log-odds
 
 
-def shaft_odds(mask: Bool) -> Float32 | None:
-    """Log-odds of instrument (H, W) by the sides of the shaft in a mask (H, W), None where there are none.
+def shaft_log_odds(mask: Bool) -> Float32 | None:
+    """Return log-odds of instrument (H, W) by the shaft's sides in a mask (H, W), or None if no sides are found.
 
-    Only along the shaft: 0 where it bends off into the wrist, and beyond.
+    They are 0 distally of the more proximal of the two sides' distal ends, where the wrist begins.
     """
     height, width = mask.shape
     focal = _FOCAL * max(height, width)
@@ -50,13 +50,13 @@ def shaft_odds(mask: Bool) -> Float32 | None:
 
 
 def _inward(lines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean direction of two lines that face away from each other, a unit vector (2,)."""
+    """Return the mean direction (2,), a unit vector, along two lines (2, 3) with opposite outward normals."""
     direction = np.array([-lines[0, 1], lines[0, 0]]) - np.array([-lines[1, 1], lines[1, 0]])
     return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _comes_from_start(ends: NDArray[np.float64], along: NDArray[np.float64], shape: tuple[int, int]) -> bool:
-    """Whether it is the lesser coordinates along the lines at which the shaft meets the border."""
+    """Whether the shaft meets the image's border at the smaller coordinates along the lines, not at the larger."""
     limit = np.array([shape[1] - 1, shape[0] - 1])
     to_border = np.minimum(ends, limit - ends).min(axis=2)
     position = ends @ along

@@ -1,9 +1,9 @@
-"""Silhouettes by outline and ray: poses in, spans out; from spans, sums, masks and coverage."""
+"""Render the silhouettes of an instrument: masks, antialiased coverage, outlines, and sums of images over them."""
 
 from __future__ import annotations
 
 from dvrk_cmaes.silhouette.outline import OutlinePoints
-from dvrk_cmaes.silhouette.pose_batches import LANES
+from dvrk_cmaes.silhouette.pose_batches import POSES_PER_BATCH
 from dvrk_cmaes.silhouette.renderer import NEAR, Body, PixelSums, Renderer
 
-__all__ = ["LANES", "NEAR", "Body", "OutlinePoints", "PixelSums", "Renderer"]
+__all__ = ["NEAR", "POSES_PER_BATCH", "Body", "OutlinePoints", "PixelSums", "Renderer"]

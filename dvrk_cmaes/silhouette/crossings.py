@@ -1,4 +1,4 @@
-"""Where image lines cross the outline edges of a few poses."""
+"""Crossings of image lines with the outline edges of a batch of poses."""
 
 from __future__ import annotations
 
@@ -15,76 +15,77 @@ from dvrk_cmaes.silhouette.segments import Segments
 _CODE_BITS = 3
 PAYLOAD_BITS = 31 - _CODE_BITS
 _NO_CHANGE = 2
-"""A crossing's code is its change of the layer count, -2 to 2, plus this."""
+"""A crossing's code is the change of the layer count there, -2 to 2, plus this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Crossings of lines with outline segments, in no order."""
+    """Crossings of image lines with outline segments, unsorted."""
 
     row: NDArray[np.int32]
     """(N,) pose * lines + line."""
     u: Float32
     """(N,) pixel column coordinate."""
     code: NDArray[np.int32]
-    """(N,) by how much the layer count changes from left to right, plus ``_NO_CHANGE``; each row's sum to zero."""
+    """(N,) change of the layer count from left to right, plus ``_NO_CHANGE``; the changes of a row sum to zero."""
     segments: Segments
     slope: Float32
-    """(S,) change of the position from a line to the next."""
+    """(S,) change of the position along the lines from one line to the next."""
     segment: NDArray[np.int32] | None
-    """(N,) which segment a crossing is on, where asked for."""
+    """(N,) index of the segment of each crossing; None unless requested."""
 
-    def turns(
+    def span_ends(
         self, position: NDArray[np.int32], payload: NDArray[np.int32], rows: int, positions: int
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Where the instrument begins and ends to cover a row, in turns, by row and position: rows and payloads (2 S,).
+        """Find the crossings at which the S covered spans start and end: rows and payloads, (2 S,) each.
 
-        ``position`` (N,) is what crossings are sorted by along their row, 0 to ``positions`` - 1; ``payload`` (N,), of
-        at most ``PAYLOAD_BITS`` bits, what is wanted of those that are turns.
+        They are sorted by row and position, so starts and ends alternate. ``position`` (N,) is the sort key of the
+        crossings along their row, 0 to ``positions`` - 1; ``payload`` (N,) holds a value of at most ``PAYLOAD_BITS``
+        bits for each crossing, which is returned for those found.
         """
         value = payload << _CODE_BITS
         value |= self.code
         start, value = ordered(self.row, position, value, rows, positions)
-        # Codes are changes plus _NO_CHANGE, so their running sum is the layer count and so much for each crossing.
+        # Codes are changes plus _NO_CHANGE, so their running sum is the layer count plus _NO_CHANGE per crossing.
         count = np.cumsum(value & ((1 << _CODE_BITS) - 1), dtype=np.int32)
         covered = count > np.arange(_NO_CHANGE, _NO_CHANGE * (len(count) + 1), _NO_CHANGE, dtype=np.int32)
-        turns = covered.copy()
-        turns[1:] ^= covered[:-1]
-        at = np.flatnonzero(turns)
+        changed = covered.copy()
+        changed[1:] ^= covered[:-1]
+        at = np.flatnonzero(changed)
         row = np.repeat(np.arange(rows, dtype=np.int32), np.diff(start))
         return row.take(at, mode="clip"), value.take(at, mode="clip") >> _CODE_BITS
 
 
 def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False) -> Crossings:
-    """Crossings of all lines with outline edges; with ``detail``, also which segment each crossing is on."""
+    """Find the crossings of all lines with outline edges; with ``detail``, also the segment of each crossing."""
     found = edges.segments(grid, detail=detail)
     segments = found.segments
 
     first = np.minimum(*segments.line).astype(np.int32)
     lines = np.subtract(segments.line[1], segments.line[0], dtype=np.int32)
     count = np.abs(lines)
-    way_u, way_v = segments.u[1] - segments.u[0], segments.v[1] - segments.v[0]
-    slope: Float32 = np.divide(way_u, way_v, out=way_u)
-    # Measured from the end that is nearer to the first line: the other may be very far outside the image.
+    delta_u, delta_v = segments.u[1] - segments.u[0], segments.v[1] - segments.v[0]
+    slope: Float32 = np.divide(delta_u, delta_v, out=delta_u)
+    # Positions are extrapolated from the end nearer to the first line: the other may lie very far outside the image.
     to_first = first.astype(np.float32) - segments.v
     end = (np.abs(to_first[1]) < np.abs(to_first[0])).astype(np.intp)
     to_first *= slope
     to_first += segments.u
     end *= len(count)
     end += np.arange(len(count))
-    # Rows and columns changing places turns the image over, and left and right of an edge with it.
+    # Swapping rows and columns mirrors the image, which swaps the left and right side of an edge.
     rising = (lines > 0) ^ found.front ^ (not grid.vertical)
     change = (2 * rising.view(np.int8) - 1) * segments.weight
     offset = np.cumsum(count, dtype=np.int32)
     total = int(offset[-1]) if len(offset) else 0
     offset -= count
 
-    # What crossings of a segment have in common goes to them in one piece: four numbers of four bytes.
+    # The values shared by all crossings of a segment, four numbers of four bytes, are repeated as one 16-byte value.
     common = np.empty((len(count), 4), dtype=np.float32)
     common[:, 0] = slope
     common[:, 1] = to_first.ravel().take(end, mode="clip")
     common[:, 2] = offset
-    row = segments.lane.astype(np.int32)
+    row = segments.pose.astype(np.int32)
     row *= grid.lines
     row += first
     row -= offset
@@ -92,14 +93,14 @@ def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False)
     row += change
     row += _NO_CHANGE
     common.view(np.int32)[:, 3] = row
-    each = np.repeat(common.view(np.complex128)[:, 0], count).view(np.float32).reshape(-1, 4)
+    repeated = np.repeat(common.view(np.complex128)[:, 0], count).view(np.float32).reshape(-1, 4)
     place = np.arange(total, dtype=np.int32)
     u: Float32 = place.astype(np.float32)
-    u -= each[:, 2]
-    u *= each[:, 0]
-    u += each[:, 1]
+    u -= repeated[:, 2]
+    u *= repeated[:, 0]
+    u += repeated[:, 1]
     place <<= _CODE_BITS
-    place += each.view(np.int32)[:, 3]
+    place += repeated.view(np.int32)[:, 3]
     return Crossings(
         row=place >> _CODE_BITS,
         u=u,

@@ -1,4 +1,4 @@
-"""A lighter instrument for coarse images: fewer, larger faces, and how far its surface can be off."""
+"""Mesh decimation by vertex clustering, for rendering at low image resolution."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from dvrk_cmaes.instrument import Instrument, Link
 
 
-def lightened(instrument: Instrument, cell: float) -> tuple[Instrument, float]:
-    """Join the vertices of each link that share a cubic cell of a grid, ``cell`` m wide, in their mean.
+def decimate(instrument: Instrument, cell: float) -> tuple[Instrument, float]:
+    """Replace the vertices of each link within a cubic grid cell, ``cell`` m wide, by their mean.
 
-    Gives the instrument and the largest distance, m, by which a vertex has moved. No point of the surface moves
-    further: it lies between a face's corners. So in the image, the outline is off by that times focal length over
-    depth at most.
+    Returns the instrument and the largest distance, m, by which a vertex moved. This distance also bounds the motion
+    of every other point of the surface, because these are convex combinations of vertices. The error of the outline in
+    the image is therefore at most this distance times focal length over depth.
     """
-    links, errors = zip(*(_joined(link, cell) for link in instrument.links), strict=True)
+    links, errors = zip(*(_decimate_link(link, cell) for link in instrument.links), strict=True)
     return replace(instrument, links=links), max(errors)
 
 
-def _joined(link: Link, cell: float) -> tuple[Link, float]:
+def _decimate_link(link: Link, cell: float) -> tuple[Link, float]:
     _, group = np.unique(np.floor(link.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
     group = group.ravel()
     size = np.bincount(group)

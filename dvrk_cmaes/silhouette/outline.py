@@ -1,9 +1,9 @@
-"""Points on the silhouette's outline, and where they lie on the instrument.
+"""Points on the outline of the silhouette, in the image and on the instrument's surface.
 
-A small motion of the instrument moves its outline, to first order, as it moves the points of the body that are on the
-outline: the others slide along it. So the outline's points in three dimensions give the change of everything that is
-summed over the silhouette, without drawing another one. Lines that cross the outline steeply measure it best: rows
-where it is steep, columns where it is flat.
+To first order, a small motion of the instrument moves its outline along the image normals by as much as it moves the
+surface points that project onto the outline. The derivatives of sums over the silhouette therefore follow from the
+three-dimensional points of the outline, without rendering further silhouettes. A point is located best on an image line
+that crosses the outline at a large angle: rows are used where the outline is steep, columns where it is flat.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OutlinePoints:
-    """Points on the outlines of a population, by pose and link.
+    """Points on the outlines of several poses, sorted by pose, then by link.
 
-    pose : (N,) which of the poses, ascending. link : (N,), ascending for each pose. pixels : (N, 2). normals : (N, 2),
-    pointing out of the silhouette, as long as the stretch of outline, px, that the point stands for. points : (N, 3)
-    on the instrument, m, in the link's frame.
+    pose : (N,) index of the pose. link : (N,) index of the link. pixels : (N, 2). normals : (N, 2), pointing out of the
+    silhouette; their length is that of the piece of outline, px, that the point represents. points : (N, 3) on the
+    instrument's surface, m, in the link's frame.
     """
 
     pose: NDArray[np.integer[Any]]
@@ -40,7 +40,7 @@ class OutlinePoints:
 
     @staticmethod
     def joined(groups: Sequence[OutlinePoints], parts: Sequence[slice]) -> OutlinePoints:
-        """Join those of the parts that a population was divided into."""
+        """Concatenate the points of batches of poses; ``parts`` are the slices of the poses in each batch."""
         if len(groups) == 1:
             return groups[0]
         pose = np.concatenate([group.pose + part.start for group, part in zip(groups, parts, strict=True)])
@@ -48,7 +48,7 @@ class OutlinePoints:
         return OutlinePoints(pose, *rest)
 
     def of_each(self, poses: int) -> Iterator[OutlinePoints]:
-        """Give the points of each of so many poses."""
+        """Iterate over the points of each pose, for the given number of poses."""
         edges = np.searchsorted(self.pose, np.arange(poses + 1))
         for i in range(poses):
             part = slice(edges[i], edges[i + 1])
@@ -58,8 +58,8 @@ class OutlinePoints:
 
 
 @dataclass(frozen=True, eq=False)
-class _Turns:
-    """Places where the outline crosses lines, visibly and at an angle that says well where it is."""
+class _LinePoints:
+    """Points where the visible outline crosses image lines at an angle of at least 45 degrees."""
 
     pose: NDArray[np.signedinteger[Any]]
     pixels: Float64
@@ -68,15 +68,15 @@ class _Turns:
     depth: Float64
 
     @staticmethod
-    def of(spans: Spans, grid: LineGrid, extent: int) -> _Turns:
-        """Find them on all lines."""
+    def of(spans: Spans, grid: LineGrid, extent: int) -> _LinePoints:
+        """Take the points from the ends of all spans."""
         crossings = spans.crossings
-        assert spans.turns is not None
+        assert spans.ends_at is not None
         assert crossings.segment is not None
         n = grid.per_pixel
-        start, end = spans.turns
+        start, end = spans.ends_at
         u, row = crossings.u, crossings.row
-        # Neighbours too close to be told apart may be the wrong way round: what then seems to lie between is nothing.
+        # Crossings closer than CLOSE may be in the wrong order, so gaps and spans shorter than that are ignored.
         gap = (row[start[1:]] == row[end[:-1]]) & (u[start[1:]] - u[end[:-1]] < CLOSE)
         first, last = np.ones((2, len(start)), dtype=np.bool_)
         first[1:], last[:-1] = ~gap, ~gap
@@ -85,7 +85,7 @@ class _Turns:
         index = np.stack([start[wide], end[wide]], axis=1).ravel()
         begins = np.tile([1.0, -1.0], np.count_nonzero(wide))
         segment = crossings.segment[index]
-        slope = crossings.slope[segment].astype(np.float64) * n  # px along for a px across
+        slope = crossings.slope[segment].astype(np.float64) * n  # change of u in px per px of v
         seen = (u[index] > -0.5) & (u[index] < extent - 0.5) & ~crossings.segments.on_near_plane()[segment]
         steep = seen & (np.abs(slope) < 1 if grid.vertical else np.abs(slope) <= 1)
         index, begins, slope = index[steep], begins[steep], slope[steep]
@@ -99,19 +99,19 @@ class _Turns:
         normals = -begins[:, None] * np.stack([np.ones_like(slope), -slope], axis=1) / n
         if grid.vertical:
             pixels, normals = pixels[:, ::-1], normals[:, ::-1]
-        return _Turns(pose, pixels, normals, segments.face, 1 / (near + share * (far - near)))
+        return _LinePoints(pose, pixels, normals, segments.face, 1 / (near + share * (far - near)))
 
 
 def outline_points(edges: OutlineEdges, camera: Camera, rows: Spans, grid: LineGrid) -> OutlinePoints:
-    """Points on the visible outlines of a few poses, on the rows of ``grid`` and on a column a pixel.
+    """Find points on the visible outlines of a batch of poses, on the lines of ``grid`` and on the pixel columns.
 
-    ``rows`` are the spans of ``grid``, in detail.
+    ``rows`` are the spans on ``grid``, computed with ``detail``.
     """
     columns = LineGrid(camera.width, vertical=True)
     spans = covered_spans(edges, columns, camera.height, detail=True)
     parts = [
-        _Turns.of(rows, grid, camera.width),
-        _Turns.of(spans, columns, camera.height),
+        _LinePoints.of(rows, grid, camera.width),
+        _LinePoints.of(spans, columns, camera.height),
     ]
     pose = np.concatenate([part.pose for part in parts])
     link = edges.link_of(np.concatenate([part.face for part in parts]))

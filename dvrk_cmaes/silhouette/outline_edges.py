@@ -1,7 +1,7 @@
-"""From poses to segments: which edges of the meshes are outline, and which of them cross a line of the image.
+"""Outline edges of the meshes for a batch of poses, and the segments of them that cross image lines.
 
-All of it is done for the edges of a whole mesh at once, and for a few poses in the lanes of one array, so that
-what is costly (one row gathered for each end and face of every edge) is paid once for all of them.
+All edges of an instrument and all poses of a batch are processed in one array operation. The data of the poses are
+adjacent in memory, so the rows gathered for the two ends and two faces of each edge serve all poses of the batch.
 """
 
 from __future__ import annotations
@@ -14,47 +14,47 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.silhouette.grid import LineGrid, Projection
 from dvrk_cmaes.silhouette.near_plane import cut_link
-from dvrk_cmaes.silhouette.pose_batches import answers_of, lanes_for, product, shift_of, words_of
-from dvrk_cmaes.silhouette.segments import Segments, bent
+from dvrk_cmaes.silhouette.pose_batches import as_flags, as_words, batch_size_for, index_shift, matmul_in_blocks
+from dvrk_cmaes.silhouette.segments import Segments, subdivided
 from dvrk_cmaes.silhouette.topology import MeshTopology
 from dvrk_cmaes.silhouette.vertices import ProjectedVertices
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineSegments:
-    """Segments of the outlines of a few poses that cross a line of the image."""
+    """Segments of the outlines of a batch of poses that cross an image line."""
 
     segments: Segments
     front: NDArray[np.bool_]
-    """(S,) whether the face of a segment looks at the eye."""
+    """(S,) whether the face of a segment is front-facing."""
 
 
-def _looks(topology: MeshTopology, camera_from_link: NDArray[np.float64], lanes: int) -> NDArray[np.bool_]:
-    """Which faces look at the eye, (F, lanes)."""
-    eye = np.zeros((topology.links, 4, lanes), dtype=np.float32)
-    eye[:, :3, : len(camera_from_link)] = -np.einsum(
+def _front_facing(topology: MeshTopology, camera_from_link: NDArray[np.float64], batch_size: int) -> NDArray[np.bool_]:
+    """Find the front-facing faces, (F, batch_size)."""
+    centre = np.zeros((topology.links, 4, batch_size), dtype=np.float32)  # of the camera, in each link's frame
+    centre[:, :3, : len(camera_from_link)] = -np.einsum(
         "clji,clj->lic", camera_from_link[..., :3, :3], camera_from_link[..., :3, 3]
     )
-    eye[:, 3] = 1
-    side = np.empty((len(topology.planes), lanes), dtype=np.float32)
+    centre[:, 3] = 1
+    side = np.empty((len(topology.planes), batch_size), dtype=np.float32)
     for link in range(topology.links):
         faces = slice(topology.face_start[link], topology.face_start[link + 1])
-        product(topology.planes[faces], eye[link], side[faces])
+        matmul_in_blocks(topology.planes[faces], centre[link], side[faces])
     return side > 0
 
 
 class OutlineEdges:
-    """The outline edges of a few poses (C, L, 4, 4), at most ``LANES``, for lines of any kind."""
+    """The outline edges of a batch of poses (C, L, 4, 4), at most ``POSES_PER_BATCH``, for any grid of lines."""
 
     def __init__(self, topology: MeshTopology, camera: Camera, camera_from_link: NDArray[np.float64]) -> None:
-        self.poses, self._lanes = len(camera_from_link), lanes_for(len(camera_from_link))
+        self.poses, self._batch_size = len(camera_from_link), batch_size_for(len(camera_from_link))
         self.camera_from_link = camera_from_link
         self._topology = topology
-        self._looks = _looks(topology, camera_from_link, self._lanes)
-        looks = words_of(self._looks)
-        outline = looks.take(topology.edge_faces[0], axis=0, mode="clip")
-        outline ^= looks.take(topology.edge_faces[1], axis=0, mode="clip")
-        outline ^= topology.flip[self._lanes]
+        self._front_facing = _front_facing(topology, camera_from_link, self._batch_size)
+        front_words = as_words(self._front_facing)
+        outline = front_words.take(topology.edge_faces[0], axis=0, mode="clip")
+        outline ^= front_words.take(topology.edge_faces[1], axis=0, mode="clip")
+        outline ^= topology.flip[self._batch_size]
         self._outline = outline
         self._projection = Projection(camera)
         self._vertices = ProjectedVertices(topology, self._projection, camera_from_link)
@@ -65,28 +65,29 @@ class OutlineEdges:
         return self._topology.links
 
     def link_of(self, face: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Which link faces (N,) belong to."""
+        """Return the index of the link of each face (N,)."""
         return np.searchsorted(self._topology.face_start, face, side="right") - 1
 
     def segments(self, grid: LineGrid, *, detail: bool) -> OutlineSegments:
-        """Segments of the outlines, as far as they cross lines; with ``detail``, they know their depth."""
-        straight, lanes = self._projection.camera.is_pinhole, self._lanes
+        """Return the outline segments that cross lines of a grid, with their inverse depth if ``detail``."""
+        straight, batch_size = self._projection.camera.is_pinhole, self._batch_size
         vertices, outline = self._vertices.on(grid), self._outline
         cut = []
         if self._vertices.behind:
             outline = outline.copy()
             cut = [cut_link(vertices, link, outline, detail) for link in self._vertices.behind]
-        chosen = answers_of(outline)
+        chosen = as_flags(outline)
         if straight:
             start, end = (vertices.line.take(ends, axis=0, mode="clip") for ends in self._topology.edge_ends)
             chosen = chosen & (start != end)
-        elif self.poses < lanes:
+        elif self.poses < batch_size:
             chosen = chosen.copy()
             chosen[:, self.poses :] = False
         at = np.flatnonzero(chosen)
-        segments = vertices.segments(at >> shift_of(lanes), at & (lanes - 1), detail)
+        segments = vertices.segments(at >> index_shift(batch_size), at & (batch_size - 1), detail)
         for more in cut:
-            segments = segments.and_more(more.crossing() if straight else more)
+            segments = segments.concatenated(more.crossing() if straight else more)
         if not straight:
-            segments = bent(segments, self._projection, grid)
-        return OutlineSegments(segments, self._looks.ravel().take(segments.face * lanes + segments.lane, mode="clip"))
+            segments = subdivided(segments, self._projection, grid)
+        front = self._front_facing.ravel().take(segments.face * batch_size + segments.pose, mode="clip")
+        return OutlineSegments(segments, front)

@@ -1,7 +1,9 @@
-"""Poses side by side: of a few poses, what is known of a face, a vertex or an edge lies together in memory.
+"""Batches of poses that are processed together.
 
-Answers of all poses about one face fit into one word or two, so that an edge compares its faces for all of them at
-once, and what is costly about an edge, looking its faces and ends up, is paid once for all of them.
+Arrays of faces, edges and vertices have the pose as their last axis, so that the values of all poses of a batch are
+adjacent in memory. The length of that axis, the batch size, is a power of two; entries beyond the number of poses are
+padding. The flags of one face for all poses fit into one or two machine words, so an edge is compared for all poses
+with one or two operations, and its faces and ends are looked up once per batch.
 """
 
 from __future__ import annotations
@@ -12,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-LANES = 16
-"""Poses handled together at most."""
+POSES_PER_BATCH = 16
+"""Largest number of poses in a batch."""
 
 Float32 = NDArray[np.float32]
 Words = NDArray[np.unsignedinteger[Any]]
 
 _BLOCK = 2048
 
-_WORDS: dict[int, type[np.unsignedinteger[Any]]] = {
+_WORD_TYPES: dict[int, type[np.unsignedinteger[Any]]] = {
     1: np.uint8,
     2: np.uint16,
     4: np.uint32,
@@ -29,49 +31,50 @@ _WORDS: dict[int, type[np.unsignedinteger[Any]]] = {
 }
 
 
-def lanes_for(poses: int) -> int:
-    """Count of lanes, a power of two, that holds so many poses; ValueError beyond ``LANES``."""
-    if poses > LANES:
-        raise ValueError(f"at most {LANES} poses at a time, got {poses}")
-    return next(lanes for lanes in _WORDS if lanes >= poses)
+def batch_size_for(poses: int) -> int:
+    """Return the smallest batch size for a number of poses; ValueError beyond ``POSES_PER_BATCH``."""
+    if poses > POSES_PER_BATCH:
+        raise ValueError(f"at most {POSES_PER_BATCH} poses at a time, got {poses}")
+    return next(size for size in _WORD_TYPES if size >= poses)
 
 
-def groups_of(poses: int) -> list[slice]:
-    """Divide poses into nearly equal groups of at most ``LANES``; more than half of that make an even number of them.
+def batch_slices(poses: int) -> list[slice]:
+    """Divide poses into batches of nearly equal length, at most ``POSES_PER_BATCH`` each.
 
-    So two threads have the same to do, and what is computed together does not depend on the number of threads.
+    More than ``POSES_PER_BATCH`` / 2 poses are divided into an even number of batches, so that two threads get equal
+    shares. The division does not depend on the number of threads.
     """
-    groups = max(-(-poses // LANES), 1)
-    if groups % 2 and poses > LANES // 2:
-        groups += 1
-    edges = [round(poses * i / groups) for i in range(groups + 1)]
+    batches = max(-(-poses // POSES_PER_BATCH), 1)
+    if batches % 2 and poses > POSES_PER_BATCH // 2:
+        batches += 1
+    edges = [round(poses * i / batches) for i in range(batches + 1)]
     return [slice(begin, end) for begin, end in pairwise(edges)]
 
 
-def shift_of(lanes: int) -> int:
-    """By how many bits an index is shifted to make room for the lane."""
-    return lanes.bit_length() - 1
+def index_shift(batch_size: int) -> int:
+    """Return log2 of the batch size: a flat index shifted right by this gives the row, its low bits the pose."""
+    return batch_size.bit_length() - 1
 
 
-def product(rows: Float32, columns: Float32, out: Float32) -> None:
-    """Matrix product of (N, 4) and (4, lanes), in blocks too small for a BLAS to start threads of its own.
+def matmul_in_blocks(rows: Float32, columns: Float32, out: Float32) -> None:
+    """Multiply (N, 4) by (4, batch_size) into ``out``, in blocks too small for the BLAS library to use threads.
 
-    Those would wait for each other wherever the other cores are at work, as with several threads of ours.
+    BLAS threads slow this down where the other cores are busy, for example with other threads of the renderer.
     """
     for begin in range(0, len(rows), _BLOCK):
         np.matmul(rows[begin : begin + _BLOCK], columns, out=out[begin : begin + _BLOCK])
 
 
-def words_of(answers: NDArray[np.bool_]) -> Words:
-    """Answers (N, lanes), contiguous, seen as words (N, 1 or 2) of a byte a lane."""
-    return answers.view(_WORDS[answers.shape[1]])
+def as_words(flags: NDArray[np.bool_]) -> Words:
+    """View contiguous flags (N, batch_size) as words (N, 1 or 2), one byte per pose."""
+    return flags.view(_WORD_TYPES[flags.shape[1]])
 
 
-def answers_of(words: Words) -> NDArray[np.bool_]:
-    """Words (N, 1 or 2) of a byte a lane, each byte 0 or 1, seen as answers (N, lanes)."""
+def as_flags(words: Words) -> NDArray[np.bool_]:
+    """View words (N, 1 or 2), whose bytes are 0 or 1, as flags (N, batch_size), one byte per pose."""
     return words.view(np.bool_)
 
 
-def same_in_all_lanes(answers: NDArray[np.bool_]) -> dict[int, Words]:
-    """Answers (N,) that hold for every pose, as words, by the number of lanes."""
-    return {lanes: words_of(np.repeat(answers[:, None], lanes, axis=1)) for lanes in _WORDS}
+def repeated_words(flags: NDArray[np.bool_]) -> dict[int, Words]:
+    """Repeat flags (N,) for every pose of a batch: words (N, 1 or 2) by batch size."""
+    return {size: as_words(np.repeat(flags[:, None], size, axis=1)) for size in _WORD_TYPES}

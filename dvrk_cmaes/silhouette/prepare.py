@@ -1,4 +1,4 @@
-"""Instruments prepared for rendering, each once for as long as the process lives."""
+"""Instruments prepared for rendering, cached for the lifetime of the process."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def _body(instrument: Instrument) -> Body:
 
 
 @lru_cache(maxsize=8)
-def _light_body(body: Body, cell: float) -> Body:
-    return body.lightened(cell)
+def _decimated_body(body: Body, cell: float) -> Body:
+    return body.decimated(cell)
 
 
-def lightened(body: Body, cell: float) -> Body:
-    """Return a body without details below ``cell`` m."""
+def decimated_body(body: Body, cell: float) -> Body:
+    """Return a body whose meshes are decimated on a grid with cells of ``cell`` m; cached."""
     with _lock:
-        return _light_body(body, cell)
+        return _decimated_body(body, cell)
 
 
 def prepare(instrument: Instrument | str) -> Body:
-    """Prepare an instrument, or a bundled one or a URDF by its name, for rendering; done once for each."""
+    """Prepare an instrument for rendering, given itself, by a bundled name or by the path of its URDF; cached."""
     with _lock:
         if isinstance(instrument, str):
             if instrument not in _named:

@@ -1,7 +1,7 @@
-"""A second opinion on a silhouette: Embree traces the pixels beside its outline.
+"""Check of silhouettes by ray tracing in a band along their outlines.
 
-Spans and rays decide coverage in two ways that share no code but the meshes. Where they should ever disagree it is
-beside the outline, so tracing that band, a few thousand rays, confirms a whole silhouette.
+Coverage from spans and coverage from rays are computed independently of each other, from the same meshes. They can
+differ only next to the outline, so it is enough to trace that band, a few thousand rays per silhouette.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from dvrk_cmaes.silhouette.renderer import Renderer
 
 
-def confirmed(
+def trace_near_outlines(
     renderer: Renderer,
     camera_from_root: NDArray[np.float64],
     joints: NDArray[np.float64],
     masks: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], int]:
-    """Silhouettes (C, H, W) of C poses with the pixels beside their outlines traced, and how many rays that took."""
+    """Retrace the pixels on both sides of the outlines of C masks, (C, H, W).
+
+    Returns the masks with the traced values and the number of rays.
+    """
     result = masks.copy()
     links = renderer.body.camera_from_links(camera_from_root, joints)
     rays = 0

@@ -1,7 +1,6 @@
-"""Silhouettes of whole populations of poses: loss sums, masks to the pixel, antialiased coverage.
+"""Rendering of silhouettes for many poses: sums of images over silhouettes, masks, antialiased coverage, outlines.
 
-Poses in, sums and images out. Poses are handled in the same groups whatever the number of threads, so results do not
-depend on it to the last bit.
+Poses are divided into the same batches for any number of threads, so results do not depend on it, to the last bit.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette.decimate import lightened
+from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
-from dvrk_cmaes.silhouette.pose_batches import groups_of
+from dvrk_cmaes.silhouette.pose_batches import batch_slices
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
@@ -32,36 +31,37 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """An instrument prepared for rendering: its outline topology and its Embree scenes. Share it between renderers."""
+    """An instrument prepared for rendering: its edge topology and its Embree scenes. Renderers may share it."""
 
     instrument: Instrument
     topology: MeshTopology
     scenes: LinkScenes
     error_m: float = 0.0
-    """How far its surface may be from the instrument's, m."""
+    """Upper bound of the distance of its surface from the instrument's, m."""
 
     @staticmethod
     def prepare(instrument: Instrument) -> Body:
-        """Pair the edges and build the scenes of an instrument."""
+        """Build the edge topology and the scenes of an instrument."""
         return Body(instrument, build_topology(instrument), LinkScenes(instrument))
 
-    def lightened(self, cell: float) -> Body:
-        """Return a body of fewer faces for coarse images, its details smaller than ``cell`` m left out."""
-        instrument, error = lightened(self.instrument, cell)
+    def decimated(self, cell: float) -> Body:
+        """Return a body with fewer faces for images of low resolution, decimated on a grid with cells of ``cell`` m."""
+        instrument, error = decimate(self.instrument, cell)
         return Body(instrument, build_topology(instrument), LinkScenes(instrument), self.error_m + error)
 
     def camera_from_links(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Poses (C, 4, 4) of the root and joints (C, J) to poses of all links, (C, L, 4, 4)."""
+        """Compute the poses of all links, (C, L, 4, 4), from those of the root, (C, 4, 4), and joints (C, J)."""
         return np.asarray(camera_from_root[:, None] @ self.instrument.forward(joints))
 
 
 @dataclass(frozen=True, eq=False)
 class PixelSums:
-    """Images whose sums over a silhouette are wanted, as prefix sums along the rows.
+    """Prefix sums along the rows of images that are to be summed over silhouettes.
 
-    ``table`` is (H, W + 1, K or more): the sums of ``count`` = K images from the left border to each pixel's left side.
+    ``table`` (H, W + 1, K or more) holds the sums of ``count`` = K images from the left border to the left side of each
+    pixel.
     """
 
     table: NDArray[np.float32]
@@ -69,10 +69,10 @@ class PixelSums:
 
     @staticmethod
     def of(images: NDArray[np.floating], weight: NDArray[np.floating] | None = None) -> PixelSums:
-        """Prepare images (K, H, W), each multiplied by a weight (H, W)."""
+        """Compute the prefix sums of images (K, H, W), each multiplied by a weight (H, W)."""
         weighted = np.asarray(images if weight is None else images * weight, dtype=np.float64)
         count, height, width = weighted.shape
-        # NumPy gathers rows of 4, 8, 16, .. bytes far faster than others.
+        # NumPy gathers rows of 4, 8, 16, ... bytes much faster than rows of other lengths.
         padded = 1 << (count - 1).bit_length()
         table = np.zeros((height, width + 1, padded), dtype=np.float32)
         table[:, 1:, :count] = np.moveaxis(weighted.cumsum(axis=2), 0, -1)
@@ -81,55 +81,56 @@ class PixelSums:
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that all renderers share: starting some for every population would cost more than they save."""
+    """Return a pool of threads that all renderers share; starting new ones on each call would cost too much time."""
     return ThreadPoolExecutor(threads, thread_name_prefix="silhouettes")
 
 
 @cache
 def _keep_freed_memory() -> None:
-    """Have the C library keep the memory of temporary arrays.
+    """Make the C library retain the memory of freed temporary arrays.
 
-    glibc hands freed memory back to the system beyond twice the largest block that has been freed so far (at most
-    32 MB), and asking for it anew, page by page, can take as long as all of the rendering. Elsewhere this is nothing.
+    glibc returns freed memory to the system above a threshold: twice the largest block freed so far, at most 32 MB.
+    Requesting that memory again, page by page, can take as long as the rendering. Allocating and freeing one large
+    block raises the threshold. With other C libraries this has no effect.
     """
     np.empty(31 << 20, dtype=np.uint8)
 
 
 class Renderer:
-    """Silhouettes of one instrument in one camera; safe to use from several threads."""
+    """Renders silhouettes of one instrument in one camera; may be used from several threads at once."""
 
     def __init__(self, body: Body, camera: Camera, *, threads: int = 2) -> None:
         self.body = body
         self.camera = camera
         self.threads = threads
         self.rays = 0
-        """Pixels traced so far: ``trace`` alone needs rays."""
+        """Number of rays traced by ``trace`` so far."""
         self.poses = 0
-        """Poses rendered so far."""
+        """Number of poses rendered so far."""
         self._counting = Lock()
         _keep_freed_memory()
 
     def at(self, width: int, height: int) -> Renderer:
-        """Return a renderer of the same body in the same camera at another image size."""
+        """Return a renderer of the same body in the same camera, scaled to another image size in pixels."""
         return Renderer(self.body, self.camera.scaled(width, height), threads=self.threads)
 
-    def _each_group(
+    def _map_batches(
         self,
         camera_from_root: NDArray[np.float64],
         joints: NDArray[np.float64],
         use: Callable[[OutlineEdges], T],
     ) -> list[T]:
-        """Apply ``use`` to the outline edges of each group of poses, in threads."""
+        """Apply ``use`` to the outline edges of each batch of poses, in ``threads`` threads."""
         links = self.body.camera_from_links(camera_from_root, joints)
-        groups = [links[group] for group in groups_of(len(links))]
+        batches = [links[part] for part in batch_slices(len(links))]
 
-        def work(group: NDArray[np.float64]) -> T:
-            return use(OutlineEdges(self.body.topology, self.camera, group))
+        def work(batch: NDArray[np.float64]) -> T:
+            return use(OutlineEdges(self.body.topology, self.camera, batch))
 
-        if self.threads == 1 or len(groups) == 1:
-            done = [work(group) for group in groups]
+        if self.threads == 1 or len(batches) == 1:
+            done = [work(batch) for batch in batches]
         else:
-            done = list(_pool(self.threads).map(work, groups))
+            done = list(_pool(self.threads).map(work, batches))
         with self._counting:
             self.poses += len(links)
         return done
@@ -143,10 +144,10 @@ class Renderer:
         lines_per_pixel: int = 1,
         to_pixel: bool = False,
     ) -> NDArray[np.float64]:
-        """Sum K images over the silhouettes of C poses, giving (C, K), without making any image.
+        """Sum K images over the silhouettes of C poses, (C, K), without rendering an image.
 
-        With ``to_pixel``, over the pixels whose centres are covered; otherwise over the real outline, which makes the
-        sums continuous in the pose.
+        With ``to_pixel``, the sums are over the pixels whose centres are covered. Otherwise they are integrals over the
+        area within the outline, which are continuous in the pose.
         """
         width, grid = self.camera.width, LineGrid(self.camera.height, lines_per_pixel)
         flat = images.table.reshape(-1, images.table.shape[2])
@@ -173,21 +174,21 @@ class Renderer:
             columns = values.T[: images.count]
             return np.stack([np.bincount(pose, weights=column, minlength=edges.poses) for column in columns], axis=1)
 
-        return np.concatenate(self._each_group(camera_from_root, joints, add)) / lines_per_pixel
+        return np.concatenate(self._map_batches(camera_from_root, joints, add)) / lines_per_pixel
 
     def coverage(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 4
     ) -> NDArray[np.float32]:
-        """Antialiased silhouettes of C poses: the covered share of each pixel, (C, H, W)."""
+        """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W)."""
         grid = LineGrid(self.camera.height, lines_per_pixel)
 
         def draw(edges: OutlineEdges) -> NDArray[np.float32]:
             return self._covered_shares(covered_spans(edges, grid, self.camera.width), edges.poses, lines_per_pixel)
 
-        return np.concatenate(self._each_group(camera_from_root, joints, draw))
+        return np.concatenate(self._map_batches(camera_from_root, joints, draw))
 
     def _covered_shares(self, spans: Spans, poses: int, lines_per_pixel: int) -> NDArray[np.float32]:
-        """Covered share of each pixel, (C, H, W)."""
+        """Compute the covered fraction of each pixel, (C, H, W), from spans."""
         height, width = self.camera.height, self.camera.width
         row = spans.row // lines_per_pixel if lines_per_pixel > 1 else spans.row
         at = np.concatenate([spans.start, spans.end])
@@ -205,20 +206,24 @@ class Renderer:
         return table.reshape(poses, height, width) * np.float32(1 / lines_per_pixel)
 
     def outlines(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> OutlinePoints:
-        """Points on the outlines of C poses, on a line a pixel, and where they lie on the instrument."""
+        """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns."""
         grid = LineGrid(self.camera.height)
 
         def find(edges: OutlineEdges) -> OutlinePoints:
             rows = covered_spans(edges, grid, self.camera.width, detail=True)
             return outline_points(edges, self.camera, rows, grid)
 
-        groups = self._each_group(camera_from_root, joints, find)
-        return OutlinePoints.joined(groups, groups_of(len(camera_from_root)))
+        points = self._map_batches(camera_from_root, joints, find)
+        return OutlinePoints.joined(points, batch_slices(len(camera_from_root)))
 
     def coverage_and_outlines(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 2
     ) -> tuple[NDArray[np.float32], OutlinePoints]:
-        """Both at little more than the cost of one of them; the outlines' points are on all of the coverage's rows."""
+        """Compute the coverage and the outlines of C poses together, at little more than the cost of one of them.
+
+        The points of the outlines lie on all lines of the coverage, ``lines_per_pixel`` per pixel row, and on the pixel
+        columns.
+        """
         grid = LineGrid(self.camera.height, lines_per_pixel)
 
         def both(edges: OutlineEdges) -> tuple[NDArray[np.float32], OutlinePoints]:
@@ -226,11 +231,11 @@ class Renderer:
             points = outline_points(edges, self.camera, rows, grid)
             return self._covered_shares(rows, edges.poses, lines_per_pixel), points
 
-        coverage, points = zip(*self._each_group(camera_from_root, joints, both), strict=True)
-        return np.concatenate(coverage), OutlinePoints.joined(points, groups_of(len(camera_from_root)))
+        coverage, points = zip(*self._map_batches(camera_from_root, joints, both), strict=True)
+        return np.concatenate(coverage), OutlinePoints.joined(points, batch_slices(len(camera_from_root)))
 
     def masks(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Silhouettes to the pixel of C poses: whether each pixel's centre is covered, (C, H, W)."""
+        """Render masks of C poses: whether each pixel's centre is covered, (C, H, W)."""
         height, width = self.camera.height, self.camera.width
         grid = LineGrid(height)
 
@@ -242,10 +247,10 @@ class Renderer:
             change = np.bincount(index, weights=sign, minlength=poses * height * (width + 1))
             return np.asarray(change.reshape(poses, height, width + 1).cumsum(axis=2)[:, :, :width] > 0.5)
 
-        return np.concatenate(self._each_group(camera_from_root, joints, draw))
+        return np.concatenate(self._map_batches(camera_from_root, joints, draw))
 
     def trace(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Trace one ray through every pixel's centre, with nothing clever: the reference for ``masks``, (C, H, W)."""
+        """Trace one ray through the centre of every pixel: the reference for ``masks``, (C, H, W)."""
         height, width = self.camera.height, self.camera.width
         v, u = np.mgrid[:height, :width]
         pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Embree scenes of an instrument: one committed scene per link, and rays moved instead of meshes."""
+"""Embree scenes of an instrument: one scene per link, in whose frame the rays are traced."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import Instrument
 
 NEAR = 1e-3
-"""Metres in front of the eye, along z, where the view begins; nothing nearer is seen."""
+"""Depth of the near plane, m along the optical axis: surfaces in front of it are not rendered."""
 
 
 def _embree() -> Any:
@@ -26,7 +26,7 @@ def _embree() -> Any:
 
 
 class LinkScenes:
-    """Committed Embree scenes, one a link; safe to query from several threads.
+    """Embree scenes, one for each link; may be queried from several threads at once.
 
     Scenes cannot be pickled: each process builds its own.
     """
@@ -38,7 +38,7 @@ class LinkScenes:
         for link in instrument.links:
             scene = scene_type()
             mesh_type(scene, np.ascontiguousarray(link.vertices[link.faces], dtype=np.float32))
-            # The first query commits the scene, without a lock: do it before threads share it.
+            # The first query commits the scene without a lock, so it is made before threads share the scene.
             scene.run(ray, ray, query="OCCLUDED")
             self._scenes.append(scene)
 
@@ -46,7 +46,7 @@ class LinkScenes:
         return len(self._scenes)
 
     def hit(self, link: int, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether each ray, (N, 3) in the link's frame, meets the link."""
+        """Return whether each ray, (N, 3) in the link's frame, hits the link, (N,)."""
         if len(origins) == 0:
             return np.zeros(0, dtype=np.bool_)
         found: NDArray[np.int32] = self._scenes[link].run(origins, directions, query="OCCLUDED")
@@ -58,19 +58,19 @@ class LinkScenes:
         pose: NDArray[np.intp],
         directions: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
-        """Whether any link covers each viewing direction.
+        """Return whether any link covers each viewing direction, (N,).
 
-        ``camera_from_link`` is (C, L, 4, 4); ``pose`` (N,) says which of the C poses a ray belongs to; ``directions``
-        (N, 3) are in the camera's frame with z = 1. A link that a ray has met is not asked about again.
+        ``camera_from_link`` is (C, L, 4, 4); ``pose`` (N,) is the index of the pose of each ray; ``directions`` (N, 3)
+        are in the camera's frame with z = 1. A ray that has hit one link is not traced against the others.
         """
         result = np.zeros(len(directions), dtype=np.bool_)
         for link in range(len(self)):
-            ask = np.flatnonzero(~result)
+            rest = np.flatnonzero(~result)
             rotation = camera_from_link[:, link, :3, :3]
-            eye = -np.einsum("cji,cj->ci", rotation, camera_from_link[:, link, :3, 3])
-            turned = np.einsum("nji,nj->ni", rotation[pose[ask]], directions[ask])
-            origins = eye[pose[ask]] + NEAR * turned
-            result[ask] = self.hit(
+            centre = -np.einsum("cji,cj->ci", rotation, camera_from_link[:, link, :3, 3])
+            turned = np.einsum("nji,nj->ni", rotation[pose[rest]], directions[rest])
+            origins = centre[pose[rest]] + NEAR * turned
+            result[rest] = self.hit(
                 link, np.ascontiguousarray(origins, dtype=np.float32), np.ascontiguousarray(turned, dtype=np.float32)
             )
         return result

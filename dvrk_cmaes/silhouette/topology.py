@@ -1,10 +1,9 @@
-"""Which edges of an instrument's meshes can be outline, prepared once for all poses.
+"""Edge topology of an instrument's meshes, computed once for all poses.
 
-A triangle seen from the eye covers a patch of the image; the number of triangles over a point (the layer count)
-changes only across edges whose faces do not cancel. An edge between a face that looks at the eye and one that looks
-away is such an edge, and so is every edge with one face, and two faces turned against each other that look the same
-way. Edges of more than two faces are split into pairs, which changes nothing: the change of the count across an edge
-is a sum over its faces.
+The layer count of an image point is the number of triangles that project onto it. It changes only across outline edges:
+edges between a front-facing and a back-facing triangle, boundary edges with a single face, and edges between two faces
+of opposite winding that are both front-facing or both back-facing. Edges with more than two faces are split into pairs
+of faces; this is exact, because the change of the layer count across an edge is a sum over its faces.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette.pose_batches import Words, same_in_all_lanes
+from dvrk_cmaes.silhouette.pose_batches import Words, repeated_words
 
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
@@ -24,30 +23,30 @@ Int32 = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class MeshTopology:
-    """All links' vertices, face planes and edges in one set of arrays, links one after the other.
+    """Vertices, face planes and edges of all links, concatenated link by link.
 
-    Vertices and planes stay in their link's frame; ``*_start`` hold the L + 1 offsets of each link.
+    Vertices and planes are in the frame of their link; ``*_start`` (L + 1,) hold the offset at which each link starts.
     """
 
     vertices: Float32
     """(V, 4) x, y, z, 1 in metres."""
     vertex_start: Int32
     planes: Float32
-    """(F, 4) outward normal (of unit length) and offset: ``planes @ [eye, 1] > 0`` where the face looks at the eye."""
+    """(F, 4) outward unit normal n and offset d, m: the face is front-facing from a camera at c if n @ c + d > 0."""
     face_start: Int32
     edge_start: Int32
     edge_ends: NDArray[np.intp]
-    """(2, E) first and second vertex, in the direction in which the first of ``edge_faces`` runs along the edge."""
+    """(2, E) first and second vertex, in the winding order of the first of ``edge_faces``."""
     edge_faces: NDArray[np.intp]
-    """(2, E) the edge's faces; twice the same one where it has no other."""
+    """(2, E) the edge's two faces; a boundary edge has the same face twice."""
     flip: dict[int, Words]
-    """By the number of lanes: (E,) 0 or 1, outline where looks(first face) xor looks(second face) xor flip."""
+    """By batch size, (E, words): an edge is outline where front(first face) xor front(second face) xor flip."""
     weight: NDArray[np.int8]
-    """(E,) by how much the layer count changes across the edge where it is outline: 2, or 1 for an edge of one face."""
-    same_way: NDArray[np.bool_]
-    """(E,) whether the edge's second face, too, runs along it from its first to its second vertex."""
+    """(E,) magnitude of the change of the layer count across an outline edge: 2, or 1 for a boundary edge."""
+    same_direction: NDArray[np.bool_]
+    """(E,) whether the second face, too, has the edge's vertices in the order first, second."""
     corners: NDArray[np.float64]
-    """(L, 8, 4) homogeneous corners of the box around each link's vertices, m."""
+    """(L, 8, 4) homogeneous corners of each link's bounding box, m."""
 
     @property
     def links(self) -> int:
@@ -56,14 +55,18 @@ class MeshTopology:
 
 
 def _paired_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], ...]:
-    """Edges of one mesh as pairs of faces: from, to, left, right (-1 for none), and whether right runs the same way."""
+    """Pair the faces of one mesh along its edges.
+
+    ``faces`` is (F, 3). Returns for each edge its first and second vertex, its first and second face (-1 for none), and
+    whether the second face has the edge's vertices in the same order as the first.
+    """
     n = len(faces)
     start = faces.T.reshape(-1).astype(np.int64)
     end = np.roll(faces, -1, axis=1).T.reshape(-1).astype(np.int64)
     face = np.tile(np.arange(n), 3)
     forward = start < end
     low, high = np.minimum(start, end), np.maximum(start, end)
-    # Along each edge, faces that run forwards and backwards alternate as far as they go, so that opposite ones pair up.
+    # At each edge, faces of either winding alternate as far as possible, so that faces of opposite winding are paired.
     order = np.lexsort((forward, high, low))
     key_low, key_high, direction = low[order], high[order], forward[order]
     new_run = np.r_[True, (np.diff(key_low) != 0) | (np.diff(key_high) != 0) | (direction[1:] != direction[:-1])]
@@ -78,25 +81,25 @@ def _paired_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], ...]:
     has_right = (left + 1 < len(order)) & ~np.r_[new_edge, True][left + 1]
     right_at = np.minimum(left + 1, len(order) - 1)
     right = np.where(has_right, face[right_at], -1)
-    same_way = has_right & (forward[right_at] == forward[left])
+    same_direction = has_right & (forward[right_at] == forward[left])
     runs_forward = forward[left]
     edge_from = np.where(runs_forward, low[left], high[left])
     edge_to = np.where(runs_forward, high[left], low[left])
-    return edge_from, edge_to, face[left], right, same_way
+    return edge_from, edge_to, face[left], right, same_direction
 
 
 def build_topology(instrument: Instrument) -> MeshTopology:
-    """Prepare the meshes of all links of an instrument for outline extraction."""
+    """Compute the edge topology of all links of an instrument."""
     vertices, planes, corners = [], [], []
     edges: list[list[NDArray[np.int64]]] = [[], [], [], []]
-    flips, weights, same_ways = [], [], []
+    flips, weights, same_directions = [], [], []
     vertex_start, face_start, edge_start = [0], [0], [0]
     for link in instrument.links:
         triangles = link.vertices[link.faces]
         normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         offset = -np.einsum("ij,ij->i", normal, triangles.mean(axis=1))
-        edge_from, edge_to, left, right, same_way = _paired_edges(link.faces)
+        edge_from, edge_to, left, right, same_direction = _paired_edges(link.faces)
         alone = right < 0
         vertices.append(np.c_[link.vertices, np.ones(len(link.vertices))])
         planes.append(np.c_[normal, offset])
@@ -109,9 +112,9 @@ def build_topology(instrument: Instrument) -> MeshTopology:
             strict=True,
         ):
             stack.append(values + base)
-        flips.append(same_way | alone)
+        flips.append(same_direction | alone)
         weights.append(np.where(alone, 1, 2))
-        same_ways.append(same_way)
+        same_directions.append(same_direction)
         vertex_start.append(vertex_start[-1] + len(link.vertices))
         face_start.append(face_start[-1] + len(link.faces))
         edge_start.append(edge_start[-1] + len(left))
@@ -124,8 +127,8 @@ def build_topology(instrument: Instrument) -> MeshTopology:
         edge_start=np.array(edge_start, dtype=np.int32),
         edge_ends=np.stack([edge_from, edge_to]),
         edge_faces=np.stack([left, right]),
-        flip=same_in_all_lanes(np.concatenate(flips)),
+        flip=repeated_words(np.concatenate(flips)),
         weight=np.concatenate(weights).astype(np.int8),
-        same_way=np.concatenate(same_ways),
+        same_direction=np.concatenate(same_directions),
         corners=np.array(corners, dtype=np.float64),
     )

@@ -1,4 +1,4 @@
-"""All vertices of the meshes in the image, for a few poses in the lanes of one array."""
+"""Projection of all vertices of the meshes into the image, for a batch of poses."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.silhouette.grid import Float32, LineGrid, Projection
-from dvrk_cmaes.silhouette.pose_batches import lanes_for, product
+from dvrk_cmaes.silhouette.pose_batches import batch_size_for, matmul_in_blocks
 from dvrk_cmaes.silhouette.scenes import NEAR
 from dvrk_cmaes.silhouette.segments import Segments
 from dvrk_cmaes.silhouette.topology import MeshTopology
 
 
 class ProjectedVertices:
-    """The vertices' places in the image, arrays (V, lanes); those behind the near plane have none that means anything.
+    """Image positions of the vertices, arrays (..., V, batch_size); undefined for vertices behind the near plane.
 
-    ``behind`` holds, of the links that the plane cuts or that are behind it, which of their vertices are behind, and
-    ``homogeneous`` their u, v and 1, times the depth: (3, V of the link, lanes). What is kept of them is in pixels.
+    For each link with vertices behind the near plane, ``behind`` flags these vertices, (V of the link, batch_size), and
+    ``homogeneous`` holds u, v and 1 times the depth of all of the link's vertices, (3, V of the link, batch_size).
     """
 
     def __init__(self, topology: MeshTopology, projection: Projection, camera_from_link: NDArray[np.float64]) -> None:
-        poses, lanes = len(camera_from_link), lanes_for(len(camera_from_link))
-        self.lanes = lanes
+        poses, batch_size = len(camera_from_link), batch_size_for(len(camera_from_link))
+        self.batch_size = batch_size
         self.topology = topology
         self.projection = projection
         image_from_link = projection.matrix @ camera_from_link[:, :, :3]
-        matrix = np.zeros((topology.links, 3, 4, lanes), dtype=np.float32)
-        matrix[:, 2, 3] = 1  # in lanes without a pose, all is at one point
+        matrix = np.zeros((topology.links, 3, 4, batch_size), dtype=np.float32)
+        matrix[:, 2, 3] = 1  # padding: all vertices coincide, so that no edge crosses a line
         matrix[..., :poses] = image_from_link.transpose(1, 2, 3, 0)
         nearest = (topology.corners @ image_from_link[:, :, 2, :, None]).min(axis=(0, 2, 3), initial=np.inf)
 
-        homogeneous = np.empty((3, len(topology.vertices), lanes), dtype=np.float32)
+        homogeneous = np.empty((3, len(topology.vertices), batch_size), dtype=np.float32)
         depth = homogeneous[2]
         self.behind: dict[int, NDArray[np.bool_]] = {}
         self.homogeneous: dict[int, Float32] = {}
         for link in range(topology.links):
             part = slice(topology.vertex_start[link], topology.vertex_start[link + 1])
             for row, out in zip(matrix[link], homogeneous, strict=True):
-                product(topology.vertices[part], row, out[part])
+                matmul_in_blocks(topology.vertices[part], row, out[part])
             if nearest[link] < 1.01 * NEAR:
                 behind = depth[part] < NEAR
                 if behind.any():
@@ -54,14 +54,14 @@ class ProjectedVertices:
         self.pixels = projection.pixels(image.reshape(2, -1)).reshape(image.shape)
 
     def on(self, grid: LineGrid) -> VerticesOnLines:
-        """Say where they lie among lines."""
+        """Return the vertices in the coordinates of a grid of lines."""
         u, v = grid.place(self.pixels)
         return VerticesOnLines(self, grid, u, v, grid.first_line(v))
 
 
 @dataclass(frozen=True, eq=False)
 class VerticesOnLines:
-    """Vertices among lines: positions along them (u), among them (v), and the first line at or below, (V, lanes)."""
+    """Vertices in line coordinates, (V, batch_size): positions u, real line numbers v, first lines at or below."""
 
     vertices: ProjectedVertices
     grid: LineGrid
@@ -69,14 +69,14 @@ class VerticesOnLines:
     v: Float32
     line: NDArray[np.signedinteger[Any]]
 
-    def segments(self, edge: NDArray[np.intp], lane: NDArray[np.intp], detail: bool) -> Segments:
-        """Edges as segments; with ``detail``, they know their depth."""
+    def segments(self, edge: NDArray[np.intp], pose: NDArray[np.intp], detail: bool) -> Segments:
+        """Return edges of given poses as segments, with their inverse depth if ``detail``."""
         vertices, topology = self.vertices, self.vertices.topology
         ends = topology.edge_ends.take(edge, axis=1, mode="clip")
-        ends *= vertices.lanes
-        ends += lane
+        ends *= vertices.batch_size
+        ends += pose
         return Segments(
-            lane,
+            pose,
             topology.edge_faces[0].take(edge, mode="clip"),
             topology.weight.take(edge, mode="clip"),
             self.u.ravel().take(ends, mode="clip"),

@@ -1,1 +1,1 @@
-"""Sessions with known truth, drawn from meshes: poses, readings, masks and images as a robot has them."""
+"""Synthetic sessions with known true poses: poses, joint readings, masks and images, rendered from meshes."""

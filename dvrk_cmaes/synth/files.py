@@ -1,4 +1,4 @@
-"""Writing made frames: as files of a session folder, and as plain numbers for JSON."""
+"""Writing of synthetic frames: files of a session folder, and plain numbers for JSON."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from dvrk_cmaes.synth.truth import Truth
 
 
 def rounded(array: NDArray[np.floating], digits: int = 9) -> Any:
-    """Nested lists of numbers, rounded."""
+    """Convert an array to nested lists of rounded numbers, with 0.0 for -0.0."""
     return (np.round(np.asarray(array, dtype=np.float64), digits) + 0.0).tolist()
 
 
 def rounded_joints(joints: Mapping[str, float], digits: int = 6) -> dict[str, float]:
-    """Joint values by name, rounded."""
+    """Round joint values by name, with 0.0 for -0.0."""
     return {name: round(float(value), digits) + 0.0 for name, value in joints.items()}
 
 
 def rounded_truth(truth: Truth, name_of_pose: str, name_of_tips: str) -> dict[str, Any]:
-    """Pose, joints and tips in the camera's frame as plain numbers."""
+    """Convert pose, joints and tips in the camera's frame to plain numbers, with the given keys for pose and tips."""
     return {
         name_of_pose: rounded(truth.camera_from_root),
         "joints": rounded_joints({**truth.joints, **truth.outer}, digits=9),
@@ -35,7 +35,7 @@ def rounded_truth(truth: Truth, name_of_pose: str, name_of_tips: str) -> dict[st
 
 
 def write_camera_info(path: str | Path, camera: Camera, name: str) -> None:
-    """Write a ROS camera_info YAML file of an image that is not rectified."""
+    """Write a ROS camera_info YAML file for images that are not rectified."""
     K = camera.matrix
     document = {
         "image_width": camera.width,
@@ -55,7 +55,7 @@ def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def write_joints(path: str | Path, readings: Mapping[str, Mapping[str, float]], columns: Sequence[str]) -> None:
-    """Write joints.csv: frame, then a column for each joint."""
+    """Write a joints.csv with the columns frame and ``columns``, from readings by frame and joint, rad and m."""
     lines = [",".join(["frame", *columns])]
     lines += [",".join([frame, *(f"{reading[name]:.6f}" for name in columns)]) for frame, reading in readings.items()]
     write_text(path, "\n".join(lines) + "\n")

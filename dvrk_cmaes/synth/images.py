@@ -1,6 +1,6 @@
-"""Images as an endoscope takes them: a dark shaft and a bright steel wrist before moist tissue, lit from the lens.
+"""Synthetic endoscope images: a dark shaft and a bright steel wrist in front of moist tissue, lit from the lens.
 
-They are for people to look at below an overlay; no figure is measured on them.
+They serve as the background of overlays and are not used for measurements.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from dvrk_cmaes.synth.views import NOTHING, trace_links
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
-# colours are BGR, 1 is white
+# colours are BGR, from 0 to 1
 DARK_TISSUE: Final = np.array([0.10, 0.09, 0.34], np.float32)
 PALE_TISSUE: Final = np.array([0.30, 0.33, 0.68], np.float32)
 OCCLUDER_TISSUE: Final = np.array([0.33, 0.38, 0.74], np.float32)
 SHAFT: Final = np.array([0.105, 0.10, 0.10], np.float32)
 STEEL: Final = np.array([0.55, 0.54, 0.52], np.float32)
-SAMPLES: Final = 2  # rays a pixel along each side
+SAMPLES: Final = 2  # rays per pixel along each side
 
 
 def draw_image(
@@ -35,12 +35,22 @@ def draw_image(
     *,
     holes: Bool | None = None,
     occluder: Bool | None = None,
-    beyond: Bool | None = None,
+    outside_lens: Bool | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a frame, (H, W, 3) BGR.
+    """Draw the image of a frame, (H, W, 3) uint8 BGR.
 
-    Of the regions (H, W), the steel glares at ``holes``, an ``occluder`` lies before it, and ``beyond`` the lens's edge
-    it is dark.
+    Parameters
+    ----------
+    camera, truth
+        The camera, and the instrument's true pose and joints.
+    rng
+        Random numbers for the tissue and the noise.
+    holes
+        (H, W), specular highlights on the steel.
+    occluder
+        (H, W), tissue in front of the instrument.
+    outside_lens
+        (H, W), pixels outside the lens's circular field of view, which are black.
     """
     shape = (camera.height, camera.width)
     tissue = _tissue(shape, rng)
@@ -54,21 +64,21 @@ def draw_image(
     if occluder is not None:
         image = _over(image, _lump(occluder, rng), occluder)
     image *= _vignette(camera)[..., None]
-    if beyond is not None:
-        image *= cv2.GaussianBlur(1 - beyond.astype(np.float32), (0, 0), 2.0)[..., None]
+    if outside_lens is not None:
+        image *= cv2.GaussianBlur(1 - outside_lens.astype(np.float32), (0, 0), 2.0)[..., None]
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + 0.004 * rng.standard_normal(image.shape).astype(np.float32)
     return np.asarray(np.clip(image * 255 + 0.5, 0, 255), dtype=np.uint8)
 
 
 def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
-    """Shaded instrument times its coverage, (H, W, 3), and the coverage, (H, W)."""
+    """Render the instrument: its shaded colour times coverage (H, W, 3), and its coverage (H, W)."""
     fine = camera.scaled(camera.width * SAMPLES, camera.height * SAMPLES)
     view = trace_links(truth.instrument, fine, truth.camera_from_root, truth.values)
     seen = (view.link != NOTHING).astype(np.float32)
     facing = np.abs((view.normal * view.direction).sum(axis=2))  # the light is at the lens
     steel = (view.link > 0) | (_along_shaft(truth, view.direction, view.depth) > _distal_end(truth))
     albedo = np.where(steel[..., None], STEEL, SHAFT)
-    # polished steel mirrors a bright room above and a dark one below
+    # polished steel reflects a bright surrounding above and a dark one below
     mirrored = 0.5 - 0.5 * np.tanh(3 * view.normal[..., 1:2] + 0.6 * view.normal[..., :1])
     diffuse = albedo * (0.25 + 0.75 * facing[..., None]) * np.where(steel[..., None], 0.55 + 0.75 * mirrored, 1.0)
     gloss = np.where(steel, 0.75 * facing**24, 0.10 * facing**8)[..., None]
@@ -81,19 +91,19 @@ def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
 
 
 def _along_shaft(truth: Truth, direction: Float32, depth: Float32) -> Float32:
-    """Coordinate along the shaft of what each pixel sees, m, from the root's origin."""
+    """Return the coordinate along the shaft of the point seen at each pixel (H, W), m from the root's origin."""
     points = direction / direction[..., 2:] * depth[..., None] - truth.camera_from_root[:3, 3]
     return np.asarray(points @ truth.camera_from_root[:3, 2], np.float32)
 
 
 def _distal_end(truth: Truth) -> float:
-    """Where the dark shaft ends, m along it from the root's origin."""
+    """Return the coordinate along the shaft of its distal end, m from the root's origin; -inf without a shaft."""
     shaft = truth.instrument.shaft
     return -np.inf if shaft is None else shaft.distal_end
 
 
 def _tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
-    """Folds, grain and moist highlights, (H, W, 3)."""
+    """Draw tissue with folds, grain and moist highlights, (H, W, 3)."""
     folds = (
         0.75 * smooth_noise(shape, rng, 260) + 0.35 * smooth_noise(shape, rng, 90) + 0.12 * smooth_noise(shape, rng, 24)
     )
@@ -106,20 +116,20 @@ def _tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
 
 
 def _lump(region: Bool, rng: np.random.Generator) -> Float32:
-    """Fill a region with rounded tissue, (H, W, 3)."""
+    """Draw rounded tissue in a region (H, W): an image (H, W, 3)."""
     height = np.sqrt(np.clip(signed_distance(region), 0, 40) / 40)
     grain = 1 + 0.10 * smooth_noise(region.shape, rng, 12)
     return np.asarray(OCCLUDER_TISSUE * (0.35 + 0.45 * height * grain)[..., None], np.float32)
 
 
 def _over(below: Float32, above: Float32, region: Bool) -> Float32:
-    """Lay one picture over another within a region, with a soft edge."""
+    """Blend image ``above`` over image ``below`` within a region (H, W) with a soft edge."""
     alpha = cv2.GaussianBlur(region.astype(np.float32), (0, 0), 0.8)[..., None]
     return np.asarray(below * (1 - alpha) + above * alpha, np.float32)
 
 
 def _vignette(camera: Camera) -> Float32:
-    """Fall of the light towards the corners, (H, W)."""
+    """Return the factor (H, W) by which the brightness falls towards the corners."""
     v, u = np.mgrid[: camera.height, : camera.width]
     radius = np.hypot(u - camera.cx, v - camera.cy) / (0.5 * camera.width)
     return np.asarray(1.12 - 0.42 * radius**2, np.float32)

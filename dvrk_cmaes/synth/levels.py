@@ -1,8 +1,9 @@
-"""How hard a made session is: four levels, each a set of figures that others can cite.
+"""Difficulty levels of synthetic sessions: four fixed sets of parameters.
 
-The readings' errors follow what was seen on real arms: wrist joints several degrees off, mostly by one bias a session,
-the jaw half as much again, the arm's yaw and pitch good to 0.1 deg and its insertion to 0.4 mm. The masks' mistakes are
-those of segmenting networks: coarse logits, a wavering outline, lumps and bites, highlights lost.
+The errors of the readings have the sizes observed on real arms: several degrees at the wrist joints, mostly a constant
+bias of the session; half as much again at the jaw; 0.1 deg at the arm's yaw and pitch and 0.4 mm at its insertion. The
+errors of the masks are those of segmentation networks: coarse logits, correlated noise along the outline, lumps and
+bites, and missing highlights.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ LevelName = Literal["clean", "easy", "medium", "hard"]
 
 @dataclass(frozen=True)
 class Mistakes:
-    """How badly a mask is segmented; lengths in pixels.
+    """Parameters of the simulated segmentation errors of a mask; lengths in pixels.
 
     Parameters
     ----------
     cell
-        Side of a logit's cell.
+        Side of a square cell of the coarse map of logits.
     wave, wavelength
-        Rms wavering of the outline, and over what length it wavers.
+        Standard deviation and wavelength of the outline's correlated noise.
     lumps
-        How many lumps and bites the outline has, about as many of each.
+        Number of lumps and bites together, half of them lumps.
     holes
-        How many highlights are missing from the inside.
+        Number of highlights that are missing inside the mask.
     lump_radius
         Smallest and largest radius of a lump or bite.
     """
@@ -41,31 +42,34 @@ class Mistakes:
 
 @dataclass(frozen=True)
 class Level:
-    """A level's figures: root mean square over many sessions, unless said otherwise.
+    """Parameters of a level. Errors are root mean squares over many sessions.
 
     Parameters
     ----------
     name
-        What it is called.
+        Name of the level.
     least_tilt_deg, arm_tilt_deg, least_bend_deg, least_jaw_px
-        Which pictures count as sensible, see ``synth.poses.View``.
+        Limits of the accepted poses, see ``synth.poses.ViewLimits``.
     wrist_deg, jaw_ratio
-        Error of the wrist's readings; the jaw's is so many times as large. Four fifths of it are a session's bias.
+        Error of the wrist's readings, and ratio of the jaw's error to it. The session's bias is 0.8 of the error; the
+        remaining variance is noise of each frame.
     roll_deg
         Bias of the roll's reading in a session.
     arm_deg, insertion_mm
-        Noise of the yaw's and pitch's readings (and of the roll's, besides its bias), and of the insertion's.
+        Noise of the readings of yaw, pitch and roll, and of the insertion.
     mistakes
-        The segmenter's, None for a mask exact to the pixel.
+        Simulated segmentation errors, None for the exact mask.
     occluded, told
-        Share of the frames in which tissue lies before a jaw, and of those the share whose ``ignore`` says so.
+        Share of the frames in which tissue covers the end of a jaw, and the share of those whose ``ignore`` contains
+        the tissue.
     lens_edge
-        Radius of the round picture in shares of half the image's diagonal; beyond it the image is black, and
-        ignored. None for a picture that fills the image.
+        Radius of the circular field of view as a fraction of half the image's diagonal; outside it the image is black
+        and part of ``ignore``. None if the field of view fills the image.
     distortion
-        Of the default camera's lens (plumb_bob).
+        Distortion of the default camera (plumb_bob).
     tip_px, marker_px, marker_share
-        Noise of the tips' and of the markers' pixels, each way, and the share of the markers that are detected.
+        Standard deviation of the tips' and of the markers' pixels along each axis, and share of the markers that are
+        detected.
     """
 
     name: LevelName
@@ -88,7 +92,7 @@ class Level:
     marker_share: float = 0.65
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
@@ -146,4 +150,4 @@ LEVELS: Final[dict[LevelName, Level]] = {
         marker_px=4.0,
     ),
 }
-"""The levels, from the easiest mask to the hardest."""
+"""The levels by name, in order of increasing errors of the masks."""

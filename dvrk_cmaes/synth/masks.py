@@ -1,8 +1,8 @@
-"""Masks as a segmenter makes them: the true outline, seen coarsely, wavering, with bits too many and bits missing.
+"""Simulation of segmentation errors: masks with coarse and noisy outlines, lumps, bites and holes.
 
-A network's mask is the zero crossing of a coarse map of logits. Here the logits are the signed distance from the true
-outline plus smooth noise, with lumps added to it and bites and glare taken out, averaged over coarse cells and
-enlarged again.
+A network's mask is a coarse map of logits, interpolated and thresholded at zero. Here the logits are the signed
+distance from the true outline plus correlated noise, increased in lumps, decreased in bites and highlights, averaged
+over coarse cells and interpolated.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ MEDIUM: Final = Mistakes(cell=3, wave=1.0, wavelength=30.0, lumps=6, holes=2)
 
 
 @dataclass(frozen=True, eq=False)
-class Segmented:
-    """A segmenter's mask, and the highlights that it lost, all (H, W)."""
+class SimulatedMask:
+    """A mask with simulated errors, and the highlights that are missing in it, both (H, W)."""
 
     mask: Bool
     holes: Bool
 
 
-def segmented(exact: Bool, rng: np.random.Generator, mistakes: Mistakes, occluder: Bool | None = None) -> Segmented:
-    """Segment a frame whose true mask is known, (H, W); what an occluder covers is not seen."""
+def simulate_segmentation(
+    exact: Bool, rng: np.random.Generator, mistakes: Mistakes, occluder: Bool | None = None
+) -> SimulatedMask:
+    """Simulate the segmentation of a frame from its exact mask (H, W), without the pixels of ``occluder`` (H, W)."""
     shape = exact.shape
     visible = exact if occluder is None else exact & ~occluder
     logits = signed_distance(visible)
@@ -49,23 +51,23 @@ def segmented(exact: Bool, rng: np.random.Generator, mistakes: Mistakes, occlude
         hole = _glare(u - column, v - row, rng)
         logits = np.minimum(logits, -hole)
         holes |= hole > 0
-    return Segmented(_through_coarse_cells(logits, mistakes.cell) > 0, holes)
+    return SimulatedMask(_through_coarse_cells(logits, mistakes.cell) > 0, holes)
 
 
 def _inner(places: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Those of the places (N, 2) (row, column) that are well inside the image."""
+    """Return the positions (N, 2), (row, column), that are more than 6 px from the image's border."""
     return places[np.all((places > 6) & (places < np.array(shape) - 7), axis=1)]
 
 
 def _glare(u: Float32, v: Float32, rng: np.random.Generator) -> Float32:
-    """Signed distance, roughly, of a small ellipse about the origin."""
+    """Return the approximate signed distance, positive inside, of a small random ellipse about the origin."""
     turn, long, short = rng.uniform(0, np.pi), rng.uniform(3.5, 6.5), rng.uniform(2.2, 3.2)
     along, across = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
     return np.asarray((1 - np.hypot(along / long, across / short)) * short, dtype=np.float32)
 
 
 def _through_coarse_cells(logits: Float32, cell: int, limit: float = 8.0) -> Float32:
-    """Average over square cells and enlarge again; what is far from the outline is cut to the limit first."""
+    """Clip logits (H, W) to the limit, average them over square cells, and interpolate them to (H, W) again."""
     height, width = logits.shape
     coarse = cv2.resize(
         np.clip(logits, -limit, limit),
@@ -76,15 +78,15 @@ def _through_coarse_cells(logits: Float32, cell: int, limit: float = 8.0) -> Flo
 
 
 def signed_distance(mask: Bool) -> Float32:
-    """Distance from the outline in pixels, positive inside the mask, (H, W)."""
+    """Return the signed distance from the mask's outline (H, W), px, positive inside."""
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(np.where(mask, inside - 0.5, 0.5 - outside), dtype=np.float32)
 
 
 def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator, wavelength: float) -> Float32:
-    """Noise (H, W) of unit variance that varies over about a wavelength, px."""
-    # a blurred white noise on a grid just fine enough for the wavelength
+    """Draw correlated noise (H, W) of unit variance with a given wavelength, px."""
+    # blurred white noise on a grid that is coarse for long wavelengths, interpolated to the image
     step = max(1.0, wavelength / 8)
     small = (int(shape[0] / step) + 8, int(shape[1] / step) + 8)
     noise = cv2.GaussianBlur(rng.standard_normal(small).astype(np.float32), (0, 0), wavelength / 4 / step)
@@ -93,10 +95,10 @@ def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator, wavelength: f
     return np.asarray(large[: shape[0], : shape[1]], dtype=np.float32)
 
 
-def lump_of_tissue(
+def tissue_region(
     shape: tuple[int, ...], rng: np.random.Generator, centre: NDArray[np.floating], radius: float
 ) -> Bool:
-    """Make a rounded, uneven region (H, W) about a pixel (u, v): something that lies before the instrument."""
+    """Draw a round region (H, W) with an uneven outline about a pixel (u, v), such as tissue before the instrument."""
     v, u = np.mgrid[: shape[0], : shape[1]]
     angle, distance = np.arctan2(v - centre[1], u - centre[0]), np.hypot(u - centre[0], v - centre[1])
     reach = np.ones(shape)

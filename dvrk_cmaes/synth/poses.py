@@ -1,7 +1,7 @@
-"""Poses of frames: an arm that moves about its remote centre of motion (RCM), or an instrument anywhere.
+"""Random true poses of frames: of an arm that moves about its remote centre of motion (RCM), or independent poses.
 
-Poses are drawn at random and kept when the picture is a sensible one. Random numbers come from the generator that is
-handed in, so a seed gives the same frames again.
+Poses are drawn at random and rejected unless the instrument is well visible (`is_sensible`). All random numbers come
+from the given generator, so that a seed determines the frames.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.truth import Truth, aimed
+from dvrk_cmaes.synth.truth import Truth, pose_from_view
 from dvrk_cmaes.synth.views import trace_links
 
 Float64 = NDArray[np.float64]
 
-_SWING: Final = 0.25  # rad, of the arm's yaw and pitch to either side
-_ROLL: Final = 2.0  # rad
-_INSERTIONS: Final = (0.10, 0.17)  # m, of the Classic with a tool 400xxx
-_MIDDLE_INSERTION: Final = (0.12, 0.15)  # m, at which the arm reaches the middle of the view
-_LARGEST_BEND: Final = 1.0  # rad, of pitch and of yaw
-_OPENINGS: Final = (0.15, 1.1)  # rad, of the jaws
+_SWING: Final = 0.25  # rad, largest yaw and pitch of the arm, of either sign
+_ROLL: Final = 2.0  # rad, largest roll, of either sign
+_INSERTIONS: Final = (0.10, 0.17)  # m, range of the insertion of the Classic with a tool 400xxx
+_MIDDLE_INSERTION: Final = (0.12, 0.15)  # m, insertion at which the root is in the middle of the view
+_LARGEST_BEND: Final = 1.0  # rad, largest wrist pitch and wrist yaw, of either sign
+_OPENINGS: Final = (0.15, 1.1)  # rad, range of the jaw's opening
 
 
 @dataclass(frozen=True)
-class View:
-    """What a sensible picture is. Angles in degrees, lengths in m, pixels of an image of 640 x 480.
+class ViewLimits:
+    """Limits of the accepted poses. Angles in degrees, lengths in m; pixels are those of an image of 640 x 480.
 
     Parameters
     ----------
     least_tilt
-        Between the shaft and the optical axis.
+        Least angle between the shaft and the optical axis.
     arm_tilt
-        The same for the middle of the arm's range: lowest and highest.
+        Smallest and largest angle between the shaft and the optical axis in the middle of the arm's range.
     least_bend
-        Of wrist pitch and yaw together: an unbent wrist looks like its mirror twin.
+        Least norm of wrist pitch and wrist yaw; with a straight wrist, pose and mirror twin look alike.
     least_jaw
-        Pixels in view of each jaw.
+        Least number of visible pixels of each jaw.
     least_shaft
-        Length of its straight part in view.
+        Least visible length of the shaft's straight part.
     margin
-        Between the border and the wrist or the tips.
+        Least distance of the wrist and the tips from the image's border, px.
     depths
-        Of wrist and tips.
+        Smallest and largest depth of the wrist and the tips.
     """
 
     least_tilt: float = 28.0
@@ -63,7 +63,7 @@ class View:
     depths: tuple[float, float] = (0.07, 0.16)
 
 
-DEFAULT_VIEW: Final = View()
+DEFAULT_VIEW_LIMITS: Final = ViewLimits()
 
 
 def arm_session(
@@ -71,23 +71,25 @@ def arm_session(
     camera: Camera,
     rng: np.random.Generator,
     frames: int,
-    view: View = DEFAULT_VIEW,
+    view: ViewLimits = DEFAULT_VIEW_LIMITS,
     *,
     arm: Arm = "classic",
     attempts: int = 20_000,
 ) -> tuple[Float64, list[Truth]]:
-    """Place an arm before a camera and move it about its RCM, until there are enough sensible frames.
+    """Draw a pose of an arm's base, and configurations of the arm until enough of them are accepted.
+
+    If too few of 60 configurations a frame are accepted, another pose of the base is drawn.
 
     Returns
     -------
     camera_from_base : (4, 4)
     truths
-        One a frame.
+        The true pose of each frame.
 
     Raises
     ------
     DvrkCmaesError
-        The attempts are used up.
+        Too few configurations were accepted in ``attempts``.
     """
     while attempts > 0:
         camera_from_base = _random_base(body.instrument, arm, rng, view)
@@ -107,16 +109,16 @@ def free_poses(
     camera: Camera,
     rng: np.random.Generator,
     frames: int,
-    view: View = DEFAULT_VIEW,
+    view: ViewLimits = DEFAULT_VIEW_LIMITS,
     *,
     attempts: int = 20_000,
 ) -> list[Truth]:
-    """Place an instrument anywhere, anew in each frame; DvrkCmaesError where the attempts are used up."""
+    """Draw independent poses of an instrument; DvrkCmaesError if too few were accepted in ``attempts``."""
     found: list[Truth] = []
     for _ in range(attempts):
         if len(found) == frames:
             return found
-        pose = aimed(
+        pose = pose_from_view(
             camera,
             wrist=(rng.uniform(0.2, 0.8) * camera.width, rng.uniform(0.2, 0.8) * camera.height),
             depth=rng.uniform(*view.depths),
@@ -130,21 +132,21 @@ def free_poses(
     raise DvrkCmaesError(f"no poses of {body.instrument.name} were found that are sensible pictures")
 
 
-def _random_base(instrument: Instrument, arm: Arm, rng: np.random.Generator, view: View) -> Float64:
-    """Pose of an arm that reaches the middle of the view from one side."""
+def _random_base(instrument: Instrument, arm: Arm, rng: np.random.Generator, view: ViewLimits) -> Float64:
+    """Draw a pose ``camera_from_base`` (4, 4) of an arm that reaches the middle of the view."""
     middle = np.array([rng.uniform(-0.006, 0.006), rng.uniform(-0.006, 0.006), rng.uniform(0.10, 0.12)])
     tilt, heading = np.deg2rad(rng.uniform(*view.arm_tilt)), rng.uniform(-np.pi, np.pi)
     direction = np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
     insertion = rng.uniform(*_MIDDLE_INSERTION) + _shift(instrument, arm)
     reached = base_from_root([0.0, 0.0, insertion, 0.0], arm, roll_offset=instrument.roll_offset)
     rcm_to_root = np.linalg.norm(reached[:3, 3])
-    # at rest the shaft points against the base's z axis
+    # with all joints at zero the shaft points along the base's negative z axis
     rotation = frame_along(-direction) @ rotation_about_z(rng.uniform(-np.pi, np.pi))
     return transform(rotation, middle - rcm_to_root * direction)
 
 
 def _shift(instrument: Instrument, arm: Arm) -> float:
-    """By how much more an arm and a tool insert to reach as far as the Classic with a tool 400xxx, m."""
+    """Return the insertion to add so that an arm and a tool reach as far as the Classic with a tool 400xxx, m."""
     return (INSERTION_OFFSET["classic"] + ROLL_OFFSET) - (INSERTION_OFFSET[arm] + instrument.roll_offset)
 
 
@@ -158,7 +160,7 @@ def _arm_truth(instrument: Instrument, arm: Arm, camera_from_base: Float64, rng:
 
 
 def _wrist(instrument: Instrument, rng: np.random.Generator) -> dict[str, float]:
-    """Draw an instrument's joints: the wrist's about straight, the jaws open, any other within its limits."""
+    """Draw an instrument's joint values: wrist pitch and yaw within 1 rad, jaws open, any other within its limits."""
     pitch, yaw = rng.uniform(-_LARGEST_BEND, _LARGEST_BEND, 2)
     drawn = dict(zip(WRIST_JOINTS, (pitch, yaw, rng.uniform(*_OPENINGS)), strict=True))
     joints = {}
@@ -168,8 +170,8 @@ def _wrist(instrument: Instrument, rng: np.random.Generator) -> dict[str, float]
     return joints
 
 
-def is_sensible(body: Body, camera: Camera, truth: Truth, view: View = DEFAULT_VIEW) -> bool:
-    """Whether a surgeon would see the tool so: wrist and open jaws well in view, the shaft from the border."""
+def is_sensible(body: Body, camera: Camera, truth: Truth, view: ViewLimits = DEFAULT_VIEW_LIMITS) -> bool:
+    """Whether wrist and jaws are well visible, within the limits, and only the root link meets the image's border."""
     points = np.concatenate([truth.wrist, truth.tips])
     size = np.array([camera.width, camera.height])
     scale = camera.width * camera.height / (640 * 480)

@@ -1,7 +1,8 @@
-"""Joint readings that are wrong the way a robot's are: mostly by a bias of the session, and by noise of each frame.
+"""Simulated joint readings with the errors of a real robot: a constant bias of the session, and noise of each frame.
 
-The cable-driven joints (wrist, jaw, roll) are off by degrees, the arm's own by tenths. In every frame the readings are
-nearer to the truth than to its mirror twin, which nothing else tells apart on a rough mask.
+The cable-driven joints (wrist, jaw, roll) have errors of several degrees, the joints of the arm of tenths of a degree.
+In every frame the readings are nearer to the true joints than to those of the mirror twin, since on a rough mask only
+the readings distinguish the two.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.synth.levels import Level
 from dvrk_cmaes.synth.truth import Truth
 
-STEADY_ERRORS: Final = {  # rms; rad, insertion in m
+FIXED_RMS_ERRORS: Final = {  # rms; rad, insertion in m
     "yaw": np.deg2rad(0.1),
     "pitch": np.deg2rad(0.1),
     "insertion": 0.0004,
@@ -27,7 +28,7 @@ STEADY_ERRORS: Final = {  # rms; rad, insertion in m
     "jaw": np.deg2rad(7.5),
 }
 BIAS_SHARE: Final = 0.8
-"""Of a cable-driven joint's error, the same in all frames of a session; what is left of its square is noise."""
+"""Ratio of a session's constant bias to the rms error of a cable-driven joint; the remaining variance is noise."""
 
 _NOISE_SHARE: Final = float(np.sqrt(1.0 - BIAS_SHARE**2))
 _ATTEMPTS: Final = 200
@@ -35,14 +36,14 @@ _ATTEMPTS: Final = 200
 
 @dataclass(frozen=True)
 class JointError:
-    """Standard deviations of a joint's reading: of a session's bias, and of a frame's noise; rad, m for insertion."""
+    """Standard deviations of a joint reading's error: session bias and frame noise; rad, m for the insertion."""
 
     bias: float
     noise: float
 
 
 def level_errors(level: Level) -> dict[str, JointError]:
-    """Errors of the readings at a level, by joint; one that is not named is read as the wrist's are."""
+    """Return the errors of the readings at a level by joint; those of any other joint are as for the wrist."""
     wrist = JointError(*(np.deg2rad(level.wrist_deg) * share for share in (BIAS_SHARE, _NOISE_SHARE)))
     arm = JointError(0.0, np.deg2rad(level.arm_deg))
     return {
@@ -56,36 +57,36 @@ def level_errors(level: Level) -> dict[str, JointError]:
     }
 
 
-def drawn_readings(
+def sample_readings(
     truths: Sequence[Truth], rng: np.random.Generator, level: Level, *, one_session: bool
 ) -> list[dict[str, float]]:
-    """Draw readings of all joints of some frames, rad and m, cut to the instrument's limits as a robot's are.
+    """Draw readings of all joints of some frames, rad and m, clipped to the instrument's limits.
 
-    Over many sessions the errors have the level's root mean square; one session's bias can be twice that. Frames that
-    are not of one session have a bias each. What would be nearer to the mirror twin is drawn again, the frame's noise
-    first, then the bias.
+    Over many sessions, the errors have the level's root mean square. With ``one_session`` all frames have the same
+    bias, otherwise each its own. Readings that are nearer to the mirror twin are drawn again: the frame's noise up to
+    ten times, then the bias.
 
     Raises
     ------
     DvrkCmaesError
-        No readings are found that tell a frame from its mirror twin.
+        No readings were found that are nearer to the truth than to the mirror twin in every frame.
     """
     errors = level_errors(level)
     if not one_session:
-        return [reading for truth in truths for reading in drawn_readings([truth], rng, level, one_session=True)]
+        return [reading for truth in truths for reading in sample_readings([truth], rng, level, one_session=True)]
     for _ in range(_ATTEMPTS):
         bias = {name: error.bias * rng.standard_normal() for name, error in errors.items()}
         readings = [_reading(truth, bias, errors, rng) for truth in truths]
-        told = [reading for reading in readings if reading is not None]
-        if len(told) == len(truths):
-            return told
+        accepted = [reading for reading in readings if reading is not None]
+        if len(accepted) == len(truths):
+            return accepted
     raise DvrkCmaesError(f"level {level.name}: no readings were found that tell all frames from their mirror twins")
 
 
 def _reading(
     truth: Truth, bias: Mapping[str, float], errors: Mapping[str, JointError], rng: np.random.Generator
 ) -> dict[str, float] | None:
-    """Draw one frame's readings with a bias; None where no noise brings them nearer to the truth than to its twin."""
+    """Draw one frame's readings with a bias; None if ten draws of noise were all nearer to the mirror twin."""
     limits = dict(zip(truth.instrument.joint_names, truth.instrument.limits, strict=True))
     for _ in range(10):
         reading = {}
@@ -94,36 +95,39 @@ def _reading(
             read = value + bias[like] + errors[like].noise * rng.standard_normal()
             low, high = limits.get(name, (-np.inf, np.inf))
             reading[name] = float(np.clip(read, low, high))
-        if tells_twin_apart(truth, reading, ratio=1.0):
+        if distinguishes_twin(truth, reading, ratio=1.0):
             return reading
     return None
 
 
-def steady_readings(truths: Sequence[Truth], rng: np.random.Generator) -> list[dict[str, float]]:
-    """Make readings of all joints of a few frames, wrong by ``STEADY_ERRORS`` over these very frames.
+def fixed_rms_readings(truths: Sequence[Truth], rng: np.random.Generator) -> list[dict[str, float]]:
+    """Draw readings of all joints of a few frames whose errors have the rms ``FIXED_RMS_ERRORS`` over these frames.
 
-    Drawn anew until the wrist's errors have about that root mean square, and the readings are clearly nearer to the
-    truth than to its mirror twin in each of them.
+    Drawn again until the rms of the errors of wrist and jaw over these frames is within 20 % of its value, and the
+    distance of the readings from the truth is less than half that from the mirror twin in every frame.
     """
     while True:
-        bias = {name: rng.choice([-1.0, 1.0]) * BIAS_SHARE * rms for name, rms in STEADY_ERRORS.items()}
+        bias = {name: rng.choice([-1.0, 1.0]) * BIAS_SHARE * rms for name, rms in FIXED_RMS_ERRORS.items()}
         errors = [
-            {name: bias[name] + _NOISE_SHARE * rms * rng.standard_normal() for name, rms in STEADY_ERRORS.items()}
+            {name: bias[name] + _NOISE_SHARE * rms * rng.standard_normal() for name, rms in FIXED_RMS_ERRORS.items()}
             for _ in truths
         ]
         rms = {name: np.sqrt(np.mean([error[name] ** 2 for error in errors])) for name in WRIST_JOINTS}
-        if any(abs(rms[name] / STEADY_ERRORS[name] - 1) > 0.2 for name in WRIST_JOINTS):
+        if any(abs(rms[name] / FIXED_RMS_ERRORS[name] - 1) > 0.2 for name in WRIST_JOINTS):
             continue
         readings = [
             {name: value + error[name] for name, value in {**truth.outer, **truth.joints}.items()}
             for truth, error in zip(truths, errors, strict=True)
         ]
-        if all(tells_twin_apart(truth, reading) for truth, reading in zip(truths, readings, strict=True)):
+        if all(distinguishes_twin(truth, reading) for truth, reading in zip(truths, readings, strict=True)):
             return readings
 
 
-def tells_twin_apart(truth: Truth, reading: Mapping[str, float], ratio: float = 0.5) -> bool:
-    """Whether the readings of pitch and yaw are less than ``ratio`` times as far from the truth as from its twin."""
+def distinguishes_twin(truth: Truth, reading: Mapping[str, float], ratio: float = 0.5) -> bool:
+    """Whether the wrist's readings are less far from the truth than ``ratio`` times their distance from the twin.
+
+    Distances are norms over wrist pitch and wrist yaw.
+    """
     _, twin = truth.instrument.twin(truth.camera_from_root, truth.values)
     names = truth.instrument.joint_names
     read = np.array([reading[name] for name in names])

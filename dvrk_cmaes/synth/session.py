@@ -1,8 +1,8 @@
-"""A made session: frames of a level with their truth, in our own session layout.
+"""Synthetic sessions: frames of a level with their true poses, written as a session folder.
 
-camera.yaml, joints.csv, masks/, images/, ignore/, keypoints.csv, markers.csv, golden.json, and synth.json, which says
-how it was made. The same level, motion, seed, instrument and camera give the same frames; of sessions that differ only
-in their number of frames, the shorter one's poses are not always the first of the longer one's.
+The folder has camera.yaml, joints.csv, masks/, images/, ignore/, keypoints.csv, markers.csv, golden.json, and
+synth.json with the parameters. The same level, motion, seed, instrument, camera and number of frames give the same
+session. With another number of frames, the poses may differ from the first frame on.
 """
 
 from __future__ import annotations
@@ -26,32 +26,35 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.levels import LEVELS, Level
-from dvrk_cmaes.synth.masks import segmented
-from dvrk_cmaes.synth.occluders import beyond_lens_edge, tissue_before_a_jaw, with_brim
-from dvrk_cmaes.synth.poses import View, arm_session, free_poses
-from dvrk_cmaes.synth.readings import drawn_readings
+from dvrk_cmaes.synth.masks import simulate_segmentation
+from dvrk_cmaes.synth.occluders import dilate_region, outside_lens_circle, tissue_over_jaw
+from dvrk_cmaes.synth.poses import ViewLimits, arm_session, free_poses
+from dvrk_cmaes.synth.readings import sample_readings
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Motion = Literal["free", "rcm"]
 
-SIGN: Final = "synth.json"
-"""File by which a made session is known."""
+PLAN_FILE: Final = "synth.json"
+"""File of a synthetic session's parameters; its presence marks a folder as a synthetic session."""
 
-_HIDDEN: Final = (0.001, 0.004)  # m, of a jaw behind tissue
-_LUMP: Final = (25.0, 50.0)  # px at 640 x 480, radius of the tissue
+_HIDDEN: Final = (0.001, 0.004)  # m, range of the length of a jaw that tissue covers
+_LUMP: Final = (25.0, 50.0)  # px at 640 x 480, range of the radius of the tissue
 
 
 @dataclass(frozen=True, eq=False)
-class MadeFrame:
-    """A frame: what is true, and what a robot, a segmenter and detectors say of it.
+class SyntheticFrame:
+    """A synthetic frame: the truth, and the simulated readings, mask and detections.
 
-    mask, ignore : (H, W); ignore is None where nothing is to be ignored.
+    name : name of the frame.
+    truth : true pose and joints.
+    mask, ignore : (H, W); ``ignore`` is None if no pixels are ignored.
     readings : by joint, rad and m.
-    tips : (2, 2) px in either order, None where one is hidden or there are no jaws.
-    markers : pixels (2,) by name, of those detected.
-    holes, occluder, beyond : (H, W), what an image shows of glare, tissue and the lens's edge.
+    tips : (2, 2) px in either order, None if one is hidden or there are no jaws.
+    markers : pixels (2,) of the detected markers, by name.
+    holes, occluder, outside_lens : (H, W), specular highlights, tissue, and pixels outside the field of view; None if
+        there are none.
     """
 
     name: str
@@ -63,12 +66,19 @@ class MadeFrame:
     markers: Mapping[str, Float64]
     holes: Bool | None
     occluder: Bool | None
-    beyond: Bool | None
+    outside_lens: Bool | None
 
 
 @dataclass(frozen=True, eq=False)
 class SessionPlan:
-    """What a session is made of; ``markers`` are painted on the instrument, none for those without."""
+    """Parameters of a synthetic session.
+
+    body, camera : instrument and camera. level : difficulty.
+    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses.
+    frames : number of frames. seed : seed of all random numbers.
+    markers : markers painted on the instrument, by name; may be empty.
+    arm : kinematics of the arm.
+    """
 
     body: Body
     camera: Camera
@@ -80,7 +90,7 @@ class SessionPlan:
     arm: Arm = "classic"
 
     def describe(self) -> dict[str, Any]:
-        """Plain values that say how to make the session again."""
+        """Return the parameters as plain values for JSON."""
         return {
             "level": self.level.to_dict(),
             "motion": self.motion,
@@ -94,24 +104,24 @@ class SessionPlan:
 
 
 def default_camera(level: Level) -> Camera:
-    """Return the camera of a level's sessions: a 640 x 480 endoscope, from the medium level on with a barrel lens."""
+    """Return the default camera of a level: an endoscope of 640 x 480 px with the level's distortion."""
     return Camera(640, 480, fx=1026.0, fy=1026.0, cx=322.0, cy=238.0, distortion=level.distortion)
 
 
 def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
-    """Draw the session's true poses: ``camera_from_base`` (4, 4) or None, and one truth a frame.
+    """Draw the session's true poses: ``camera_from_base`` (4, 4), None for free motion, and the truth of each frame.
 
     Raises
     ------
     DvrkCmaesError
-        No sensible pictures are found of this instrument in this camera.
+        Too few poses were found in which the instrument is well visible in the camera.
     InputError
         The instrument has no shaft.
     """
     if plan.body.instrument.shaft is None:
         raise InputError(f"{plan.body.instrument.name}: expected an instrument with a straight shaft, got one without")
     level = plan.level
-    view = View(
+    view = ViewLimits(
         least_tilt=level.least_tilt_deg,
         arm_tilt=level.arm_tilt_deg,
         least_bend=level.least_bend_deg,
@@ -123,25 +133,27 @@ def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
     return arm_session(plan.body, plan.camera, rng, plan.frames, view, arm=plan.arm)
 
 
-def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[MadeFrame]:
-    """Make the frames of a session whose truth is known, one after the other; DvrkCmaesError as `drawn_readings`."""
-    readings = drawn_readings(truths, _generator(plan, 1), plan.level, one_session=plan.motion == "rcm")
+def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[SyntheticFrame]:
+    """Yield the frames of a session with given true poses; errors as in `sample_readings`."""
+    readings = sample_readings(truths, _generator(plan, 1), plan.level, one_session=plan.motion == "rcm")
     digits = max(4, len(str(plan.frames - 1)))
     for k, (truth, reading) in enumerate(zip(truths, readings, strict=True)):
         yield _frame(plan, f"{k:0{digits}d}", truth, reading, _generator(plan, 2, k))
 
 
 def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrite: bool = False) -> None:
-    """Make a session and write it, whole or not at all.
+    """Make a session and write it to the folder ``out``, completely or, after an error, not at all.
+
+    ``images`` says whether images are drawn; ``overwrite`` whether an earlier synthetic session is replaced.
 
     Raises
     ------
     InputError
-        The folder has files in it, or cannot be written to; an instrument without a shaft.
+        The folder is not empty, or cannot be written to; the instrument has no shaft.
     DvrkCmaesError
-        As `make_truths` and `make_frames`.
+        As in `make_truths` and `make_frames`.
     """
-    with whole_folder(out, sign=SIGN, overwrite=overwrite) as folder:
+    with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
         camera_from_base, truths = make_truths(plan)
         readings: dict[str, Mapping[str, float]] = {}
         tips, markers, golden = [], [], {}
@@ -165,13 +177,15 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             write_text(folder / "markers.csv", _csv("frame,marker,u,v", markers))
         base = None if camera_from_base is None else rounded(camera_from_base)
         write_json(folder / "golden.json", {"camera_from_base": base, "frames": golden})
-        write_json(folder / SIGN, plan.describe())
+        write_json(folder / PLAN_FILE, plan.describe())
 
 
-def draw_frame(plan: SessionPlan, frame: MadeFrame) -> NDArray[np.uint8]:
-    """Draw a frame's image, (H, W, 3) BGR."""
+def draw_frame(plan: SessionPlan, frame: SyntheticFrame) -> NDArray[np.uint8]:
+    """Draw the image of a frame, (H, W, 3) uint8 BGR."""
     rng = _generator(plan, 3, int(frame.name))
-    return draw_image(plan.camera, frame.truth, rng, holes=frame.holes, occluder=frame.occluder, beyond=frame.beyond)
+    return draw_image(
+        plan.camera, frame.truth, rng, holes=frame.holes, occluder=frame.occluder, outside_lens=frame.outside_lens
+    )
 
 
 def _csv(header: str, rows: list[str]) -> str:
@@ -179,25 +193,25 @@ def _csv(header: str, rows: list[str]) -> str:
 
 
 def _generator(plan: SessionPlan, *stream: int) -> np.random.Generator:
-    """Random numbers of their own for each part, so that more of one changes nothing in another."""
+    """Return a random generator that depends on seed, level, motion and ``stream``; each part has its own stream."""
     return np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), plan.motion == "rcm", *stream])
 
 
 def _frame(
     plan: SessionPlan, name: str, truth: Truth, reading: Mapping[str, float], rng: np.random.Generator
-) -> MadeFrame:
+) -> SyntheticFrame:
     camera, level = plan.camera, plan.level
-    beyond = None if level.lens_edge is None else beyond_lens_edge(camera, level.lens_edge)
+    outside_lens = None if level.lens_edge is None else outside_lens_circle(camera, level.lens_edge)
     occluder, told = _tissue(plan, truth, rng)
     mask, holes = exact_mask(plan.body, camera, truth), None
-    hidden = _either(occluder, beyond)
+    hidden = _union(occluder, outside_lens)
     if level.mistakes is None:
         mask = mask if hidden is None else mask & ~hidden
     else:
-        made = segmented(mask, rng, level.mistakes, hidden)
+        made = simulate_segmentation(mask, rng, level.mistakes, hidden)
         mask, holes = made.mask, made.holes
-    ignore = _either(with_brim(occluder) if occluder is not None and told else None, beyond)
-    return MadeFrame(
+    ignore = _union(dilate_region(occluder) if occluder is not None and told else None, outside_lens)
+    return SyntheticFrame(
         name=name,
         truth=truth,
         mask=mask,
@@ -207,28 +221,28 @@ def _frame(
         markers=_seen_markers(plan, truth, hidden, rng),
         holes=holes,
         occluder=occluder,
-        beyond=beyond,
+        outside_lens=outside_lens,
     )
 
 
-def _either(a: Bool | None, b: Bool | None) -> Bool | None:
-    """Join two regions, either of which may not be there."""
+def _union(a: Bool | None, b: Bool | None) -> Bool | None:
+    """Return the union of two regions (H, W), each of which may be None."""
     if a is None or b is None:
         return b if a is None else a
     return a | b
 
 
 def _tissue(plan: SessionPlan, truth: Truth, rng: np.random.Generator) -> tuple[Bool | None, bool]:
-    """Tissue before a jaw, if there is some, and whether it is told."""
+    """Draw the tissue (H, W) in front of a jaw, None in most frames, and whether ``ignore`` contains it."""
     occluded, told, jaw = rng.random() < plan.level.occluded, rng.random() < plan.level.told, int(rng.integers(2))
     hidden, radius = rng.uniform(*_HIDDEN), rng.uniform(*_LUMP) * np.sqrt(plan.camera.width * plan.camera.height) / 554
     if not occluded or not plan.body.instrument.jaw_tips:
         return None, False
-    return tissue_before_a_jaw(plan.camera, truth, rng, radius=radius, hidden=hidden, jaw=jaw), told
+    return tissue_over_jaw(plan.camera, truth, rng, radius=radius, hidden=hidden, jaw=jaw), told
 
 
 def _seen(region: Bool | None, pixel: Float64) -> bool:
-    """Whether a pixel is in the image, outside a region."""
+    """Whether a pixel is in the image and not in a region (H, W); True if the region is None."""
     if region is None:
         return True
     column, row = np.rint(pixel).astype(int)
@@ -239,7 +253,7 @@ def _seen(region: Bool | None, pixel: Float64) -> bool:
 def _seen_tips(
     camera: Camera, truth: Truth, hidden: Bool | None, level: Level, rng: np.random.Generator
 ) -> Float64 | None:
-    """Detect both tips, in either order; None where one is hidden."""
+    """Simulate the detection of both tips (2, 2), px, in random order; None if one is hidden or there are no jaws."""
     if not truth.instrument.jaw_tips:
         return None
     tips = camera.project(truth.tips)
@@ -248,7 +262,7 @@ def _seen_tips(
 
 
 def _seen_markers(plan: SessionPlan, truth: Truth, hidden: Bool | None, rng: np.random.Generator) -> dict[str, Float64]:
-    """Detect some of the markers; those on the far side are detected, too, which is kind to what starts from them."""
+    """Simulate the detection of markers, pixels (2,) by name; markers on the far side are not excluded."""
     level, found = plan.level, {}
     for name, place in place_markers(truth.instrument, truth.values, plan.markers).items():
         point = truth.camera_from_root[:3, :3] @ place + truth.camera_from_root[:3, 3]

@@ -1,4 +1,4 @@
-"""Where an instrument truly is in a frame, and the mask that follows from it."""
+"""True pose and joints of an instrument in a frame, and its exact mask."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Where the instrument truly is: ``camera_from_root`` (4, 4), and joints by name, the outer arm's too if known."""
+    """True pose and joints of an instrument.
+
+    camera_from_root : (4, 4).
+    joints : of the instrument, by name, rad. outer : of the outer arm, by name, rad and m; empty if unknown.
+    """
 
     instrument: Instrument
     camera_from_root: Float64
@@ -27,7 +31,7 @@ class Truth:
 
     @property
     def values(self) -> Float64:
-        """Joints in the instrument's order, (J,)."""
+        """Joint values in the instrument's order, (J,)."""
         return np.array([self.joints[name] for name in self.instrument.joint_names])
 
     @property
@@ -37,12 +41,12 @@ class Truth:
 
     @property
     def wrist(self) -> Float64:
-        """Pitch and yaw axis, the last two points of the skeleton before the tips, in the camera's frame, (2, 3) m."""
+        """Points (2, 3) of the skeleton on the pitch and the yaw axis, its last before the tips, m in the camera."""
         tips = len(self.instrument.jaw_tips)
         return self._in_camera(self.instrument.skeleton(self.values)[-2 - tips :][:2])
 
     def point_on_shaft(self, distance: float) -> Float64:
-        """Point of the shaft's axis that is a distance, m, before the end of its straight part; in the camera, (3,)."""
+        """Return the point (3,) on the shaft's axis at a distance, m, from its distal end, in the camera's frame, m."""
         shaft = self.instrument.shaft
         if shaft is None:
             raise ValueError(f"{self.instrument.name} has no shaft")
@@ -53,32 +57,32 @@ class Truth:
 
 
 def exact_mask(body: Body, camera: Camera, truth: Truth) -> NDArray[np.bool_]:
-    """Pixels covered by more than half, (H, W)."""
+    """Render the mask (H, W) of the pixels that the instrument covers by more than half."""
     coverage = Renderer(body, camera, threads=1).coverage(
         truth.camera_from_root[None], truth.values[None], lines_per_pixel=4
     )
     return np.asarray(coverage[0] > 0.5)
 
 
-def aimed(
+def pose_from_view(
     camera: Camera, *, wrist: tuple[float, float], depth: float, tilt: float, heading: float, roll: float
 ) -> Float64:
-    """Aim an instrument: ``camera_from_root`` (4, 4).
+    """Return the pose ``camera_from_root`` (4, 4) of an instrument from its position and directions in the image.
 
     Parameters
     ----------
     camera
-        The camera it is seen by.
+        The camera.
     wrist
-        Pixel (u, v) where the root's origin appears.
+        Pixel (u, v) of the root's origin.
     depth
-        Its z, m.
+        Depth (z) of the root's origin, m.
     tilt
-        Angle between the shaft, distally, and the optical axis, rad.
+        Angle between the shaft's distal direction and the optical axis, rad.
     heading
-        Where the shaft points in the image, rad: 0 to the right, a quarter turn downwards.
+        Direction of the shaft in the image, rad: 0 to the right, pi / 2 downwards.
     roll
-        Turn about the shaft, rad; at 0 the root's x axis is in the plane of the shaft and the optical axis.
+        Rotation about the shaft, rad; at 0 the root's x axis is in the plane of the shaft and the optical axis.
     """
     direction = np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
     across = np.array([-np.sin(heading), np.cos(heading), 0.0])

@@ -1,6 +1,7 @@
-"""What each pixel sees of an instrument: which link, how far away, and how its surface is turned.
+"""Ray tracing of an instrument's links: link index, depth and surface normal at each pixel.
 
-One ray a pixel, with nothing clever: pictures are few, and silhouettes are the renderer's business.
+One ray a pixel is traced against the full meshes; it is slower than the silhouette renderer of
+`dvrk_cmaes.silhouette` and used for synthetic images only.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import NEAR
 
 NOTHING = -1
-"""Link of a pixel that sees none."""
+"""Link index of a pixel that sees no link."""
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """What the pixels (H, W) see; depth and normal are zero where that is nothing."""
+class LinkView:
+    """Links seen by the pixels (H, W); depth and normal are zero where no link is seen."""
 
     link: NDArray[np.int32]
     """Index of the link, or ``NOTHING``."""
@@ -32,13 +33,13 @@ class View:
     normal: NDArray[np.float32]
     """Outward unit normal in the camera's frame, (H, W, 3)."""
     direction: NDArray[np.float32]
-    """Unit vector from the eye, (H, W, 3)."""
+    """Unit vector of the pixel's ray in the camera's frame, (H, W, 3)."""
 
 
 def trace_links(
     instrument: Instrument, camera: Camera, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
-) -> View:
-    """Trace a ray through every pixel's centre of a pose (4, 4) with joints (J,)."""
+) -> LinkView:
+    """Trace a ray through every pixel's centre, for a pose ``camera_from_root`` (4, 4) and joints (J,)."""
     poses = camera_from_root @ instrument.forward(joints)
     triangles, owner = [], []
     for k, (link, pose) in enumerate(zip(instrument.links, poses, strict=True)):
@@ -67,7 +68,7 @@ def trace_links(
     seen = face != NOTHING
     shape = (camera.height, camera.width)
     link_of = np.where(seen, np.concatenate(owner)[face], NOTHING).astype(np.int32)
-    return View(
+    return LinkView(
         link=link_of.reshape(shape),
         depth=np.where(seen, depth, 0.0).astype(np.float32).reshape(shape),
         normal=np.where(seen[:, None], normals[face], 0.0).astype(np.float32).reshape(*shape, 3),
@@ -76,7 +77,10 @@ def trace_links(
 
 
 def _window(camera: Camera, points: NDArray[np.float64]) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the pixels in which points (N, 3) appear; the whole image if some are behind."""
+    """Return left, top, width and height of a window that contains the projections of points (N, 3).
+
+    It is the whole image if a point is nearer than the near plane or behind the camera.
+    """
     if points[:, 2].min() <= NEAR:
         return 0, 0, camera.width, camera.height
     pixels = camera.project(points)

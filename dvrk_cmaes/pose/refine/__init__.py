@@ -1,6 +1,6 @@
-"""Local refinements: Gauss-Newton on the outline, the paper's coordinate descent, NLopt's BOBYQA and Sbplx."""
+"""Local refinement: Gauss-Newton on the outline, the paper's coordinate descent, NLopt's BOBYQA and Sbplx."""
 
 from __future__ import annotations
 
 METHODS = ("gauss-newton", "coordinate-descent", "bobyqa", "sbplx")
-"""Names of the refinements."""
+"""Names of the refinement methods."""

@@ -1,4 +1,4 @@
-"""From the global search's candidates to a few refined modes, coarse to fine, the mirror twin among them."""
+"""Coarse-to-fine refinement of the candidates of the global search to a few modes, including the mirror twin."""
 
 from __future__ import annotations
 
@@ -15,35 +15,38 @@ from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.parallel import batches
-from dvrk_cmaes.pose.refine.correlated_noise import SHARPER, fit_wavering, wavers
+from dvrk_cmaes.pose.refine.correlated_noise import COVARIANCE_FACTOR, fit_correlated, has_correlated_noise
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
 from dvrk_cmaes.pose.search.global_search import Candidate, image_size, scale_of_change
-from dvrk_cmaes.pose.search.modes import HasPose, best_of_each
+from dvrk_cmaes.pose.search.modes import HasPose, best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.silhouette import LANES, Renderer
+from dvrk_cmaes.silhouette import POSES_PER_BATCH, Renderer
 
 Float64 = NDArray[np.float64]
 
-_TWIN_ANGLE = np.deg2rad(40)
-_CLEARLY_WORSE = 15.0  # in negative log-likelihood
-_AS_GOOD = 3.0  # by that measure
-_TWINS = 3  # of the best candidates that are refined with them
+_TWIN_ANGLE = np.deg2rad(40)  # between a mode and the mirror twin of another that count as the same
+_CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
+_AS_GOOD = 3.0  # difference of the negative log-likelihood
+_TWINS = 3  # best candidates whose mirror twins are refined as well
 
 
 def is_twin(instrument: Instrument, a: HasPose, b: HasPose) -> bool:
-    """Whether two modes are each other's mirror twins."""
+    """Return whether two modes are mirror twins of each other."""
     pose, _ = instrument.twin(a.camera_from_root, a.joints)
     return bool(rotation_angle(pose, b.camera_from_root) < _TWIN_ANGLE)
 
 
 def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
-    """Poses (C, 4, 4) and joints (C, J) of modes."""
+    """Stack the poses (C, 4, 4) and joints (C, J) of modes."""
     return np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
 
 
 class LocalSearch:
-    """Refines modes of one frame and counts what that costs."""
+    """Refines modes of one frame, and counts the silhouettes rendered and the rays traced.
+
+    ``renderer`` renders the instrument at full detail, ``coarse`` a decimated one for small images.
+    """
 
     def __init__(
         self,
@@ -82,7 +85,7 @@ class LocalSearch:
             return refiner.refine_all(*_stacked(part), cauchy=cauchy, iterations=iterations)
 
         before = refiner.silhouettes, refiner.rays
-        fits = [fit for part in batches(modes, LANES) for fit in work(part)]
+        fits = [fit for part in batches(modes, POSES_PER_BATCH) for fit in work(part)]
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
         return fits
@@ -91,28 +94,28 @@ class LocalSearch:
         return Candidate(*self._renderer.body.instrument.twin(mode.camera_from_root, mode.joints), mode.score)
 
     def _missing_twin(self, best: HasPose, others: Sequence[HasPose]) -> list[Candidate]:
-        """Give the mirror twin of the best mode, where the instrument has one and it is not among the others."""
+        """Return the best mode's mirror twin in a list, which is empty if there is none or the others include it."""
         instrument = self._renderer.body.instrument
         if not instrument.has_twin or any(is_twin(instrument, best, other) for other in others):
             return []
         return [self._twin(best)]
 
     def refine(self, candidates: Sequence[Candidate]) -> list[OutlineFit]:
-        """Refine candidates through growing image sizes; the modes that are left, the best first.
+        """Refine candidates at increasing image sizes; returns the remaining modes, the best first.
 
-        The best mode's mirror twin, where the instrument has one, is among them.
+        They include the mirror twin of the best mode if the instrument has one.
         """
         config, instrument = self._config, self._renderer.body.instrument
         full_width = self._evidence.camera.width
         coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if instrument.has_twin else []
         modes = self._refine(coarse, [*candidates, *twins], iterations=config.refine.first_steps)
-        modes = best_of_each(modes, most=config.refine.small_modes)
+        modes = best_per_mode(modes, most=config.refine.small_modes)
         modes = self._refine(coarse, modes, iterations=config.refine.small_steps)
-        modes = best_of_each(modes, most=config.refine.half_size_modes)
+        modes = best_per_mode(modes, most=config.refine.half_size_modes)
         if full_width >= 320:
             modes = self._refine(self._refiner(2), modes)
-            modes = best_of_each(modes)
+            modes = best_per_mode(modes)
         finest = self._refiner(1)
         final = self._finest(finest, modes[: config.refine.modes])
         best = min(final, key=lambda m: m.score)
@@ -121,38 +124,38 @@ class LocalSearch:
         return self._finish(final)
 
     def _finish(self, modes: list[OutlineFit]) -> list[OutlineFit]:
-        """Weigh outline against readings by the noise that the best mode leaves, and refine a last time."""
+        """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""
         best = min(modes, key=lambda m: m.score)
         silhouette = self._renderer.masks(best.camera_from_root[None], best.joints[None])[0]
         noise = measure_noise(self._evidence.contour, silhouette)
         refiner = self._refiner(1, correlation=noise.length)
-        # A mode that is this much worse will not come to be the best by a last few steps, nor its outline the better.
+        # Modes that are clearly worse, by score and by outline score, are not refined again, only scored.
         close = [
             mode
             for mode in modes
             if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
         ]
         rest = [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes if mode not in close]
-        modes = best_of_each([*self._last(refiner, close), *rest])
+        modes = best_per_mode([*self._last(refiner, close), *rest])
         if missing := self._missing_twin(modes[0], modes[1:]):
-            modes = best_of_each([*modes, *self._last(refiner, missing)])
+            modes = best_per_mode([*modes, *self._last(refiner, missing)])
         first, *others = modes
         inflation = noise.inflation
-        if self._config.refine.method == "gauss-newton" and wavers(noise):
-            fitted = refiner.assess(*fit_wavering(refiner, first.camera_from_root, first.joints))
+        if self._config.refine.method == "gauss-newton" and has_correlated_noise(noise):
+            fitted = refiner.assess(*fit_correlated(refiner, first.camera_from_root, first.joints))
             if fitted.score < first.score + _AS_GOOD:
                 first = replace(first, camera_from_root=fitted.camera_from_root, joints=fitted.joints)
-                inflation *= SHARPER
+                inflation *= COVARIANCE_FACTOR
         return [replace(first, information=refiner.information(first, noise) / inflation), *others]
 
     def _last(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
-        """Refine by the last steps, which are Gauss-Newton's; after any other method modes stay as they are."""
+        """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""
         if self._config.refine.method == "gauss-newton":
             return self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
         return [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
 
     def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
-        """Refine at full size by the chosen method."""
+        """Refine modes at full image size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
             return self._refine(refiner, modes)

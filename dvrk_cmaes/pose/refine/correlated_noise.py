@@ -1,12 +1,16 @@
-"""The last steps on a mask whose outline wavers: least squares that know how the outline's errors hang together.
+"""Last refinement on masks whose contour errors are correlated, by generalised least squares.
 
-A segmenter's outline wavers by a pixel or more over some twenty pixels. Points close to each other are then off by
-nearly as much, so that their sum says little, but their difference, the place of a bend or the far end of an edge
-against the near one, says a lot. Generalised least squares weigh sums and differences by what they are worth
-(Aitken): with errors e of covariance C and rates J, the step solves (J C^-1 J^T + P) x = J C^-1 e - p, P and p from the
-priors. C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I) and the pixel grid's, d px apart; its small uncorrelated
-part, as large as all of the noise taken for white, stands for what of the errors is not smooth. What is more than
-``_CLIP`` standard deviations off is a segmenter's mistake and left out.
+The contour errors of a segmentation can have a standard deviation of a pixel or more and a correlation length of about
+twenty pixels. The errors of neighbouring points are then nearly equal: their mean carries little information, while
+their differences, such as the position of a bend or the direction of an edge, carry much. Generalised least squares
+(Aitken) weights both correctly. For errors e (N,) with covariance C (N, N) and Jacobian J (N, D), the step x solves
+
+    (J^T C^-1 J / f + P) x = J^T C^-1 e / f - p,
+
+where P and p come from the priors and f = ``_INFLATION``. For points at a distance of d px,
+C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I), plus the variance of the quantisation to pixels. The uncorrelated part
+represents errors that are not smooth; per px of outline its variance is about that of the whole error. Points with
+errors above ``_CLIP`` standard deviations are outliers of the segmentation and left out.
 """
 
 from __future__ import annotations
@@ -21,61 +25,66 @@ from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
 
-SHARPER = 0.65
-"""How much smaller the covariance of a pose is after these steps, as 90 % intervals on 236 made frames say."""
+COVARIANCE_FACTOR = 0.65
+"""Factor on the covariance of a pose after these steps, determined from 90 % intervals on 236 synthetic frames."""
 
-_ROUGHEST = 0.6  # px; a finer outline is mostly right to the pixel, and the outline's own loss does better
-_LONGEST = 25.0  # px; what is off over longer stretches is the instrument's shape, not the segmenter
-_WAVE = 21.0  # px
-_SMOOTH = 0.95
-_CLIP = 2.5
-_REACH = 8  # px from the outline, within which the mask's edge is sought
-_GRID = 1 / 12  # px^2
-_INFLATION = 2.0  # of the variances: from the truth, the outline alone leads farther away than it says
-_POINTS = 1000  # at most: the cost grows with their third power
-_STEPS = 6
+_LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors
+_LARGEST_LENGTH = 25.0  # px; longer correlation is caused by errors of the instrument's shape
+_LENGTH = 21.0  # px, correlation length
+_CORRELATED = 0.95  # share of the variance
+_CLIP = 2.5  # standard deviations
+_REACH = 8  # px from the outline in which the mask's contour is searched
+_GRID = 1 / 12  # px^2, variance of the quantisation to pixels
+_INFLATION = 2.0  # factor on the variances, because the errors of fits are larger than the covariance predicts
+_MOST_POINTS = 1000  # the cost grows with the third power of the number of points
+_STEPS = 6  # at most
 _LARGEST_STEP = 6.0  # standard deviations
 
 
-def wavers(noise: OutlineNoise) -> bool:
-    """Whether a mask's outline is of the kind that these steps are for."""
-    return noise.sigma > _ROUGHEST and noise.length < _LONGEST
+def has_correlated_noise(noise: OutlineNoise) -> bool:
+    """Return whether the noise of a mask's contour is of the kind that `fit_correlated` models."""
+    return noise.sigma > _LEAST_SIGMA and noise.length < _LARGEST_LENGTH
 
 
-def fit_wavering(refiner: OutlineRefiner, pose: Float64, joints: Float64) -> tuple[Float64, Float64]:
-    """Refine a pose (4, 4) and joints (J,) that are right but for the last millimetre, by a full-size refiner."""
+def fit_correlated(refiner: OutlineRefiner, pose: Float64, joints: Float64) -> tuple[Float64, Float64]:
+    """Refine a pose (4, 4) and joints (J,), already accurate to about a millimetre, with a refiner at full image size.
+
+    Stops early if fewer than 40 outline points have a contour point within reach.
+    """
     for _ in range(_STEPS):
-        outline, rates = refiner.outline_rates(pose, joints)
-        error, lengths = _offsets(refiner.mask, outline)
+        outline, jacobian = refiner.outline_jacobian(pose, joints)
+        error, lengths = _contour_distances(refiner.mask, outline)
         known = np.isfinite(error) & (sampled(refiner.weight, outline.pixels) > 0.5)
         if known.sum() < 40:
             return pose, joints
         sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 0.5)
         index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
-        if len(index) > _POINTS:
-            index = np.sort(np.random.default_rng(0).choice(index, _POINTS, replace=False))
+        if len(index) > _MOST_POINTS:
+            index = np.sort(np.random.default_rng(0).choice(index, _MOST_POINTS, replace=False))
         error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
-        rates = rates[index] / lengths[:, None]
+        jacobian = jacobian[index] / lengths[:, None]
         variance = max(float(np.mean(error**2)) - _GRID / 2, 0.02)
         apart = pixels[:, None] - pixels
-        covariance = variance * _SMOOTH * np.exp(-np.pi / _WAVE**2 * np.einsum("ijk,ijk->ij", apart, apart))
-        covariance[np.diag_indices(len(index))] += variance * (1 - _SMOOTH) * _WAVE + _GRID / lengths**2
-        solved = np.linalg.solve(covariance, np.c_[rates, error])
-        information, slope = rates.T @ solved[:, :-1] / _INFLATION, -rates.T @ solved[:, -1] / _INFLATION
+        covariance = variance * _CORRELATED * np.exp(-np.pi / _LENGTH**2 * np.einsum("ijk,ijk->ij", apart, apart))
+        covariance[np.diag_indices(len(index))] += variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
+        solved = np.linalg.solve(covariance, np.c_[jacobian, error])
+        information, slope = jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
         refiner.priors.add(information, slope, pose, joints)
         step = -np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))
         step *= min(1.0, _LARGEST_STEP / max(size, 1e-12))
-        pose, joints = moved(pose, step[:6]), refiner.priors.held(joints + step[6:])
+        pose, joints = moved(pose, step[:6]), refiner.priors.clip_to_limits(joints + step[6:])
         if size < 0.3:
             break
     return pose, joints
 
 
-def _offsets(mask: NDArray[np.bool_], outline: OutlinePoints) -> tuple[Float64, Float64]:
-    """How far outside of each outline point the mask's edge is, px across the outline, NaN where there is none near.
+def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints) -> tuple[Float64, Float64]:
+    """Measure the distance from each outline point to the mask's contour along the normal, px, (N,).
 
-    Sought along the row, or where the outline is flat the column. Also the length of outline of each point, px.
+    It is positive if the contour is outside the outline, and NaN if there is none within reach. The contour is searched
+    along the row, or along the column where the outline is flat. Also returns the length of outline that each point
+    represents, px, (N,).
     """
     lengths = np.linalg.norm(outline.normals, axis=1)
     flat = np.abs(outline.normals[:, 0]) < np.abs(outline.normals[:, 1])
@@ -87,9 +96,9 @@ def _offsets(mask: NDArray[np.bool_], outline: OutlinePoints) -> tuple[Float64, 
         outwards = np.sign(outline.normals[index, int(vertical)])
         row = np.clip(np.rint(across).astype(int), 0, len(edges) - 1)
         column = np.floor(along).astype(int)[:, None] + np.arange(-_REACH, _REACH + 1)
-        seen = (column >= 0) & (column < edges.shape[1])
+        inside = (column >= 0) & (column < edges.shape[1])
         found = edges[row[:, None], np.clip(column, 0, edges.shape[1] - 1)] == -outwards[:, None]
-        off = np.where(seen & found, column + 0.5 - along[:, None], np.inf)
+        off = np.where(inside & found, column + 0.5 - along[:, None], np.inf)
         nearest = off[np.arange(len(index)), np.abs(off).argmin(axis=1)]
         error[index] = np.where(np.isfinite(nearest), nearest * outwards, np.nan)
     return error / lengths, lengths

@@ -1,7 +1,8 @@
-"""Local refinements that need no derivatives, on the full loss: the paper's own scheme, and NLopt's.
+"""Local refinement on the full loss without analytic derivatives: the paper's coordinate descent, and NLopt.
 
-The paper alternates steps of rotation and of translation down the gradient, with Gaussian perturbation. Here the
-gradient is taken by central differences of the smooth loss, all of one step in a single population.
+The paper alternates gradient steps in rotation and in translation, with Gaussian perturbations. Here the gradient is
+computed by central differences of the loss, which is continuous in the pose; all candidates of a step are evaluated
+together.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _NLOPT_LOCAL = {"bobyqa": "LN_BOBYQA", "sbplx": "LN_SBPLX"}
 
 
 def refine_direct(method: str, loss: Loss, dimension: int, evaluations: int, seed: int) -> tuple[Float64, float, int]:
-    """Minimise ``loss`` near 0; candidates are small changes [t, r, joints] in units of their expected error.
+    """Minimise a loss near 0; parameters are the small changes [t, r, joints] in units of their expected error.
 
     Returns the best change (D,), its loss and the number of evaluations. Raises `InputError` for an unknown method.
     """
@@ -43,7 +44,7 @@ def refine_direct(method: str, loss: Loss, dimension: int, evaluations: int, see
 
 
 def _coordinate_descent(loss: Loss, dimension: int, evaluations: int, seed: int) -> tuple[Float64, float, int]:
-    """Descend blocks in turn: rotation with the joints, then translation; perturb, and keep what is better."""
+    """Alternate gradient steps in rotation with the joints and in translation; accept those that reduce the loss."""
     rng = np.random.default_rng(seed)
     blocks = [np.r_[3:dimension], np.r_[0:3]]
     x = np.zeros(dimension)
@@ -62,11 +63,11 @@ def _coordinate_descent(loss: Loss, dimension: int, evaluations: int, seed: int)
         gradient = np.zeros(dimension)
         gradient[block] = (values[: len(block)] - values[len(block) :]) / 0.04
         length = float(np.linalg.norm(gradient))
-        way = -gradient / length if length > 0 else gradient
+        direction = -gradient / length if length > 0 else gradient
         reach = step[turn % 2] * np.array([1.0, 0.5, 0.25, 0.125])
         noise = np.zeros((trials, dimension))
         noise[:, block] = 0.1 * reach[:, None] * rng.standard_normal((trials, len(block)))
-        candidates = best + reach[:, None] * way + noise
+        candidates = best + reach[:, None] * direction + noise
         found = loss(candidates)
         count += len(probe) + trials
         lowest = int(np.argmin(found))

@@ -1,17 +1,18 @@
-"""Local refinement on the whole outline, below a pixel: damped Gauss-Newton with central differences.
+"""Local refinement on the whole outline with subpixel accuracy: damped Gauss-Newton.
 
-The residuals are the differences of antialiased coverage and mask, both slightly blurred, so that they answer smoothly
-to a step of a fraction of a pixel. Large ones count little (Cauchy), so that a wrong stretch of outline does not drag
-the pose. Readings, given jaw tips and a session's prediction are further residuals with their own spread.
+The residuals are the differences between antialiased coverage and mask, both slightly blurred, so that they are smooth
+functions of the pose. They have a robust Cauchy loss, so that outliers of the segmentation have little influence.
+Readings, given jaw tips and a session's prediction are further residuals with their own standard deviations.
 
-Moving the outline by e along its normal adds e to the coverage under it, so the sum's gradient is an integral along the
-outline: of the outline's speed, by central differences of the projection of its points on the instrument, times the
-blurred residual there. One silhouette and its outline stand in for a silhouette for every parameter and direction.
+Moving the outline by e along its normal adds e to the coverage there. The gradient of the loss is therefore an integral
+along the outline: the blurred residual times the Jacobian of the outline's displacement, which is computed by central
+differences of the projection of the surface points on the outline. It needs one silhouette with its outline, instead of
+two silhouettes for each parameter.
 
-What a residual of coverage is worth against a reading follows from the outline itself: shifting a stretch of outline
-of length s by e changes the sum of squares of an edge blurred with sigma by s e^2 / (2 sqrt(pi) sigma), so the sum of
-squares left over says how far the outline is off, and ``correlation`` px of outline make one independent measurement.
-Several poses are refined in step, since drawing eight costs little more than drawing one.
+The weight of the residuals of coverage relative to the readings is estimated from the residuals. Shifting a piece of
+outline of length s by e changes the sum of squares of an edge blurred with sigma by s e^2 / (2 sqrt(pi) sigma), so the
+remaining sum of squares gives the variance of the outline's error; ``correlation`` px of outline are one independent
+measurement. Several poses are refined together, because rendering eight costs little more than rendering one.
 """
 
 from __future__ import annotations
@@ -34,16 +35,17 @@ from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
 
-_ANYWHERE, _ANY_TURN = 1.0, np.pi  # m and rad: nothing is less certain than this
+# Largest standard deviations of position, m, and of angles, rad; they keep the information invertible.
+_POSITION_SIGMA, _ANGLE_SIGMA = 1.0, np.pi
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineFit:
-    """A refined pose and what the outline says of it.
+    """A refined pose and the loss of the outline there.
 
-    ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints], readings included;
-    ``score`` is a negative log-likelihood up to a constant, comparable between modes of one frame, and
-    ``outline_score`` the outline's part of it.
+    ``information`` (6 + J, 6 + J) is that of the small changes [t, r, joints] from outline and priors. ``score`` is a
+    negative log-likelihood up to a constant that is the same for all modes of a frame, ``outline_score`` the part of it
+    that comes from the outline, and ``residual`` the robust sum of squares of the coverage.
     """
 
     camera_from_root: Float64
@@ -55,7 +57,10 @@ class OutlineFit:
 
 
 class OutlineRefiner:
-    """Refines poses against one frame's mask at one image size (1 / ``shrink`` of the full one)."""
+    """Refines poses on one frame's mask at one image size, 1 / ``shrink`` of the full size.
+
+    ``expected`` is a prior of the pose, for example from a session's calibration.
+    """
 
     def __init__(
         self,
@@ -83,8 +88,9 @@ class OutlineRefiner:
         self._mask = mask[window] > 0.5
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
         self._shrink = shrink
-        self._tolerance = config.tolerance * (1 if shrink == 1 else 4)  # smaller images only tell modes apart
-        self._balance: float | None = None
+        # At smaller sizes, modes only need to be distinguished.
+        self._tolerance = config.tolerance * (1 if shrink == 1 else 4)
+        self._noise_loss: float | None = None
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
         joints = len(readings.values)
         c = config
@@ -102,7 +108,7 @@ class OutlineRefiner:
 
     @property
     def silhouettes(self) -> int:
-        """Number of silhouettes drawn so far."""
+        """Number of silhouettes rendered so far."""
         return self._renderer.poses
 
     @property
@@ -113,68 +119,69 @@ class OutlineRefiner:
     def _blurred(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(cv2.GaussianBlur(image, (0, 0), self._config.blur, borderType=cv2.BORDER_REPLICATE))
 
-    def _seen(self, poses: Float64, joints: Float64) -> list[tuple[NDArray[np.float32], OutlinePoints]]:
-        """Blurred coverage (H, W) and outline of C poses."""
+    def _render(self, poses: Float64, joints: Float64) -> list[tuple[NDArray[np.float32], OutlinePoints]]:
+        """Render the blurred coverage (H, W) and the outline of each of C poses."""
         lines = self._config.lines_per_pixel
         coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines)
         pairs = zip(coverage, outlines.of_each(len(poses)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
-    def _images(self, poses: Float64, joints: Float64) -> list[NDArray[np.float32]]:
-        """Blurred coverage of C poses, (H, W) each."""
+    def _render_coverage(self, poses: Float64, joints: Float64) -> list[NDArray[np.float32]]:
+        """Render the blurred coverage (H, W) of each of C poses."""
         coverage = self._renderer.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
         return [self._blurred(image) for image in coverage]
 
     def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
-        """Cauchy's loss of a blurred image (H, W): a sum of squares while all is small."""
+        """Compute the Cauchy loss of a blurred image (H, W), which is the sum of squares for small residuals."""
         r = (image - self._target) / np.float32(cauchy)
         return float(cauchy**2 * (self._weight * np.log1p(r * r)).sum(dtype=np.float64))
 
-    def balance_at(self, pose: Float64, joints: Float64, *, cauchy: float | None = None) -> None:
-        """Take the outline's error from a pose (4, 4) and joints (J,) for all that follows, instead of from each fit.
+    def set_noise_at(self, pose: Float64, joints: Float64, *, cauchy: float | None = None) -> None:
+        """Estimate the outline's error from the residuals at a pose (4, 4) and joints (J,), for all following fits.
 
-        So what an expectation leaves over is not taken for noise.
+        Otherwise it is estimated from the residuals of each fit, to which a prior of the pose contributes.
         """
         width = self._config.cauchy if cauchy is None else cauchy
-        self._balance = self._loss(self._images(pose[None], joints[None])[0], width)
+        self._noise_loss = self._loss(self._render_coverage(pose[None], joints[None])[0], width)
 
     def _scale(self, loss: float) -> float:
-        """Measurements per unit of loss: turns sums of squares of coverage into those of standard deviations."""
+        """Return the factor from sums of squares of coverage to sums of squares in standard deviations."""
         c = self._config
-        loss = loss if self._balance is None else self._balance
+        loss = loss if self._noise_loss is None else self._noise_loss
         floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
         return float(self._length / c.correlation * self._shrink / max(loss, floor))
 
     def _outline_score(self, loss: float) -> float:
-        """Negative log-likelihood of the outline up to a constant, its error unknown."""
+        """Compute the outline's negative log-likelihood up to a constant, with the variance estimated from the loss."""
         count = self._length * self._shrink / self._config.correlation
         floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
         return 0.5 * count * float(np.log(max(loss, floor)))
 
-    def _normal_equations(self, state: _State, rates: Float64, cauchy: float) -> tuple[Float64, Float64]:
-        """Outline's information (D, D) and gradient (D,) at a state, in sums of squares of coverage.
+    def _normal_equations(self, state: _State, jacobian: Float64, cauchy: float) -> tuple[Float64, Float64]:
+        """Compute the outline's information (D, D) and slope (D,) at a state, in sums of squares of coverage.
 
-        ``rates`` (N, D) are its outline points' speeds.
+        ``jacobian`` (N, D) is that of the state's outline points.
         """
         at, normals = state.outline.pixels, state.outline.normals
         r = state.image - self._target
         weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
-        pull, trust = sampled(self._blurred(weight * r), at), sampled(self._blurred(weight), at)
-        share = trust / (2 * np.sqrt(np.pi) * self._config.blur * np.linalg.norm(normals, axis=1))
-        return rates.T @ (rates * share[:, None]), pull @ rates
+        residual, weight_there = sampled(self._blurred(weight * r), at), sampled(self._blurred(weight), at)
+        factor = weight_there / (2 * np.sqrt(np.pi) * self._config.blur * np.linalg.norm(normals, axis=1))
+        return jacobian.T @ (jacobian * factor[:, None]), residual @ jacobian
 
-    def _speeds(self, outlines: Sequence[OutlinePoints], poses: Float64, joints: Float64) -> list[Float64]:
-        """How fast the outline points of C poses move along their normals with each small change, (N, D) a pose.
+    def _jacobians(self, outlines: Sequence[OutlinePoints], poses: Float64, joints: Float64) -> list[Float64]:
+        """Compute the Jacobian (N, D) of the outline points of each of C poses.
 
-        Times the stretch of outline that a point stands for; by central differences of the projection of the point,
-        which stays where it is on the instrument.
+        It is the derivative, by each small change, of the points' displacements along their normals times the length of
+        outline that each represents. It is computed by central differences of the projection of the points, which are
+        fixed on the instrument.
         """
         count = len(self.steps)
         change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
         changed = moved(poses[:, None], change[:, :6]).reshape(-1, 4, 4)
         bent = (joints[:, None] + change[:, 6:]).reshape(len(changed), -1)
         links = self._renderer.body.camera_from_links(changed, bent)
-        # (C, L, 3, 4, 2 D): coordinates of points by coordinates in their link, for all changes.
+        # (C, L, 3, 4, 2 D): camera_from_link without its last row, for all changes.
         camera_from_link = links.reshape(len(poses), 2 * count, -1, 4, 4)[..., :3, :].transpose(0, 2, 3, 4, 1)
         camera_from_link = np.ascontiguousarray(camera_from_link, dtype=np.float32)
         found = []
@@ -186,59 +193,61 @@ class OutlineRefiner:
             for matrix, begin, end in zip(to_camera, edges[:-1], edges[1:], strict=True):
                 np.matmul(points[begin:end], matrix, out=moving[:, begin:end])
             np.maximum(moving[2], np.float32(1e-4), out=moving[2])
-            seen = self._camera.project(np.moveaxis(moving, 0, -1))
-            apart = (seen[:, :count] - seen[:, count:]) * outline.normals[:, None]
-            found.append(np.asarray(apart.sum(axis=-1) / (2 * self.steps)))
+            pixels = self._camera.project(np.moveaxis(moving, 0, -1))
+            along_normal = (pixels[:, :count] - pixels[:, count:]) * outline.normals[:, None]
+            found.append(np.asarray(along_normal.sum(axis=-1) / (2 * self.steps)))
         return found
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """The part of the mask that is looked at, (H, W)."""
+        """The part of the mask in the refiner's window, (H, W)."""
         return self._mask
 
     @property
     def weight(self) -> NDArray[np.float32]:
-        """0 where a pixel of that part counts neither way, (H, W)."""
+        """Weights of the pixels in the refiner's window, (H, W): 0 for ignored ones, 1 for others."""
         return self._weight
 
-    def outline_rates(self, pose: Float64, joints: Float64) -> tuple[OutlinePoints, Float64]:
-        """Outline points (N,) of one pose (4, 4), and how fast they move along their normals, (N, 6 + J)."""
+    def outline_jacobian(self, pose: Float64, joints: Float64) -> tuple[OutlinePoints, Float64]:
+        """Compute the N outline points of one pose (4, 4) and their Jacobian (N, 6 + J)."""
         outline = self._renderer.outlines(pose[None], joints[None])
-        return outline, self._speeds([outline], pose[None], joints[None])[0]
+        return outline, self._jacobians([outline], pose[None], joints[None])[0]
 
     def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
-        """Information (D, D) that outline and priors hold about the small changes of a fitted pose."""
+        """Compute the information (D, D) of outline and priors about the small changes of a fitted pose."""
         information = self.outline_information(fit, noise)
         self.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
-        return np.asarray(information + np.diag([1 / _ANYWHERE**2] * 3 + [1 / _ANY_TURN**2] * (len(self.steps) - 3)))
+        bounds = [1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (len(self.steps) - 3)
+        return np.asarray(information + np.diag(bounds))
 
     def outline_information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
-        """Information (D, D) that the outline alone holds about the small changes of a fitted pose.
+        """Compute the information (D, D) of the outline alone about the small changes of a fitted pose.
 
-        Each ``noise.length`` px of outline is one measurement with ``noise.sigma``; what lies more than three of these
-        away from the mask's outline, or is ignored, is none.
+        Each ``noise.length`` px of outline is one measurement with standard deviation ``noise.sigma``. Points at
+        ignored pixels or farther than three standard deviations from the mask's outline do not count.
         """
-        outline, rates = self.outline_rates(fit.camera_from_root, fit.joints)
+        outline, jacobian = self.outline_jacobian(fit.camera_from_root, fit.joints)
         off = sampled(signed_distance(self._mask), outline.pixels)
         counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
         length = np.linalg.norm(outline.normals, axis=1)
-        return np.asarray(rates.T @ (rates * (counts / length)[:, None]) / (noise.sigma**2 * noise.length))
+        return np.asarray(jacobian.T @ (jacobian * (counts / length)[:, None]) / (noise.sigma**2 * noise.length))
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
-        """Score one pose (4, 4) and its joints (J,) as they are."""
+        """Score one pose (4, 4) and its joints (J,) without refining them."""
         return self.refine_all(pose[None], joints[None], iterations=0)[0]
 
     def refine_all(
         self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
     ) -> list[OutlineFit]:
-        """Refine poses (C, 4, 4) and their joints (C, J), each on its own but in step with the others.
+        """Refine poses (C, 4, 4) and their joints (C, J) independently; they are rendered together.
 
-        ``cauchy`` replaces the configuration's for the refinement; scores are those of the configuration's.
+        ``iterations`` and ``cauchy`` replace those of the configuration for the refinement. Scores are always computed
+        with the configuration's ``cauchy``.
         """
         width = self._config.cauchy if cauchy is None else cauchy
         most = self._config.iterations if iterations is None else iterations
-        seen = zip(poses, joints, self._seen(poses, joints), strict=True)
-        states = [_State(pose, joint, *look, loss=self._loss(look[0], width)) for pose, joint, look in seen]
+        starts = zip(poses, joints, self._render(poses, joints), strict=True)
+        states = [_State(pose, joint, *drawn, loss=self._loss(drawn[0], width)) for pose, joint, drawn in starts]
         self._linearise(states, width)
         for left in reversed(range(most)):
             active = [state for state in states if not state.finished]
@@ -246,10 +255,10 @@ class OutlineRefiner:
                 break
             trials = [self._step(state) for state in active]
             at = np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials])
-            # No step follows the last one, so that its outline is not asked for.
-            looks = self._seen(*at) if left else [(image, None) for image in self._images(*at)]
+            # The outline is only needed for a further iteration.
+            renderings = self._render(*at) if left else [(image, None) for image in self._render_coverage(*at)]
             improved = []
-            for state, (pose, joint, step), (image, outline) in zip(active, trials, looks, strict=True):
+            for state, (pose, joint, step), (image, outline) in zip(active, trials, renderings, strict=True):
                 loss = self._loss(image, width)
                 cost = state.scale * loss + self.priors.cost(pose, joint)
                 gain = state.scale * state.loss + self.priors.cost(state.pose, state.joints) - cost
@@ -269,26 +278,26 @@ class OutlineRefiner:
         for state in states:
             loss = self._loss(state.image, self._config.cauchy)
             alone = self._outline_score(loss)
-            if self._balance is not None:
+            if self._noise_loss is not None:
                 alone = 0.5 * self._scale(loss) * loss
             score = alone + 0.5 * self.priors.cost(state.pose, state.joints)
             fits.append(OutlineFit(state.pose, state.joints, score, alone, loss, state.information))
         return fits
 
     def _linearise(self, states: list[_State], cauchy: float) -> None:
-        """Compute information and slope of states at their poses, all evidence included."""
+        """Compute the information and slope of states at their poses, from outline and priors."""
         if not states:
             return
         poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
-        speeds = self._speeds([state.outline for state in states], poses, joints)
-        for state, rates in zip(states, speeds, strict=True):
-            outline, gradient = self._normal_equations(state, rates, cauchy)
+        jacobians = self._jacobians([state.outline for state in states], poses, joints)
+        for state, jacobian in zip(states, jacobians, strict=True):
+            outline, gradient = self._normal_equations(state, jacobian, cauchy)
             state.scale = self._scale(state.loss)
             state.information, state.slope = state.scale * outline, state.scale * gradient
             self.priors.add(state.information, state.slope, state.pose, state.joints)
 
     def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
-        """Damped Gauss-Newton: the next pose, joints, and the step."""
+        """Compute a damped Gauss-Newton step; returns the next pose, the next joints and the step (6 + J,)."""
         damped = state.information + state.damping * np.diag(np.diag(state.information) + 1e-9)
         step = np.asarray(-np.linalg.solve(damped, state.slope), dtype=np.float64)
         return moved(state.pose, step[:6]), state.joints + step[6:], step
@@ -296,7 +305,7 @@ class OutlineRefiner:
 
 @dataclass(eq=False)
 class _State:
-    """One pose on its way."""
+    """State of the refinement of one pose."""
 
     pose: Float64
     joints: Float64

@@ -1,4 +1,4 @@
-"""Global searches behind one small interface: a loss of many candidates at once, a start, a scale, a budget."""
+"""Global search for the pose in one frame: candidates, losses, and optimisers that share one interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The global search in one frame: many candidates scored small, then a search from each of the best that differ."""
+"""Global search in one frame: random candidates are scored at low resolution, the best distinct ones optimised."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.parallel import each
+from dvrk_cmaes.pose.parallel import map_threaded
 from dvrk_cmaes.pose.search import minimise
-from dvrk_cmaes.pose.search.modes import best_of_each
+from dvrk_cmaes.pose.search.modes import best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.pose.search.starts import draw_seeds
+from dvrk_cmaes.pose.search.starts import draw_starts
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
-#: Expected errors of a start: along the root's x, y, z (m), about them (rad).
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
-_JOINT_SCALE = 0.5  # of the readings' spread
+"""Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
+_JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose (4, 4), its joints (J,) and its loss."""
+    """A candidate pose (4, 4) with its joints (J,), rad, and its loss."""
 
     camera_from_root: Float64
     joints: Float64
@@ -35,12 +35,12 @@ class Candidate:
 
 
 def scale_of_change(readings: Readings) -> Float64:
-    """Units in which searches measure small changes [t, r, joints], (6 + J,)."""
-    return np.concatenate([_POSE_SCALE, _JOINT_SCALE * readings.spread])
+    """Return the units of the optimisers' parameters: expected errors of the changes [t, r, joints], (6 + J,)."""
+    return np.concatenate([_POSE_SCALE, _JOINT_SCALE * readings.sigma])
 
 
 def image_size(evidence: Evidence, width: int) -> tuple[int, int]:
-    """Width and height of the frame's image averaged down to about ``width`` px."""
+    """Return width and height, px, of the frame's image downsampled to a width of about ``width`` px."""
     camera = evidence.camera
     shrink = max(1, round(camera.width / width))
     return max(camera.width // shrink, 1), max(camera.height // shrink, 1)
@@ -49,21 +49,28 @@ def image_size(evidence: Evidence, width: int) -> tuple[int, int]:
 def find_candidates(
     renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig
 ) -> tuple[list[Candidate], Objective]:
-    """Search one frame: the best candidate of each start and the spares, the best first, and the objective used."""
+    """Search one frame for candidate poses.
+
+    Returns the candidates, sorted by loss, and the objective used. The candidates are the results of the optimiser from
+    each start, further distinct candidates that scored best (the spares), and the best of those drawn without readings,
+    ranked without the readings term.
+    """
     rng = np.random.default_rng(config.seed)
     instrument = renderer.body.instrument
     small = renderer.at(*image_size(evidence, config.search.width_px))
     objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
-    poses, joints, unread = draw_seeds(evidence, instrument, readings, config, rng)
+    poses, joints, unread = draw_starts(evidence, instrument, readings, config, rng)
     terms = objective.terms(poses, joints)
     losses = terms.total(config.weights)
-    seeds = [Candidate(poses[i], joints[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
-    seen = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
-    by_sight = [Candidate(poses[i], joints[i], float(seen[i])) for i in np.argsort(seen, kind="stable")[:60]]
+    ranked = [Candidate(poses[i], joints[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
+    image_losses = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
+    by_image = np.argsort(image_losses, kind="stable")[:60]
+    ranked_by_image = [Candidate(poses[i], joints[i], float(image_losses[i])) for i in by_image]
     most = config.search.starts + config.search.spares
-    apart = best_of_each(seeds, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
-    starts, spares = apart[: config.search.starts], apart[config.search.starts :]
-    spares += best_of_each(by_sight, angle=np.deg2rad(20), joint=np.deg2rad(17), most=config.search.unread_spares)
+    distinct = best_per_mode(ranked, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
+    starts, spares = distinct[: config.search.starts], distinct[config.search.starts :]
+    most = config.search.unread_spares
+    spares += best_per_mode(ranked_by_image, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     scale = scale_of_change(readings)
 
     def search(start: Candidate, seed: int) -> Candidate:
@@ -77,7 +84,7 @@ def find_candidates(
         best = found.best * scale
         return Candidate(moved(start.camera_from_root, best[:6]), start.joints + best[6:], found.loss)
 
-    small.threads = 1  # from here on each start has a thread
+    small.threads = 1  # each start has its own thread below
     numbered = list(enumerate(starts, start=config.seed))
-    found = each(lambda one: search(one[1], one[0]), numbered, config.threads)
+    found = map_threaded(lambda one: search(one[1], one[0]), numbered, config.threads)
     return sorted([*found, *spares], key=lambda c: c.score), objective

@@ -1,9 +1,9 @@
-"""The paper's losses, each its own function, batched over candidates.
+"""The terms of the paper's loss, batched over candidates.
 
-The silhouette's terms are sums of S times fixed images, so they come from a renderer's sums without making an image:
-S takes only the values 0 and 1 along a line, hence S^2 = S. L_dist is such a sum as it stands. The objective divides
-them by the mask's area, which makes them comparable between image sizes. Equation names follow "Differentiable
-Rendering-based Pose Estimation for Surgical Robotic Instruments" (Liang et al., 2025).
+The silhouette terms are functions of sums of S times fixed images, where the silhouette S is 0 or 1, hence S^2 = S. The
+renderer computes these sums without rendering an image. The objective divides the terms by the area of the mask, which
+makes them comparable between image sizes. Symbols follow "Differentiable Rendering-based Pose Estimation for Surgical
+Robotic Instruments" (Liang et al., 2025).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Loss terms of C candidates, (C,) each; what has no evidence is zero."""
+    """Loss terms of C candidates, (C,) each; terms without evidence are zero."""
 
     mse: Float64
     dist: Float64
@@ -31,29 +31,29 @@ class Terms:
     readings: Float64
 
     def total(self, weights: LossWeights) -> Float64:
-        """Weighted sum of all terms, (C,)."""
+        """Return the weighted sum of all terms, (C,)."""
         return np.asarray(sum(getattr(weights, f.name) * getattr(self, f.name) for f in fields(self)))
 
 
 def mse_loss(area: Float64, overlap: Float64, mask_area: float) -> Float64:
-    """L_mse = sum (S - M)^2 from sum S, sum S M and sum M^2, for a silhouette of zeros and ones."""
+    """Compute L_mse = sum (S - M)^2 from sum S, sum S M and sum M^2, for a binary silhouette S."""
     return area - 2 * overlap + mask_area
 
 
 def dist_loss(far: Float64) -> Float64:
-    """L_dist = sum S D, from that very sum over the silhouette."""
+    """Compute L_dist = sum S D; the sum is the argument ``far`` itself."""
     return far
 
 
 def scale_loss(area: Float64, mask_area: float) -> Float64:
-    """L_scale = |sum S - sum M|."""
+    """Compute L_scale = abs(sum S - sum M)."""
     return np.abs(area - mask_area)
 
 
 def polar_lines(lines: Float64, camera: Camera) -> tuple[Float64, Float64]:
-    """Homogeneous lines (..., 3) in normalised coordinates as u cos(theta) + v sin(theta) = rho in ideal pixels.
+    """Convert homogeneous lines (..., 3) in normalised coordinates to polar form in undistorted pixels.
 
-    Pixels without the lens's distortion, in which straight edges stay straight. theta in rad, rho in px.
+    The polar form is u cos(theta) + v sin(theta) = rho. Returns theta, rad, and rho, px, (...) each.
     """
     a, b, c = lines[..., 0] / camera.fx, lines[..., 1] / camera.fy, lines[..., 2]
     c = c - a * camera.cx - b * camera.cy
@@ -62,9 +62,9 @@ def polar_lines(lines: Float64, camera: Camera) -> tuple[Float64, Float64]:
 
 
 def line_distance(a: tuple[Float64, Float64], b: tuple[Float64, Float64], offset_weight: float) -> Float64:
-    """Distance of lines in polar form: their angle, rad, plus ``offset_weight`` (1/px) times their offset, px.
+    """Compute the distance of lines in polar form: angle, rad, plus ``offset_weight`` (rad/px) times offset, px.
 
-    A line may be written with its normal either way: (theta, rho) and (theta + pi, -rho) are the same.
+    The sign of the normal is irrelevant: (theta, rho) and (theta + pi, -rho) are the same line.
     """
     turn = np.mod(a[0] - b[0], 2 * np.pi)
     flipped = (turn > np.pi / 2) & (turn < 3 * np.pi / 2)
@@ -73,7 +73,7 @@ def line_distance(a: tuple[Float64, Float64], b: tuple[Float64, Float64], offset
 
 
 def _mean_line(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> tuple[Float64, Float64]:
-    """Mean of two lines, both written with normals less than 90 degrees apart."""
+    """Compute the mean of two lines in polar form, after making the angle between their normals at most 90 degrees."""
     turn = np.mod(second[0] - first[0], 2 * np.pi)
     flipped = (turn > np.pi / 2) & (turn < 3 * np.pi / 2)
     theta = np.where(flipped, second[0] + np.pi, second[0])
@@ -83,9 +83,10 @@ def _mean_line(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) 
 
 
 def cylinder_loss(projected: Float64, reference: Float64, camera: Camera, offset_weight: float) -> Float64:
-    """L_cylinder: summed distance of the better pairing of edges, plus the distance of the two mean lines.
+    """Compute L_cylinder: the summed line distances of the better pairing of edges plus that of the mean lines, (...).
 
-    ``projected`` (..., 2, 3) and ``reference`` (2, 3) are homogeneous lines in normalised coordinates.
+    ``projected`` (..., 2, 3) and ``reference`` (2, 3) are homogeneous lines in normalised coordinates. The loss is 10
+    where ``projected`` is NaN.
     """
     theta, rho = polar_lines(projected, camera)
     ref_theta, ref_rho = polar_lines(reference, camera)
@@ -98,7 +99,7 @@ def cylinder_loss(projected: Float64, reference: Float64, camera: Camera, offset
 
 
 def keypoint_loss(projected: Float64, reference: Float64) -> Float64:
-    """L_kpt: summed distance, px, of the better pairing of tips, plus the distance of the two mean points.
+    """Compute L_kpt, px: the summed distances of the better pairing of tips plus that of the mean points, (...).
 
     ``projected`` (..., 2, 2) and ``reference`` (2, 2) are pixels.
     """

@@ -1,12 +1,11 @@
-"""CMA-ES and NLopt's global methods by name."""
+"""The optimisers of the global search by name: CMA-ES and the global methods of NLopt."""
 
 from __future__ import annotations
 
-import functools
-import importlib.util
+import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,20 +16,24 @@ from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
 
 Float64 = NDArray[np.float64]
 Loss = Callable[[Float64], Float64]
-"""Losses (n,) of candidates (n, D)."""
+"""A function of candidates (n, D) that returns their losses (n,)."""
 
 NLOPT_GLOBAL = {"crs2": "GN_CRS2_LM", "esch": "GN_ESCH", "isres": "GN_ISRES", "direct-l": "GN_DIRECT_L"}
 METHODS = ("cmaes", *NLOPT_GLOBAL)
-"""Names of the global searches."""
+"""Names of the optimisers."""
 
 POPULATION = 16
+"""Population size of CMA-ES."""
 BOX = 3.0
-"""Half width of the search box, in units of the start's scale."""
+"""Half the side of the search box, in units of the expected error of the start."""
+
+
+_importing = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Best candidate (D,) of a search, its loss, and how many were evaluated."""
+    """Best candidate (D,) of a search, its loss, and the number of evaluations."""
 
     best: Float64
     loss: float
@@ -38,7 +41,7 @@ class Found:
 
 
 def minimise(method: str, loss: Loss, dimension: int, evaluations: int, seed: int) -> Found:
-    """Search the box [-3, 3]^D around a start at 0, whose coordinates are in units of their expected error.
+    """Minimise a loss in the box [-3, 3]^D around the start 0; parameters are in units of their expected error.
 
     Raises `InputError` for an unknown method.
     """
@@ -52,23 +55,22 @@ def minimise(method: str, loss: Loss, dimension: int, evaluations: int, seed: in
     raise InputError(f"search: expected one of {', '.join(nearest_first(method, METHODS))}, got {method!r}")
 
 
-@functools.cache
 def _cma_class() -> Any:
-    """Class CMA of the package cmaes.
+    """Import the class CMA, without importing scipy.stats.
 
-    Taken from its own module: the package's first lines import all its variants, and with them half a second of
-    SciPy's statistics.
+    The package cmaes works without SciPy. It imports scipy.stats, if it can, for variants of CMA-ES that are not used
+    here, which takes half a second and 65 MB.
     """
-    package = importlib.util.find_spec("cmaes")
-    places = [] if package is None else [Path(place) / "_cma.py" for place in package.submodule_search_locations or ()]
-    for place in places:
-        spec = importlib.util.spec_from_file_location("dvrk_cmaes.pose.search._cma", place)
-        if place.is_file() and spec is not None and spec.loader is not None:
-            module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
-            return module.CMA
-    from cmaes import CMA
-
+    statistics = "scipy.stats"
+    with _importing:
+        blocked = "cmaes" not in sys.modules and statistics not in sys.modules
+        if blocked:
+            sys.modules[statistics] = None  # type: ignore[assignment]  # its import fails from here on
+        try:
+            from cmaes import CMA
+        finally:
+            if blocked:
+                del sys.modules[statistics]
     return CMA
 
 

@@ -1,4 +1,4 @@
-"""Modes: poses far enough apart that no refinement leads from one to the other."""
+"""Selection of modes: distinct local optima of the pose."""
 
 from __future__ import annotations
 
@@ -14,37 +14,40 @@ Float64 = NDArray[np.float64]
 
 
 class HasPose(Protocol):
-    """Anything with a pose, joints and a score; lower scores are better."""
+    """An object with a pose, joints and a score."""
 
     @property
     def camera_from_root(self) -> Float64:
-        """(4, 4)."""
+        """(4, 4) pose of the root in the camera, m."""
 
     @property
     def joints(self) -> Float64:
-        """(J,) rad."""
+        """(J,) joint values, rad."""
 
     @property
     def score(self) -> float:
-        """Lower is better."""
+        """Loss or negative log-likelihood: lower is better."""
 
 
 P = TypeVar("P", bound=HasPose)
 
 
-def apart(a: HasPose, b: HasPose, angle: float, joint: float) -> bool:
-    """Whether two poses differ by more than an angle of rotation or by more than that in some joint, rad."""
-    turned = float(rotation_angle(a.camera_from_root, b.camera_from_root))
-    return turned > angle or bool(np.abs(a.joints - b.joints).max(initial=0.0) > joint)
+def are_distinct(a: HasPose, b: HasPose, angle: float, joint: float) -> bool:
+    """Return whether two poses differ by more than ``angle`` in rotation or more than ``joint`` in any joint, rad."""
+    rotation = float(rotation_angle(a.camera_from_root, b.camera_from_root))
+    return rotation > angle or bool(np.abs(a.joints - b.joints).max(initial=0.0) > joint)
 
 
-def best_of_each(
+def best_per_mode(
     candidates: Sequence[P], *, angle: float = np.deg2rad(15), joint: float = np.deg2rad(25), most: int | None = None
 ) -> list[P]:
-    """Return the best candidate of each mode, the best mode first."""
+    """Select the best candidate of each mode, sorted by score, at most ``most``.
+
+    Candidates belong to the same mode if they are not distinct by the thresholds ``angle`` and ``joint``, rad.
+    """
     kept: list[P] = []
     for candidate in sorted(candidates, key=lambda c: c.score):
-        if all(apart(candidate, other, angle, joint) for other in kept):
+        if all(are_distinct(candidate, other, angle, joint) for other in kept):
             kept.append(candidate)
         if len(kept) == most:
             break

@@ -1,4 +1,4 @@
-"""NLopt, run safely: exceptions kept, the best point kept, always a budget."""
+"""Run an NLopt optimiser with a fixed number of evaluations, and propagate exceptions of the loss."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ def run_nlopt(
     step: float = 0.5,
     tolerance: float = 0.0,
 ) -> tuple[Float64, float, int]:
-    """Minimise ``loss`` (of (1, D), giving (1,)) in the box start +- half_width by one of NLopt's algorithms.
+    """Minimise a loss in the box ``start`` +- ``half_width`` with an algorithm of NLopt.
 
-    Returns the best point seen, its loss and the number of evaluations. An exception in the loss ends the run and is
-    raised from here: NLopt itself may turn it into something else.
+    ``loss`` maps candidates (1, D) to values (1,). Returns the best point evaluated (D,), its loss and the number of
+    evaluations. An exception in the loss ends the run and is raised unchanged; NLopt would replace some exceptions by
+    others.
     """
     import nlopt
 
-    nlopt.srand(seed + 1)  # per thread; 0 would mean the time of day
+    nlopt.srand(seed + 1)  # per thread; a seed of 0 would use the current time
     optimiser = nlopt.opt(getattr(nlopt, algorithm), len(start))
     optimiser.set_lower_bounds((start - half_width).tolist())
     optimiser.set_upper_bounds((start + half_width).tolist())
@@ -44,10 +45,10 @@ def run_nlopt(
 
     def evaluate(x: Float64, _gradient: Float64) -> float:
         nonlocal best, best_loss, count
-        if caught or count >= evaluations:  # some algorithms look at their budget only between steps
+        if caught or count >= evaluations:  # some algorithms check their limit only between iterations
             optimiser.force_stop()
             return _LARGE
-        point = np.array(x, dtype=np.float64)  # NLopt lends its own memory
+        point = np.array(x, dtype=np.float64)  # copied, because NLopt reuses the memory of x
         try:
             value = float(loss(point[None])[0])
         except BaseException as error:
@@ -62,7 +63,7 @@ def run_nlopt(
         return value
 
     optimiser.set_min_objective(evaluate)
-    with contextlib.suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):  # the best point seen is kept here
+    with contextlib.suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):  # the best point is recorded in evaluate
         optimiser.optimize(start.tolist())
     if caught:
         raise caught[0]

@@ -1,4 +1,4 @@
-"""The full loss of candidate poses against the evidence, at one image size."""
+"""The loss of candidate poses, given the evidence of a frame, at one image size."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Float64 = NDArray[np.float64]
 
 
 class Objective:
-    """Weighted sum of all losses of a population of candidates.
+    """Weighted sum of all loss terms, for many candidates at once.
 
-    The mask is averaged down to the renderer's image size; ``decay`` (px of the full image) is the length over which
-    the distance field grows by one.
+    The mask is downsampled to the renderer's image size. ``field`` is the method of the distance field, ``decay`` (px
+    of the full image) the distance over which it increases by one.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Objective:
         return self.renderer.poses
 
     def terms(self, camera_from_root: Float64, joints: Float64) -> Terms:
-        """All terms of C candidates: poses (C, 4, 4) and joints (C, J)."""
+        """Compute all terms of C candidates with poses (C, 4, 4) and joints (C, J)."""
         sums = self.renderer.sums(camera_from_root, joints, self._images, lines_per_pixel=self.lines_per_pixel)
         area, overlap, far = sums.T
         cylinder, keypoints, readings = pose_terms(
@@ -78,7 +78,7 @@ class Objective:
         )
 
     def __call__(self, camera_from_root: Float64, joints: Float64) -> Float64:
-        """Total loss of C candidates, (C,)."""
+        """Compute the total loss of C candidates, (C,)."""
         return self.terms(camera_from_root, joints).total(self.weights)
 
 
@@ -90,13 +90,16 @@ def pose_terms(
     camera_from_root: Float64,
     joints: Float64,
 ) -> tuple[Float64, Float64, Float64]:
-    """Terms that need no silhouette, (C,) each: shaft edges, jaw tips, readings; zero without evidence."""
+    """Compute the terms of shaft edges, jaw tips and readings, (C,) each, which need no silhouette.
+
+    The terms of shaft edges and jaw tips are zero without evidence.
+    """
     cylinder = keypoints = np.zeros(len(camera_from_root))
     camera, edges, shaft, tips = evidence.camera, evidence.shaft_edges, instrument.shaft, evidence.tips
     rotation, translation = camera_from_root[:, :3, :3], camera_from_root[:, :3, 3]
     if edges and shaft is not None:
         projected = project_cylinder(rotation @ shaft.point + translation, rotation @ shaft.direction, shaft.radius)
-        # The likeliest pair is not always the shaft: a candidate may fit any of them.
+        # The best supported pair is not always the shaft, so the pair with the smallest loss counts.
         pairs = [cylinder_loss(projected, pair.planes, camera, weights.line_offset) for pair in edges]
         cylinder = np.min(pairs, axis=0)
     if tips is not None and instrument.jaw_tips:
@@ -107,7 +110,7 @@ def pose_terms(
 
 
 def project_tips(instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64) -> Float64:
-    """Jaw tips of C candidates in the image, (C, 2, 2) px; one behind the eye is taken to be just before it."""
+    """Project the jaw tips of C candidates, (C, 2, 2) px, with depths limited to at least 1 mm."""
     points = apply(camera_from_root, instrument.tips(joints))
     points[..., 2] = np.maximum(points[..., 2], 1e-3)
     return np.asarray(camera.project(points))

@@ -1,4 +1,4 @@
-"""Candidates to start from in one frame: on the axes that the shaft's edges suggest, and some without them."""
+"""Random candidate poses of the global search: on the axes given by the shaft's edges, and in the LookAt space."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]
 
-_TILT_RANGE = np.deg2rad([3.0, 25.0])
+_TILT_RANGE = np.deg2rad([3.0, 25.0])  # of the standard deviation of the tilt of candidates on an axis
 
 
 def lookat_pose(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, distance: ArrayLike) -> Float64:
-    """LookAt candidates as camera_from_root (..., 4, 4): R = R_y(gamma) R_x(alpha) R_z(beta), t = [0, 0, d]."""
+    """Compute LookAt poses camera_from_root (..., 4, 4): R = R_y(gamma) R_x(alpha) R_z(beta), t = [0, 0, d]."""
     a, b, g, d = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (alpha, beta, gamma, distance)))
     zero = np.zeros_like(a)
     rotation = (
@@ -32,10 +32,13 @@ def lookat_pose(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, distance: A
 
 
 def sample_joints(
-    readings: Float64, spread: Float64, low: Float64, high: Float64, count: int, rng: np.random.Generator
+    readings: Float64, sigma: Float64, low: Float64, high: Float64, count: int, rng: np.random.Generator
 ) -> Float64:
-    """Joint values (count, J): around the readings with their spread, uniform within the limits where unknown (NaN)."""
-    near = readings + spread * rng.standard_normal((count, len(readings)))
+    """Draw joint values (count, J), rad: normal about the readings (J,), or uniform in the limits if these are NaN.
+
+    Normal values have standard deviations ``sigma`` (J,) and are clipped to the limits.
+    """
+    near = readings + sigma * rng.standard_normal((count, len(readings)))
     free = rng.uniform(low, high, (count, len(readings)))
     return np.asarray(np.where(np.isnan(readings), free, np.clip(near, low, high)))
 
@@ -43,10 +46,10 @@ def sample_joints(
 def sample_lookat(
     count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera, pixels: Float64 | None = None
 ) -> Float64:
-    """LookAt candidates (count, 4, 4) drawn uniformly in the four numbers.
+    """Draw LookAt candidates (count, 4, 4), uniform in the three angles and the distance.
 
-    The paper puts the root on the optical axis. With ``pixels`` (N, 2), the optical axis is first turned to one of
-    them, drawn at random: the camera looks at the instrument wherever it is in the image.
+    As in the paper, the root lies on the optical axis. With ``pixels`` (N, 2), each candidate is then rotated about the
+    camera centre so that its root projects to one of these pixels, drawn at random.
     """
     pose = lookat_pose(
         rng.uniform(-limits.tilt, limits.tilt, count),
@@ -74,14 +77,15 @@ def sample_on_axis(
     *,
     pivot: float,
 ) -> Float64:
-    """LookAt candidates (count, 4, 4) whose shaft lies on a given axis.
+    """Draw candidates (count, 4, 4) whose shaft lies on a given axis.
 
-    ``direction`` (3,) is distal, ``point`` (3,) on the axis, m; the root slides between the coordinates ``along``, m,
-    and turns freely about the axis. Two edges tell the axis's tilt towards the eye least well: it varies by ``tilt``
-    rad (one standard deviation) about the axis's point at coordinate ``pivot``, m.
+    The unit vector ``direction`` (3,) points distally; ``point`` (3,), m, lies on the axis. The position of the root on
+    the axis is uniform between the coordinates ``along``, m, and its rotation about the axis uniform. The tilt of the
+    axis towards the camera, which the two edges determine worst, is normal with standard deviation ``tilt``, rad, about
+    the axis's point at coordinate ``pivot``, m.
     """
     slide = rng.uniform(*along, count)
-    # Even turns, each in its own slot: no turn is left out by chance.
+    # Stratified sampling of the rotation about the axis: one value in each of ``count`` equal intervals.
     turn = (rng.permutation(count) + rng.uniform(size=count)) / count * 2 * np.pi
     centre = point + pivot * direction
     across = np.cross(centre, direction)
@@ -93,7 +97,7 @@ def sample_on_axis(
 
 
 def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera) -> Float64:
-    """Poses (count, 4, 4) uniform in rotation and in the view, between the limits' distances: the naive alternative."""
+    """Draw poses (count, 4, 4) uniform in rotation, in the image and in depth: the baseline without LookAt."""
     quaternion = rng.standard_normal((count, 4))
     w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
     sine = np.sqrt(np.maximum(1 - w * w, 1e-16))
@@ -106,7 +110,7 @@ def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *,
 def _on_edges(
     edges: ShaftEdges, evidence: Evidence, instrument: Instrument, count: int, rng: np.random.Generator
 ) -> Float64:
-    """Candidates (count, 4, 4) on the axis of a pair of edges, the wrist near where the mask ends."""
+    """Draw candidates (count, 4, 4) on the axis given by a pair of edges, with the wrist near the mask's distal end."""
     assert instrument.shaft is not None
     camera = evidence.camera
     direction, point = shaft_axis(edges.planes, instrument.shaft.radius)
@@ -114,10 +118,10 @@ def _on_edges(
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
 
     def coordinate(pixel: Float64) -> float:
-        """Where along the axis its point nearest to a pixel's ray lies, m."""
+        """Return the coordinate along the axis, m, of its point nearest to a pixel's ray."""
         ray = np.array([*((pixel - centre) / focal), 1.0])
         across = np.cross(direction, np.cross(ray, direction))
-        # The foot on the axis of the line of shortest distance between axis and ray.
+        # The foot, on the axis, of the common perpendicular of axis and ray.
         away = np.cross(ray, np.cross(direction, ray))
         return float(-(away @ point) / (away @ direction)) if abs(across @ across) > 1e-12 else 0.0
 
@@ -130,7 +134,7 @@ def _on_edges(
     end = coordinate(contour[np.argsort(contour @ towards)[-5:]].mean(axis=0))
     corners = edges.ends.reshape(-1, 2)
     foot = coordinate(corners[np.argsort(corners @ towards)[-2:]].mean(axis=0))
-    # The root link's origin lies between the shaft's end and the tips, in whatever way the wrist is bent.
+    # The root link's origin lies between the shaft's end and the tips for all wrist angles.
     nearest = min(foot, end - 0.6 * instrument.reach) - 0.005
     farthest = max(end + 0.003, nearest + 0.01)
     nearest = max(nearest, farthest - 3 * instrument.reach)
@@ -138,16 +142,18 @@ def _on_edges(
     return sample_on_axis(count, direction, point, (nearest, farthest), tilt, rng, pivot=middle)
 
 
-def draw_seeds(
+def draw_starts(
     evidence: Evidence,
     instrument: Instrument,
     readings: Readings,
     config: EstimateConfig,
     rng: np.random.Generator,
 ) -> tuple[Float64, Float64, NDArray[np.bool_]]:
-    """Draw the search's first candidates: poses (N, 4, 4), joints (N, J), and whether these ignore the readings (N,).
+    """Draw the candidates of the search: poses (N, 4, 4), joints (N, J), and whether these ignore the readings (N,).
 
-    Half of them lie on the likeliest pair of edges, the rest on the other pairs and anywhere in the LookAt space.
+    A fraction ``free_share`` is drawn in the LookAt space. Of the others, 3/5 lie on the best supported pair of edges
+    and the rest on the other pairs, in equal numbers; all lie on the only pair if there is one, and all in the LookAt
+    space if there is none.
     """
     count = config.search.samples
     pairs = evidence.shaft_edges if config.search.use_edges else ()
@@ -161,9 +167,9 @@ def draw_seeds(
     v, u = np.nonzero(evidence.mask)
     pixels = np.stack([u, v], axis=1).astype(np.float64)
     poses.append(sample_lookat(free, config.lookat, rng, camera=evidence.camera, pixels=pixels))
-    joints = sample_joints(readings.values, readings.spread, readings.low, readings.high, count, rng)
-    nothing = np.full(len(readings.values), np.nan)
-    anything = sample_joints(nothing, readings.spread, readings.low, readings.high, count, rng)
+    joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
+    unknown = np.full(len(readings.values), np.nan)
+    uniform = sample_joints(unknown, readings.sigma, readings.low, readings.high, count, rng)
     unread = rng.uniform(size=count) < config.search.unread_share
-    joints[unread] = anything[unread]
+    joints[unread] = uniform[unread]
     return np.concatenate(poses), joints, unread

@@ -1,5 +1,5 @@
 "use strict";
-// Sorting, sifting and keys for the frames; pointing at plots. The page can be read without any of it.
+// Sorting, filtering and keyboard navigation of the frames; tooltips of plots. The page can be read without scripts.
 (() => {
   const grid = document.getElementById("grid");
   const cards = [...grid.children];
@@ -50,7 +50,7 @@
     grid.append(...sorted.map((entry) => entry[2]));
   }
 
-  // A frame that is left open hands that on, so that one can read through all of them by a key.
+  // If the details of the last frame are open, they are closed and those of the next frame opened.
   function go(card, from) {
     if (!card) return;
     const opened = from && from !== card && details(from).open;
@@ -113,7 +113,7 @@
     }
   });
 
-  // What opens moves to a row of its own, perhaps out of sight.
+  // A frame with open details moves to a row of its own, which may be outside the visible part of the page.
   grid.addEventListener(
     "toggle",
     (event) => {
@@ -166,7 +166,7 @@
     });
   }
 
-  // Browsers keep what was chosen when a page is loaded anew.
+  // Browsers keep the state of form elements when a page is reloaded.
   if (order.value !== "doubt") sort();
   sift();
   fromAddress();

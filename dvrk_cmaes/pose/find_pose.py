@@ -1,0 +1,89 @@
+"""Find the pose of the instrument in one frame from its evidence alone: search, refinement, quality, doubts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.quality import judge, measure_quality
+from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
+from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.pose.search.global_search import find_candidates
+from dvrk_cmaes.results.result import Alternative, Quality
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPose:
+    """The pose found in one frame and what supports it.
+
+    ``camera_from_root`` (4, 4) and ``joints`` (J,), rad, have the ``covariance`` (6 + J, 6 + J) of the small changes
+    [t, r, joints] in the root's axes. ``reasons`` say why the pose is doubtful; none if it is not.
+    ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the readings.
+    ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced.
+    """
+
+    camera_from_root: Float64
+    joints: Float64
+    covariance: Float64
+    quality: Quality
+    reasons: tuple[str, ...]
+    evaluations: int
+    rays: int
+    alternatives: tuple[Alternative, ...] = ()
+    camera_from_base: Float64 | None = None
+
+
+def find_pose(
+    renderer: Renderer, decimated: Body, evidence: Evidence, readings: Readings, config: EstimateConfig
+) -> FoundPose:
+    """Find the pose that best explains the evidence of one frame.
+
+    ``renderer`` draws the instrument at full detail in the frame's camera; ``decimated`` is the same instrument with
+    fewer faces, for the small images of the search.
+    """
+    instrument = renderer.body.instrument
+    coarse = Renderer(decimated, evidence.camera, threads=config.threads)
+    candidates, objective = find_candidates(coarse, evidence, readings, config)
+    local = LocalSearch(renderer, coarse, evidence, readings, config)
+    modes = local.refine(candidates)
+    best = modes[0]
+    qualities, confirming = measure_quality(
+        renderer, evidence, readings, modes, config.weights, decay=config.decay_px, field=config.distance_field
+    )
+    reasons = judge(best, modes, qualities[0], evidence, readings, instrument, config.trust)
+    return FoundPose(
+        camera_from_root=best.camera_from_root,
+        joints=best.joints,
+        covariance=np.asarray(np.linalg.inv(best.information), dtype=np.float64),
+        quality=qualities[0],
+        reasons=tuple(reasons),
+        evaluations=objective.evaluations + local.silhouettes + renderer.poses,
+        rays=objective.renderer.rays + local.rays + renderer.rays + confirming,
+        alternatives=tuple(
+            _alternative(instrument, readings, best, mode, quality)
+            for mode, quality in zip(modes[1:], qualities[1:], strict=True)
+        ),
+    )
+
+
+def _alternative(
+    instrument: Instrument, readings: Readings, best: OutlineFit, mode: OutlineFit, quality: Quality
+) -> Alternative:
+    """Describe another mode of the frame, and how it relates to the best one."""
+    return Alternative(
+        camera_from_root=mode.camera_from_root,
+        joints=dict(zip(instrument.joint_names, mode.joints.tolist(), strict=True)),
+        loss=quality.loss,
+        iou=quality.iou,
+        relation="mirror twin" if instrument.has_twin and is_twin(instrument, best, mode) else "other mode",
+        reading_distance_deg=reading_distance(readings, mode.joints),
+    )

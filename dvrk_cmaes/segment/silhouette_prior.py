@@ -1,0 +1,115 @@
+"""Segmentation of a known instrument: its silhouette in an estimated pose is a prior for segmenting again.
+
+As in region-based tracking, the image's colours are learned just inside and just outside the silhouette, and the image
+is segmented again with the silhouette as a prior. `dvrk_cmaes.runs.image_frame` alternates this with the pose estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.segment import Box, Model, Pixel, Segmentation, segment
+from dvrk_cmaes.segment.classic import refine_outline
+from dvrk_cmaes.segment.prompts import draw_prompts
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+
+_LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below which the silhouette is no prior
+_FREE_BAND = 3.0  # px on either side of the silhouette's outline, in which the prior is zero
+_STEEPNESS = 0.5  # log-odds per px beyond that band
+_LARGEST = 3.0  # log-odds
+
+
+@dataclass(frozen=True)
+class SegmentSettings:
+    """How masks are found in images: the model, and the folder of its weights if it has any."""
+
+    model: Model = "classic"
+    weights: Path | None = None
+
+
+@dataclass(frozen=True)
+class Hints:
+    """Prompts in pixels of the image, as in `dvrk_cmaes.segment.segment`."""
+
+    box: Box | None = None
+    points: Sequence[Pixel] = ()
+    not_points: Sequence[Pixel] = ()
+
+
+def segment_first(
+    image: NDArray[np.uint8],
+    ignore: Bool | None,
+    *,
+    settings: SegmentSettings,
+    hints: Hints,
+    threads: int,
+) -> Segmentation:
+    """Segment the instrument in an image (H, W, 3) BGR without a pose.
+
+    ``ignore`` (H, W) are pixels that count neither way.
+
+    Raises
+    ------
+    InputError
+        As `segment`.
+    DvrkCmaesError
+        No pixel that counts was taken for the instrument.
+    """
+    found = segment(
+        image,
+        box=hints.box,
+        points=hints.points,
+        not_points=hints.not_points,
+        model=settings.model,
+        weights=settings.weights,
+        threads=threads,
+    )
+    if not found.mask.any() or (ignore is not None and not (found.mask & ~ignore).any()):
+        raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")
+    return found
+
+
+def segment_again(
+    image: NDArray[np.uint8],
+    silhouette: Bool,
+    mask: Bool,
+    ignore: Bool | None,
+    *,
+    hints: Hints,
+    outside: Bool,
+) -> Segmentation | None:
+    """Segment an image (H, W, 3) BGR with a silhouette (H, W) as prior.
+
+    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to; ``outside`` (H, W) are the pixels outside the
+    field of view. Returns None where silhouette and mask overlap too little for a prior, or where no pixel is taken for
+    the instrument.
+    """
+    if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
+        return None
+    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
+    found = refine_outline(image, silhouette, prompts, _log_odds(silhouette))
+    return found if found.mask.any() else None
+
+
+def _log_odds(silhouette: Bool) -> Float32:
+    """Prior log-odds of instrument (H, W) given a silhouette."""
+    distance = signed_distance(silhouette)
+    beyond = np.sign(distance) * np.maximum(np.abs(distance) - _FREE_BAND, 0)
+    return np.asarray(np.clip(-_STEEPNESS * beyond, -_LARGEST, _LARGEST), np.float32)
+
+
+def _overlap(silhouette: Bool, mask: Bool, ignore: Bool | None) -> float:
+    """Intersection over union of silhouette and mask over the pixels that count; 0 for an empty or full silhouette."""
+    if silhouette.all() or not silhouette.any():
+        return 0.0
+    counts = np.ones_like(mask) if ignore is None else ~ignore
+    return float((silhouette & mask & counts).sum() / max(((silhouette | mask) & counts).sum(), 1))
