@@ -1,17 +1,18 @@
-"""Measure how accurate and how honest estimates are, on session folders whose truth is known. Run by hand.
+"""Measure the accuracy of estimates, and of their standard deviations and doubts, on sessions with known truth.
 
-    python scripts/accuracy.py errors SESSION...       errors, spreads, share doubted
-    python scripts/accuracy.py calibration SESSION...  do the 90 % intervals hold the truth
-    python scripts/accuracy.py lies SESSION...         are falsified frames doubted
-    python scripts/accuracy.py bound SESSION...        errors and spreads against the smallest possible (Cramer-Rao)
-    python scripts/accuracy.py sessions SESSION...     each solved together: errors of its base, its 95 % intervals
-    python scripts/accuracy.py session-lies SESSION... each falsified as a whole: is that named
+    python scripts/accuracy.py errors SESSION...       errors, scatter over a session, share of doubtful results
+    python scripts/accuracy.py calibration SESSION...  share of 90 % intervals that contain the truth
+    python scripts/accuracy.py lies SESSION...         share of falsified frames that are doubtful
+    python scripts/accuracy.py bound SESSION...        errors and scatter compared with the Cramer-Rao bound
+    python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
+    python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
 
-A session folder holds camera.yaml, joints.csv, masks and golden.json, the truth; of a session without it, errors and
-bound say what needs none. data/demo is one; `dvrk-cmaes synth` makes more. A session's name without its digits is its
-level (clean, easy, ...). Calibration wants at least 200 frames. --keep DIR writes results there and takes those there
-already: several commands share them, and what is kept is from the program that wrote it. What each part of the
-method is worth: scripts/experiments/ablation.py.
+To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
+golden.json, errors and bound report what can be measured without truth. data/demo is such a folder, and `dvrk-cmaes
+synth` writes others. The level of a session (clean, easy, ...) is its name up to the first digit. The command
+calibration needs at least 200 frames for useful figures. --keep DIR writes results to a folder and reuses those in it,
+also for other commands; delete the folder after a change of the program. scripts/experiments/ablation.py measures the
+contribution of each part of the method.
 """
 
 from __future__ import annotations
@@ -27,10 +28,9 @@ from accuracy_bound import bound_report
 from accuracy_calibration import calibration_report
 from accuracy_cases import Case, Run, read_cases, run_cases
 from accuracy_errors import error_report, frame_errors, frame_rows
-from accuracy_lies import lie_report, load_others, make_lies
-from accuracy_session import Outcome, Trial, honest_trials, read_bases, run_trials, session_report
-from accuracy_session_lies import false_cases, false_trials
-from accuracy_session_lies import lie_report as session_lie_report
+from accuracy_lies import doubt_report, falsified_cases, load_others
+from accuracy_session import Outcome, Trial, original_trials, read_bases, run_trials, session_report
+from accuracy_session_lies import falsified_report, falsified_session_cases, falsified_trials
 from accuracy_spread_bound import mask_report
 from accuracy_tables import show, write_features
 
@@ -46,6 +46,7 @@ QUICK_FRAMES: Final = 2
 
 
 def main() -> int:
+    """Run a command and print its report; return the exit code."""
     arguments = _parser().parse_args()
     if arguments.quick:
         arguments.frames = QUICK_FRAMES
@@ -64,34 +65,60 @@ def main() -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=sorted(COMMANDS), help="what to measure")
-    parser.add_argument("sessions", nargs="+", metavar="SESSION", help="session folder with golden.json")
-    parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="what is in the frames")
+    parser.add_argument("sessions", nargs="+", metavar="SESSION", help="session folders with golden.json")
+    parser.add_argument(
+        "--instrument", default="lnd", metavar="NAME|URDF", help="instrument in the frames (default: %(default)s)"
+    )
     parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
-    parser.add_argument("--frames", type=int, metavar="N", help="at most so many of each session, evenly spread")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes, one thread each")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="write results there, and use those that are there")
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="largest number of frames of each session, evenly spaced (default: all)"
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=2,
+        metavar="N",
+        help="number of processes, with one thread each (default: %(default)s)",
+    )
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="errors, lies: write the features of every estimate")
-    parser.add_argument("--table", action="store_true", help="errors: one row a frame, too")
-    parser.add_argument("--cases", type=int, default=40, metavar="N", help="lies: of each kind")
-    parser.add_argument("--others", type=Path, default=OTHERS, metavar="DIR", help="lies: URDFs of other instruments")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="lies: of the random numbers")
-    parser.add_argument("--quick", action="store_true", help="two frames of one session: does it run at all")
+    parser.add_argument(
+        "--csv", type=Path, metavar="FILE", help="for errors and lies: file for the features of all estimates"
+    )
+    parser.add_argument("--table", action="store_true", help="for errors: print a row for each frame as well")
+    parser.add_argument(
+        "--cases",
+        type=int,
+        default=40,
+        metavar="N",
+        help="for lies: number of falsified frames of each kind (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--others", type=Path, default=OTHERS, metavar="DIR", help="for lies: folder of the URDFs of other instruments"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="for lies: seed of the random numbers (default: %(default)s)"
+    )
+    parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
 
 
 def _config(arguments: argparse.Namespace) -> EstimateConfig:
+    """Return the settings of the estimates."""
     default = EstimateConfig()
     return default if arguments.config is None else read_config(arguments.config, default)
 
 
-def _honest(arguments: argparse.Namespace, *, truth: bool = True) -> list[Case]:
+def _original(arguments: argparse.Namespace, *, truth: bool = True) -> list[Case]:
+    """Read the frames of all sessions."""
     return read_cases(arguments.sessions, instrument=arguments.instrument, frames=arguments.frames, truth=truth)
 
 
 def _run(arguments: argparse.Namespace, cases: Sequence[Case], label: str = "frames") -> list[Run]:
+    """Estimate cases."""
     return run_cases(
         cases,
         instrument=arguments.instrument,
@@ -103,13 +130,15 @@ def _run(arguments: argparse.Namespace, cases: Sequence[Case], label: str = "fra
 
 
 def _write_csv(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
+    """Write the features and errors of runs if --csv is given."""
     if arguments.csv is not None:
         instrument = prepare(arguments.instrument).instrument
         write_features(arguments.csv, runs, [frame_errors(instrument, run) for run in runs])
 
 
 def errors(arguments: argparse.Namespace) -> Report:
-    runs = _run(arguments, _honest(arguments, truth=False))
+    """Report the errors of frames."""
+    runs = _run(arguments, _original(arguments, truth=False))
     instrument = prepare(arguments.instrument).instrument
     _write_csv(arguments, runs)
     report = error_report(instrument, runs)
@@ -119,46 +148,53 @@ def errors(arguments: argparse.Namespace) -> Report:
 
 
 def calibration(arguments: argparse.Namespace) -> Report:
-    runs = _run(arguments, _honest(arguments))
+    """Report the share of 90 % intervals that contain the truth."""
+    runs = _run(arguments, _original(arguments))
     instrument = prepare(arguments.instrument).instrument
     return {"90 % intervals that hold the truth": calibration_report(instrument, runs)}
 
 
 def lies(arguments: argparse.Namespace) -> Report:
-    honest = _honest(arguments)
+    """Report the share of falsified frames that are doubtful."""
+    original = _original(arguments)
     others = load_others(arguments.others)
     if not others:
         print(f"{arguments.others}: no such folder; no lies of other instruments", file=sys.stderr)
-    false = make_lies(honest, others, QUICK_FRAMES // 2 if arguments.quick else arguments.cases, arguments.seed)
-    runs = _run(arguments, [*honest, *false], label="frames and lies")
+    count = QUICK_FRAMES // 2 if arguments.quick else arguments.cases
+    falsified = falsified_cases(original, others, count, arguments.seed)
+    runs = _run(arguments, [*original, *falsified], label="frames and lies")
     _write_csv(arguments, runs)
-    return {"share doubted": lie_report(runs)}
+    return {"share doubted": doubt_report(runs)}
 
 
 def bound(arguments: argparse.Namespace) -> Report:
-    runs = _run(arguments, _honest(arguments, truth=False))
+    """Report errors and scatter compared with the Cramer-Rao bound."""
+    runs = _run(arguments, _original(arguments, truth=False))
     body, config = prepare(arguments.instrument), _config(arguments)
     return {**bound_report(body, runs, config), **mask_report(body, runs, config)}
 
 
 def _solve(arguments: argparse.Namespace, trials: Sequence[Trial]) -> list[Outcome]:
+    """Calibrate sessions."""
     return run_trials(trials, instrument=arguments.instrument, config=_config(arguments), workers=arguments.workers)
 
 
 def sessions(arguments: argparse.Namespace) -> Report:
+    """Report the errors of sessions solved together."""
     bases = read_bases(arguments.sessions)
-    outcomes = _solve(arguments, honest_trials(_run(arguments, _honest(arguments)), bases))
+    outcomes = _solve(arguments, original_trials(_run(arguments, _original(arguments)), bases))
     return session_report(prepare(arguments.instrument).instrument, outcomes)
 
 
 def session_lies(arguments: argparse.Namespace) -> Report:
-    bases, cases = read_bases(arguments.sessions), _honest(arguments)
+    """Report the share of falsified sessions that are reported as such."""
+    bases, cases = read_bases(arguments.sessions), _original(arguments)
     grouped: dict[str, list[Case]] = {}
     for case in cases:
         grouped.setdefault(case.session, []).append(case)
-    runs = _run(arguments, [*cases, *false_cases(grouped)], label="frames and lies")
-    honest = honest_trials(runs[: len(cases)], bases)
-    return session_lie_report(_solve(arguments, false_trials(honest, runs[len(cases) :])))
+    runs = _run(arguments, [*cases, *falsified_session_cases(grouped)], label="frames and lies")
+    originals = original_trials(runs[: len(cases)], bases)
+    return falsified_report(_solve(arguments, falsified_trials(originals, runs[len(cases) :])))
 
 
 COMMANDS: Final = {

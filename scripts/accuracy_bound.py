@@ -1,14 +1,14 @@
-"""The smallest errors that an exact mask on a pixel grid allows, and how near to them the estimates come.
+"""Cramer-Rao bound of the errors for an exact mask on a pixel grid, and ratios of the measured errors to it.
 
-Model. An exact outline is known from the mask once a row where it is steep, and once a column where it is flat: between
-which two pixel centres it passes. That is one measurement of where the outline crosses the row, with an error that is
-uniform over a pixel, standard deviation 1 / sqrt(12) px, independent of the next row's, taken as Gaussian. Readings are
-Gaussian with their stated spread. The Fisher information of pose and joints is the sum of both; by Cramer and Rao no
-unbiased estimate has a smaller covariance than its inverse. The Jacobian is that of the outline at the truth, central
-differences of its points on the instrument.
+Model: an exact mask shows between which two pixel centres the outline passes, once in each row where the outline is
+steep and once in each column where it is flat. This is one measurement of the crossing of the outline with the row or
+column. Its error is uniform over a pixel, with standard deviation 1 / sqrt(12) px; it is modelled as Gaussian and
+independent of the others. The readings are Gaussian with their standard deviations. The Fisher information of pose and
+joints is the sum of both. By the Cramer-Rao inequality no unbiased estimate has a smaller covariance than its inverse.
+The Jacobian of the outline at the true pose is computed by central differences of its points on the instrument.
 
-A bound of this model, not a law: errors that are uniform and never beyond half a pixel say more than Gaussian ones of
-the same spread, and the median of an error lies below its root mean square, so ratios below one do occur.
+Ratios below one are possible, because the bound holds for Gaussian errors: uniform errors of the same standard
+deviation contain more information. In addition, the median of an error is smaller than its root mean square.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ _STEP: Final = 1e-5  # m and rad
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Where the outline of a pose crosses rows (where it is steep) and columns (where it is flat), N places.
+    """The N crossings of an outline with rows (where it is steep) and columns (where it is flat).
 
-    ``rates`` (6 + J, N): how fast each moves along its row or column, px per m or rad. ``lengths`` (N,): px of outline
-    from one to the next; a step along the line is so many times as long as one across the outline. ``pixels`` (N, 2).
+    ``rates`` (6 + J, N) are the derivatives of the positions along the row or column, px per m or rad. ``lengths`` (N,)
+    are the lengths of outline between crossings, px; a displacement along the row or column is ``lengths`` times as
+    long as one perpendicular to the outline. ``pixels`` (N, 2) are the positions.
     """
 
     rates: Float64
@@ -47,14 +48,14 @@ class Crossings:
 
 
 def find_crossings(body: Body, case: Case, pose: Float64, joints: Float64) -> Crossings:
-    """Find the crossings of the outline with rows and columns, without those that are ignored."""
+    """Find the crossings of the outline with rows and columns, except at ignored pixels."""
     outline = Renderer(body, case.camera, threads=1).outlines(pose[None], joints[None])
     count = 6 + len(joints)
     change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
     links = body.camera_from_links(moved(pose, change[:, :6]), joints + change[:, 6:])[:, outline.link]
     points = (links[..., :3, :3] @ outline.points[:, :, None])[..., 0] + links[..., :3, 3]
     seen = case.camera.project(points)
-    # A normal is as long as the outline between two lines, so this product is the way along the line.
+    # The length of a normal is that of the outline between two lines: the product is the position along the line.
     along = (seen * outline.normals).sum(axis=-1)
     rates = np.asarray((along[:count] - along[count:]) / (2 * _STEP))
     counts = np.ones(len(outline.pixels), dtype=np.bool_)
@@ -66,20 +67,20 @@ def find_crossings(body: Body, case: Case, pose: Float64, joints: Float64) -> Cr
 
 
 def true_joints(body: Body, case: Case) -> Float64:
-    """Give the true values (J,) of the joints that are sought, rad."""
+    """Return the true values (J,) of the estimated joints, rad."""
     assert case.truth is not None
     return np.array([case.truth.joints[name] for name in body.instrument.joint_names])
 
 
 def reading_information(body: Body, case: Case, config: EstimateConfig) -> Float64:
-    """Fisher information (6 + J, 6 + J) that a case's readings hold."""
+    """Return the Fisher information (6 + J, 6 + J) of a case's readings."""
     names = body.instrument.joint_names
-    spread = [np.deg2rad(config.readings.of(name)) if name in case.readings else np.inf for name in names]
-    return np.diag(1 / np.array([np.inf] * 6 + spread) ** 2)
+    sigma = [np.deg2rad(config.readings.of(name)) if name in case.readings else np.inf for name in names]
+    return np.diag(1 / np.array([np.inf] * 6 + sigma) ** 2)
 
 
 def least_covariance(body: Body, case: Case, config: EstimateConfig) -> Float64:
-    """Cramer-Rao bound of the covariance of small changes [t, r, joints] at the truth, (6 + J, 6 + J)."""
+    """Return the Cramer-Rao bound (6 + J, 6 + J) of the covariance of small changes [t, r, joints] at the truth."""
     assert case.truth is not None
     rates = find_crossings(body, case, case.truth.camera_from_root, true_joints(body, case)).rates
     information = rates @ rates.T / PIXEL_SIGMA**2 + reading_information(body, case, config)
@@ -87,7 +88,7 @@ def least_covariance(body: Body, case: Case, config: EstimateConfig) -> Float64:
 
 
 def frame_bound(body: Body, run: Run, config: EstimateConfig) -> dict[str, Any]:
-    """Errors of a run, their bound, and the ratio: of the tips' root mean square error, mm, and the axis's, deg."""
+    """Return error, bound and ratio of a run: of the tips (root mean square, mm) and of the shaft's axis (deg)."""
     instrument, truth = body.instrument, run.case.truth
     assert truth is not None
     covariance = least_covariance(body, run.case, config)
@@ -111,7 +112,7 @@ def frame_bound(body: Body, run: Run, config: EstimateConfig) -> dict[str, Any]:
 
 
 def bound_report(body: Body, runs: Sequence[Run], config: EstimateConfig) -> dict[str, Sequence[dict[str, Any]]]:
-    """Rows of all frames in the right mode, and of each level the ratios' medians and root mean squares."""
+    """Return rows of all frames in the right mode, and the median and root mean square of the ratios by level."""
     right = [run for run in runs if frame_errors(body.instrument, run).get("right_mode")]
     rows = {run: frame_bound(body, run, config) for run in right}
     overall = []

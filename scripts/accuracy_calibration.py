@@ -1,7 +1,8 @@
-"""Whether stated uncertainties are true: how often the 90 % interval of a quantity holds its true value.
+"""Check of the covariances of estimates: the share of 90 % intervals that contain the true value.
 
-An estimate's covariance is that of small changes of pose and joints. It is carried over to the jaw tips and the shaft's
-direction by central differences, and compared with the error by its Mahalanobis distance, which is chi-squared.
+The covariance of an estimate is that of small changes of pose and joints. It is propagated to the jaw tips and to the
+shaft's direction with Jacobians from central differences. The squared Mahalanobis distance of the error follows a
+chi-squared distribution if the covariance is right.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]
 Quantity = Callable[[Float64, Float64], Float64]
-"""Of poses (C, 4, 4) and joints (C, J), (C, n)."""
+"""Function of poses (C, 4, 4) and joints (C, J) with values (C, n)."""
 
 INTERVAL: Final = 0.9
 _STEP: Final = 1e-5  # m and rad
 
 
 def jacobian(quantity: Quantity, pose: Float64, joints: Float64) -> Float64:
-    """Differentiate a quantity by small changes [t, r, joints], centrally: (n, 6 + J)."""
+    """Return the derivatives (n, 6 + J) of a quantity by small changes [t, r, joints], from central differences."""
     count = 6 + len(joints)
     change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
     values = quantity(moved(pose, change[:, :6]), joints + change[:, 6:])
@@ -35,7 +36,7 @@ def jacobian(quantity: Quantity, pose: Float64, joints: Float64) -> Float64:
 
 
 def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
-    """Mean position of some jaw tips in the camera, (C, 3) m."""
+    """Return the quantity: mean position of some jaw tips in the camera, (C, 3) m."""
 
     def position(poses: Float64, joints: Float64) -> Float64:
         tips = instrument.tips(joints)[:, list(which)].mean(axis=1)
@@ -45,7 +46,7 @@ def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
 
 
 def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
-    """Direction of the shaft, as its two components (C, 2) across a given pose's (4, 4) own shaft."""
+    """Return the quantity: the two components (C, 2) of the shaft's direction across that of the pose ``about``."""
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
     across = frame_along(about[:3, :3] @ along)[:, :2]
 
@@ -56,12 +57,12 @@ def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
 
 
 def joint_value(index: int) -> Quantity:
-    """One joint, (C, 1) rad."""
+    """Return the quantity: the value of one joint, (C, 1) rad."""
     return lambda poses, joints: joints[:, index : index + 1]
 
 
 def quantities(instrument: Instrument, pose: Float64) -> dict[str, Quantity]:
-    """All quantities whose intervals are tried, by name."""
+    """Return the quantities whose intervals are checked, by name."""
     found: dict[str, Quantity] = {}
     if instrument.jaw_tips:
         found["tips, their middle"] = tip_position(instrument, (0, 1))
@@ -74,7 +75,7 @@ def quantities(instrument: Instrument, pose: Float64) -> dict[str, Quantity]:
 
 
 def distances(instrument: Instrument, run: Run) -> dict[str, tuple[float, int]]:
-    """Squared Mahalanobis distance of the truth of each quantity, and its degrees of freedom."""
+    """Return the squared Mahalanobis distance of each quantity from its true value, and the degrees of freedom."""
     assert run.case.truth is not None
     names = instrument.joint_names
     joints = np.array([run.joints[name] for name in names])
@@ -84,13 +85,13 @@ def distances(instrument: Instrument, run: Run) -> dict[str, tuple[float, int]]:
         here = quantity(run.pose[None], joints[None])[0]
         truth = quantity(run.case.truth.camera_from_root[None], true_joints[None])[0]
         slope = jacobian(quantity, run.pose, joints)
-        spread = slope @ run.covariance @ slope.T
-        found[name] = float((truth - here) @ np.linalg.solve(spread, truth - here)), len(here)
+        covariance = slope @ run.covariance @ slope.T
+        found[name] = float((truth - here) @ np.linalg.solve(covariance, truth - here)), len(here)
     return found
 
 
 def share_interval(held: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper and Pearson's interval of a share, from how many of a number of trials held."""
+    """Return the Clopper-Pearson confidence interval of a share, from ``held`` successes in ``count`` trials."""
     tail = (1 - confidence) / 2
     low = float(beta.ppf(tail, held, count - held + 1)) if held else 0.0
     high = float(beta.ppf(1 - tail, held + 1, count - held)) if held < count else 1.0
@@ -98,11 +99,11 @@ def share_interval(held: int, count: int, confidence: float = 0.95) -> tuple[flo
 
 
 def calibration_report(instrument: Instrument, runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """One row a level and quantity, of runs in the right mode.
+    """Return one row for each level and quantity, of the runs in the right mode.
 
-    ``held``: share whose interval holds the truth; ``from``, ``to``: within which that share lies with 95 %
-    confidence; ``rms_z``: root mean square of the error in standard deviations, 1 where they are right;
-    ``median_z``: the median's ratio to what it should be.
+    ``held`` is the share of intervals that contain the truth; ``from`` and ``to`` are its 95 % confidence interval.
+    ``rms_z`` is the root mean square of the error in standard deviations, and ``median_z`` the ratio of its median to
+    the expected median; both are 1 if the covariances are right.
     """
     right = [run for run in runs if frame_errors(instrument, run).get("right_mode")]
     rows = []

@@ -1,7 +1,7 @@
-"""Frames to measure accuracy on, and their estimates: read from session folders, run in parallel, kept if wanted.
+"""Frames for measurements of accuracy, read from session folders, and their estimates in parallel processes.
 
-A case is a frame in memory, as it is or with something falsified, together with what is true of it. A run is what the
-program says of a case. One process a worker and one thread each: cases are independent, so this keeps all cores busy.
+A case is a frame in memory, original or falsified, with its truth. A run is the result of a case. Each worker process
+uses one thread.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from dvrk_cmaes.silhouette.prepare import prepare
 
 Float64 = NDArray[np.float64]
 
-HONEST: Final = "honest"
-CRASHED: Final = "crashed"
+ORIGINAL: Final = "honest"  # kind of a case that is not falsified
+CRASHED: Final = "crashed"  # status of a run that ended with an unexpected exception
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A frame as it is handed to the program.
+    """Input of one estimate.
 
-    ``level`` is the session's name up to its first digit; ``kind`` says what was falsified, ``honest`` if nothing.
-    ``truth`` is that of the frame before it was falsified. Readings in rad and m.
+    ``level`` is the session's name up to its first digit. ``kind`` states what was falsified; it is ``ORIGINAL`` if
+    nothing was. ``truth`` is that of the original frame. Readings are in rad and m.
     """
 
     session: str
@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What the program says of a case: a result's JSON, and features that may tell whether to trust it."""
+    """Result of a case: its JSON, and features from which thresholds for doubt are chosen."""
 
     case: Case
     result: Mapping[str, Any]
@@ -66,17 +66,17 @@ class Run:
 
     @property
     def failed(self) -> bool:
-        """Whether there is no pose."""
+        """Whether the result has no pose."""
         return self.result["status"] in ("failed", CRASHED)
 
     @property
     def trusted(self) -> bool:
-        """Whether the program says that the pose is good."""
+        """Whether the status is ok."""
         return bool(self.result["status"] == "ok")
 
     @property
     def doubted(self) -> bool:
-        """Whether the program says that the pose is doubtful, or why there is none; a crash says nothing."""
+        """Whether the status is doubtful or failed; not for a crash."""
         return self.result["status"] in ("failed", "doubtful")
 
     @property
@@ -86,13 +86,13 @@ class Run:
 
     @property
     def joints(self) -> Mapping[str, float]:
-        """Estimated joints, rad."""
+        """Estimated joints by name, rad."""
         joints: Mapping[str, float] = self.result["joints"]
         return joints
 
     @property
     def covariance(self) -> Float64:
-        """Of the small changes [t, r, joints] in the root's axes, (6 + J, 6 + J)."""
+        """Covariance (6 + J, 6 + J) of small changes [t, r, joints] in the root's axes, m and rad."""
         return np.array(self.result["covariance"]["matrix"], dtype=np.float64)
 
 
@@ -102,7 +102,7 @@ def read_cases(folders: Sequence[str], *, instrument: str, frames: int | None, t
     Raises
     ------
     InputError
-        A file that is missing or wrong; two sessions of one name; with ``truth``, a frame whose truth is not known.
+        A file is missing or not valid, two sessions have the same name, or with ``truth`` a frame has no truth.
     """
     known = prepare(instrument).instrument.joint_names
     cases: list[Case] = []
@@ -123,7 +123,7 @@ def read_cases(folders: Sequence[str], *, instrument: str, frames: int | None, t
                     session=name,
                     frame=one.name,
                     level=re.split(r"\d", name)[0] or name,
-                    kind=HONEST,
+                    kind=ORIGINAL,
                     mask=data.mask,
                     camera=data.camera,
                     readings=one.readings,
@@ -143,10 +143,10 @@ def run_cases(
     keep: Path | None = None,
     label: str = "frames",
 ) -> list[Run]:
-    """Estimate all cases, in their order; with ``keep``, results are written there and those found there are used."""
+    """Estimate all cases, in their order; with ``keep``, write results to that folder and reuse those in it."""
     done: dict[int, Run] = {}
     for i, case in enumerate(cases):
-        path = _kept(keep, case)
+        path = _kept_path(keep, case)
         if path is not None and path.exists():
             kept = json.loads(path.read_text(encoding="utf-8"))
             done[i] = Run(case, kept["result"], kept["features"])
@@ -162,25 +162,26 @@ def run_cases(
                 for count, future in enumerate(as_completed(futures), start=1):
                     i = futures[future]
                     done[i] = Run(cases[i], *future.result())
-                    path = _kept(keep, cases[i])
+                    path = _kept_path(keep, cases[i])
                     if path is not None:
                         write_json(path, {"result": done[i].result, "features": done[i].features})
-                    say_progress(label, count, len(left))
+                    print_progress(label, count, len(left))
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
     return [done[i] for i in range(len(cases))]
 
 
-def say_progress(label: str, count: int, total: int) -> None:
-    """Say on stderr how far the work is; on one line in a terminal, now and then in a file."""
+def print_progress(label: str, count: int, total: int) -> None:
+    """Print progress on stderr: on a terminal always in the same line, otherwise a line for every 20th item."""
     if sys.stderr.isatty():
         print(f"\r{label}: {count}/{total}", end="\n" if count == total else "", file=sys.stderr, flush=True)
     elif count == total or count % 20 == 0:
         print(f"{label}: {count}/{total}", file=sys.stderr, flush=True)
 
 
-def _kept(keep: Path | None, case: Case) -> Path | None:
+def _kept_path(keep: Path | None, case: Case) -> Path | None:
+    """Return the path of a case's result in the folder ``keep``; None without that folder."""
     return None if keep is None else keep / case.session / case.kind.replace(" ", "_") / f"{case.frame}.json"
 
 
@@ -188,7 +189,7 @@ _instrument: list[str] = []
 
 
 def _prepare(instrument: str) -> None:
-    """Load the instrument once a worker."""
+    """Load the instrument in a worker process."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -197,6 +198,7 @@ def _prepare(instrument: str) -> None:
 
 
 def _run(case: Case, config: EstimateConfig) -> tuple[dict[str, Any], dict[str, float]]:
+    """Estimate a case in a worker process; return the result as JSON and the features."""
     body = prepare(_instrument[0])
     try:
         result = estimate(
@@ -204,7 +206,7 @@ def _run(case: Case, config: EstimateConfig) -> tuple[dict[str, Any], dict[str, 
         )
     except InputError as error:
         return {"status": "failed", "reasons": [str(error)], "seconds": 0.0}, {}
-    except Exception as error:  # a defect, to be counted like any other outcome and not to end hours of work
+    except Exception as error:  # a defect: counted, so that the other cases are still run
         return {"status": CRASHED, "reasons": [f"crash: {type(error).__name__}: {error}"], "seconds": 0.0}, {}
     features = measure_features(result, case.mask, case.camera, body, config, ignore=case.ignore)
     return result.to_dict(), features

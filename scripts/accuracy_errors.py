@@ -1,7 +1,7 @@
-"""How far estimates are from the truth, and, without any truth, how well the frames of a session agree.
+"""Errors of estimates against the truth, and agreement of the frames of a session without truth.
 
-The spreads use what must be one and the same in all frames of an arm that moves about its remote centre of motion: the
-point in which the shafts' axes meet, and the centre that each axis and the insertion's reading give.
+Agreement is measured by two points that are the same in all frames of an arm that moves about its remote centre of
+motion (RCM): the point in which the shafts' axes meet, and the RCM computed from each axis and the insertion's reading.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from dvrk_cmaes.evaluate.consistency import converge_shafts, rcm_spread
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.instrument import Instrument
 
-RIGHT_MODE_DEG: Final = 30.0
+RIGHT_MODE_DEG: Final = 30.0  # largest rotation error of a pose in the right mode
 
 
 def frame_errors(instrument: Instrument, run: Run) -> dict[str, Any]:
-    """Errors of one run: mm and degrees, and whether it is in the right mode; nothing without pose or truth."""
+    """Return the errors of a run, mm and degrees, and whether it is in the right mode; empty without pose or truth."""
     if run.failed or run.case.truth is None:
         return {}
     truth = (run.case.truth.camera_from_root, run.case.truth.joints)
@@ -37,7 +37,7 @@ def frame_errors(instrument: Instrument, run: Run) -> dict[str, Any]:
 
 
 def summary(instrument: Instrument, runs: Sequence[Run]) -> dict[str, Any]:
-    """Shares, and percentiles (50, 90, 100) of the errors of some runs."""
+    """Return shares of runs, and percentiles (50, 90, 100) of their errors."""
     errors = [found for run in runs if (found := frame_errors(instrument, run))]
     posed = [run for run in runs if not run.failed]
     row: dict[str, Any] = {"frames": len(runs)}
@@ -54,11 +54,11 @@ def summary(instrument: Instrument, runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def session_spread(runs: Sequence[Run]) -> dict[str, float]:
-    """Spread over the frames of one session, mm.
+    """Return the scatter over the frames of one session, mm; empty with fewer than three poses.
 
-    ``sigma_mm`` and ``sigma_rms_mm``: standard deviation and root mean square of the distances from the shafts' axes
-    to the point nearest to all of them. ``rcm_mm``: root mean square distance of the centre of motion in each frame
-    from their mean; only where the insertion was read.
+    ``sigma_mm`` and ``sigma_rms_mm`` are the standard deviation and the root mean square of the distances of the
+    shafts' axes from the point nearest to all of them. ``rcm_mm`` is the root mean square distance of the frames' RCMs
+    from their mean, if all insertions were read.
     """
     runs = [run for run in runs if not run.failed]
     if len(runs) < 3:
@@ -73,14 +73,14 @@ def session_spread(runs: Sequence[Run]) -> dict[str, float]:
 
 
 def error_report(instrument: Instrument, runs: Sequence[Run]) -> dict[str, list[Mapping[str, Any]]]:
-    """Summaries of each session, of each level, and why results are doubtful."""
+    """Summarise each session and each level, and count the reasons of doubtful and failed results."""
     sessions: dict[str, list[Run]] = {}
     for run in runs:
         sessions.setdefault(run.case.session, []).append(run)
     reports: dict[str, list[Mapping[str, Any]]] = {
         "sessions": [
             {"session": name, **summary(instrument, group)}
-            # without outer joints the frames of a session are not of one arm
+            # without outer joints the frames of a session are independent
             | (session_spread(group) if "insertion" in group[0].case.readings else {})
             for name, group in sessions.items()
         ],
@@ -95,7 +95,7 @@ def error_report(instrument: Instrument, runs: Sequence[Run]) -> dict[str, list[
 
 
 def reason_shares(runs: Sequence[Run]) -> dict[str, float]:
-    """Share of runs that have each reason for doubt, without its figures; the most frequent first."""
+    """Return the share of runs that have each kind of reason, the most frequent first."""
     counts: dict[str, int] = {}
     for run in runs:
         for reason in {reason_kind(text) for text in run.result["reasons"]}:
@@ -104,12 +104,12 @@ def reason_shares(runs: Sequence[Run]) -> dict[str, float]:
 
 
 def reason_kind(text: str) -> str:
-    """Return what a reason is about: its words before the first colon."""
+    """Return the kind of a reason: its text before the first colon."""
     return text.split(":")[0]
 
 
 def frame_rows(instrument: Instrument, runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """One row a frame."""
+    """Return one row of errors, fit and status for each run."""
     return [
         {
             "session": run.case.session,

@@ -1,6 +1,6 @@
-"""Numbers about an estimate that may tell a good pose from a lie; the trust thresholds are chosen by looking at them.
+"""Features of an estimate that may separate right poses from wrong ones; the trust thresholds are chosen from them.
 
-All are computed from what the program itself has: the frame and its result, never the truth.
+All of them are computed from the frame and its result, without the truth.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from dvrk_cmaes.silhouette import Body, Renderer
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-_NEVER = 1e3  # a gap to a mode that was not found
+_NO_MODE = 1e3  # gap to a mode that was not found
 
 
 def measure_features(
     result: Result, mask: Bool, camera: Camera, body: Body, config: EstimateConfig, *, ignore: Bool | None = None
 ) -> dict[str, float]:
-    """Measure a result by name of feature.
+    """Compute the features of a result, by name.
 
-    Distances are in px of the full image and shares of the mask's area. Gaps are how much worse than the result the
-    nearest mode of a relation scores: by outline and readings, by the ``_outline`` alone, by overlap (``_iou``), and
-    how many times the ``_residual`` of the outline is. ``z_*`` are distances from readings in units of their expected
-    error, ``std_*`` standard deviations of joints as a share of that error. What cannot be measured is left out.
+    Distances are in px of the full image, shares are relative to the mask's area. A gap is the difference in score
+    between the best other mode of a relation and the result: of outline and readings, of the ``_outline`` alone, of the
+    overlap (``_iou``), and the ratio of the outline's ``_residual``. ``z_*`` are distances from the readings in
+    standard deviations of the readings; ``std_*`` are standard deviations of the joints relative to these. Features
+    that cannot be computed are left out.
     """
     assert result.quality is not None
     assert result.camera_from_root is not None
     instrument = body.instrument
     names = instrument.joint_names
     evidence = gather_evidence(mask, camera, instrument, ignore=ignore, seed=config.seed)
-    spread = np.deg2rad([config.readings.of(name) for name in names])
+    sigma = np.deg2rad([config.readings.of(name) for name in names])
     values = np.array([result.readings.get(name, np.nan) for name in names])
     joints = np.array([result.joints[name] for name in names])
     renderer = Renderer(body, camera, threads=1)
@@ -57,13 +58,13 @@ def measure_features(
         "bend_px": quality.bend_px,
         **{f"term_{name}": value for name, value in quality.terms.items()},
     }
-    for name, z in zip(names, (joints - values) / spread, strict=True):
+    for name, z in zip(names, (joints - values) / sigma, strict=True):
         features[f"z_{name}"] = float(z)
-    features["z_rms"] = float(np.sqrt(np.nansum(((joints - values) / spread) ** 2) / len(names)))
+    features["z_rms"] = float(np.sqrt(np.nansum(((joints - values) / sigma) ** 2) / len(names)))
     assert result.covariance is not None
     for k, name in enumerate(names):
-        features[f"std_{name}"] = float(np.sqrt(result.covariance[6 + k, 6 + k]) / spread[k])
-    features |= _modes(result, evidence, renderer, Readings(values, spread, *_limits(instrument)), config, silhouette)
+        features[f"std_{name}"] = float(np.sqrt(result.covariance[6 + k, 6 + k]) / sigma[k])
+    features |= _modes(result, evidence, renderer, Readings(values, sigma, *_limits(instrument)), config, silhouette)
     features |= _overlap(mask & evidence.weight.astype(np.bool_), silhouette, evidence)
     features |= _edges(evidence)
     features["depth_m"] = float(result.camera_from_root[2, 3])
@@ -76,6 +77,7 @@ def measure_features(
 
 
 def _limits(instrument: Instrument) -> tuple[Float64, Float64]:
+    """Return the lower and upper limits (J,) of the joints, rad; the jaw's lower limit is 0."""
     low, high = instrument.limits.T.copy()
     if "jaw" in instrument.joint_names:
         low[instrument.joint_index("jaw")] = 0.0
@@ -90,7 +92,7 @@ def _modes(
     config: EstimateConfig,
     silhouette: Bool,
 ) -> dict[str, float]:
-    """Noise of the outline, what it leaves, and how far the other modes are behind."""
+    """Compute the noise and the residual of the outline, and the gaps to the other modes."""
     assert result.camera_from_root is not None
     noise = measure_noise(evidence.contour, silhouette)
     outline = replace(config.refine.outline, correlation=noise.length)
@@ -101,8 +103,8 @@ def _modes(
         "noise_sigma_px": noise.sigma,
         "noise_length_px": noise.length,
         "residual_per_px": best.residual / max(len(evidence.contour.pixels), 1),
-        "gap_twin": _NEVER,
-        "gap_other": _NEVER,
+        "gap_twin": _NO_MODE,
+        "gap_other": _NO_MODE,
     }
     for other in result.alternatives:
         fit = refiner.assess(other.camera_from_root, np.array(list(other.joints.values())))
@@ -117,7 +119,7 @@ def _modes(
 
 
 def _overlap(mask: Bool, silhouette: Bool, evidence: Evidence) -> dict[str, float]:
-    """Where mask and silhouette differ: how much, how thick, and how far both ways."""
+    """Compute area, thickness and distances of the differences between mask and silhouette."""
     counts = evidence.weight > 0
     drawn = silhouette & counts
     area = max(int(mask.sum()), 1)
@@ -140,7 +142,7 @@ def _overlap(mask: Bool, silhouette: Bool, evidence: Evidence) -> dict[str, floa
 
 
 def _thickest(region: Bool) -> float:
-    """Half the width, px, of the thickest place of a region."""
+    """Return half the largest width of a region, px."""
     if not region.any():
         return 0.0
     padded = np.pad(region.astype(np.uint8), 1)
@@ -148,14 +150,14 @@ def _thickest(region: Bool) -> float:
 
 
 def _largest_blob(region: Bool) -> float:
-    """Area, px, of the largest piece of a region once stretches thinner than five pixels are gone."""
+    """Return the area, px, of the largest component of a region after a morphological opening with 5 x 5 pixels."""
     opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
     count, _, stats, _ = cv2.connectedComponentsWithStats(opened)
     return float(stats[1:, cv2.CC_STAT_AREA].max()) if count > 1 else 0.0
 
 
 def _percentiles(reference: Bool, other: Bool, counts: Bool, at: Sequence[int] = (50, 80, 95, 99)) -> dict[int, float]:
-    """Percentiles of the distances, px, from the outline of one mask to that of a reference."""
+    """Return percentiles of the distances, px, of the outline of a mask from that of a reference."""
     found, _ = cv2.findContours(other.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not found or reference.all() or not reference.any():
         return dict.fromkeys(at, float(np.hypot(*reference.shape)))
@@ -170,7 +172,7 @@ def _percentiles(reference: Bool, other: Bool, counts: Bool, at: Sequence[int] =
 
 
 def _edges(evidence: Evidence) -> dict[str, float]:
-    """How many pairs of shaft edges were found, and the best pair's spread, px, and support, points."""
+    """Return the number of pairs of shaft edges, and the best pair's standard deviation, px, and number of points."""
     pairs = evidence.shaft_edges
     return {
         "edge_pairs": float(len(pairs)),

@@ -1,7 +1,7 @@
-"""Frames in which something is false: an estimator that is honest doubts them.
+"""Falsified frames, whose results should be marked doubtful.
 
-Each kind of lie falsifies one thing about a frame with known truth: the mask, the camera or the readings. The last
-three mostly hide, because another pose explains them.
+Each kind of falsification changes one input of a frame with known truth: the mask, the camera or the readings. The last
+three kinds often remain unnoticed, because another pose explains the mask.
 """
 
 from __future__ import annotations
@@ -13,60 +13,60 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from accuracy_cases import HONEST, Case, Run
+from accuracy_cases import ORIGINAL, Case, Run
 from accuracy_errors import reason_shares
 from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.synth.masks import SLIGHT, lump_of_tissue, segmented
+from dvrk_cmaes.synth.masks import SLIGHT, simulate_segmentation, tissue_region
 
 Bool = NDArray[np.bool_]
 Random = np.random.Generator
 
-HIDING: Final = ("focal length off", "mirrored mask", "cropped and rescaled mask")
+OFTEN_UNNOTICED: Final = ("focal length off", "mirrored mask", "cropped and rescaled mask")
 _FEWEST_PIXELS: Final = 500
 _READING_OFF: Final = np.deg2rad(60.0)
 _FOCAL_OFF: Final = 1.15
-_CROPPED: Final = (0.65, 0.85)  # of the image's width
+_CROPPED: Final = (0.65, 0.85)  # range of the cropped part, relative to the image's width
 
 
 @dataclass(frozen=True)
 class Sources:
-    """What lies are made from: all honest cases, and other instruments by what they are called."""
+    """Sources of falsifications: all original cases, and other instruments by name."""
 
     cases: Sequence[Case]
     others: Mapping[str, Body]
 
 
-Lie = Callable[[Case, Sources, Random], Case | None]
-"""Falsifies a case; None where that cannot be done to it."""
+Falsification = Callable[[Case, Sources, Random], Case | None]
+"""Function that returns a falsified copy of a case, or None if the case is not suitable."""
 
 
-def other_instrument(name: str) -> Lie:
-    """Another instrument in the same pose, taken for the one that is expected."""
+def other_instrument(name: str) -> Falsification:
+    """Return the falsification that draws the mask of another instrument in the same pose."""
 
-    def lie(case: Case, sources: Sources, rng: Random) -> Case | None:
+    def falsify(case: Case, sources: Sources, rng: Random) -> Case | None:
         assert case.truth is not None
         body = sources.others[name]
         joints = np.array([case.truth.joints[joint] for joint in body.instrument.joint_names])
         renderer = Renderer(body, case.camera, threads=1)
         mask = renderer.masks(case.truth.camera_from_root[None], joints[None])[0]
         if case.level != "clean" and mask.any():
-            mask = segmented(mask, rng, SLIGHT).mask
+            mask = simulate_segmentation(mask, rng, SLIGHT).mask
         return replace(case, mask=mask)
 
-    return lie
+    return falsify
 
 
 def something_else(case: Case, sources: Sources, rng: Random) -> Case:
-    """Shapes that are no instrument: a lump, an ellipse, a polygon, a hand, a bar."""
+    """Replace the mask by a shape that is not an instrument: a lump, an ellipse, a polygon, a hand or a bar."""
     height, width = case.mask.shape
     centre = rng.uniform([0.2 * width, 0.2 * height], [0.8 * width, 0.8 * height])
     size = rng.uniform(0.1, 0.3) * height
     shape = rng.integers(5)
     if shape == 0:
-        return replace(case, mask=lump_of_tissue((height, width), rng, centre, size))
+        return replace(case, mask=tissue_region((height, width), rng, centre, size))
     image = np.zeros((height, width), dtype=np.uint8)
     at = centre.astype(int).tolist()
     turn = rng.uniform(0, 2 * np.pi)
@@ -87,7 +87,7 @@ def something_else(case: Case, sources: Sources, rng: Random) -> Case:
 
 
 def _draw_hand(image: NDArray[np.uint8], centre: NDArray[np.float64], size: float, turn: float, rng: Random) -> None:
-    """Draw a palm with five fingers, and an arm that comes from the image's border."""
+    """Draw a palm with five fingers, and an arm that extends to the image's border."""
     at = centre.astype(int).tolist()
     cv2.circle(image, at, int(0.7 * size), 1, -1)
     for finger in turn + np.linspace(-0.9, 0.9, 5):
@@ -98,7 +98,7 @@ def _draw_hand(image: NDArray[np.uint8], centre: NDArray[np.float64], size: floa
 
 
 def two_tools(case: Case, sources: Sources, rng: Random) -> Case | None:
-    """Two tools in one mask: another frame's of the same camera and session is added."""
+    """Add the mask of another frame of the same session; None if the session has no other frame."""
     others = [c for c in sources.cases if c.session == case.session and c.frame != case.frame]
     if not others:
         return None
@@ -116,15 +116,15 @@ def half_mask(case: Case, sources: Sources, rng: Random) -> Case:
 
 
 def readings_off(case: Case, sources: Sources, rng: Random) -> Case:
-    """Take readings of another frame: pitch or yaw is 60 degrees off."""
+    """Change the reading of wrist pitch or wrist yaw by 60 degrees."""
     name = ("wrist_pitch", "wrist_yaw")[rng.integers(2)]
     value = case.readings[name]
-    off = -_READING_OFF if value > 0 else _READING_OFF  # towards the middle, so that it stays within the limits
+    off = -_READING_OFF if value > 0 else _READING_OFF  # towards zero, to stay within the limits
     return replace(case, readings={**case.readings, name: value + off})
 
 
 def focal_off(case: Case, sources: Sources, rng: Random) -> Case:
-    """Focal length 15 % too long or too short."""
+    """Make the focal length 15 % too long or too short."""
     factor = _FOCAL_OFF if rng.random() < 0.5 else 1 / _FOCAL_OFF
     return replace(case, camera=replace(case.camera, fx=case.camera.fx * factor, fy=case.camera.fy * factor))
 
@@ -136,7 +136,7 @@ def mirrored(case: Case, sources: Sources, rng: Random) -> Case:
 
 
 def cropped(case: Case, sources: Sources, rng: Random) -> Case | None:
-    """Crop the mask and enlarge it to the image's size, the camera left as it was."""
+    """Crop the mask and enlarge it to the image's size, without a change of the camera."""
     height, width = case.mask.shape
     share = rng.uniform(*_CROPPED)
     h, w = round(share * height), round(share * width)
@@ -146,7 +146,7 @@ def cropped(case: Case, sources: Sources, rng: Random) -> Case | None:
 
 
 OTHER_INSTRUMENTS: Final = {"hook": "instrument_400183.urdf", "Maryland": "instrument_400172.urdf"}
-LIES: Final[Mapping[str, Lie]] = {
+FALSIFICATIONS: Final[Mapping[str, Falsification]] = {
     **{f"{name} for needle driver": other_instrument(name) for name in OTHER_INSTRUMENTS},
     "something else": something_else,
     "two tools": two_tools,
@@ -159,20 +159,21 @@ LIES: Final[Mapping[str, Lie]] = {
 
 
 def load_others(folder: Path) -> dict[str, Body]:
-    """Prepare the other instruments whose URDFs lie in a folder; none where it does not exist."""
+    """Prepare the other instruments whose URDFs are in a folder; empty if the folder does not exist."""
     if not folder.is_dir():
         return {}
     return {name: Body.prepare(load_instrument(folder / file)) for name, file in OTHER_INSTRUMENTS.items()}
 
 
-def make_lies(cases: Sequence[Case], others: Mapping[str, Body], count: int, seed: int) -> list[Case]:
-    """Falsify cases, evenly spread, ``count`` of each kind; cycled through where there are fewer cases.
+def falsified_cases(cases: Sequence[Case], others: Mapping[str, Body], count: int, seed: int) -> list[Case]:
+    """Return ``count`` falsified cases of each kind, made from evenly spaced cases.
 
-    A second round over the same frame makes another lie of it, whose frame is named after the round.
+    With fewer cases than ``count``, cases are used again with other random numbers. The names of falsified frames end
+    in the number of the attempt.
     """
     sources = Sources(cases, others)
     made = []
-    for number, (kind, lie) in enumerate(LIES.items()):
+    for number, (kind, falsify) in enumerate(FALSIFICATIONS.items()):
         if kind.endswith(" for needle driver") and kind.split(" for ")[0] not in others:
             continue
         rng = np.random.default_rng([seed, number])
@@ -180,27 +181,27 @@ def make_lies(cases: Sequence[Case], others: Mapping[str, Body], count: int, see
         order = [cases[i * len(cases) // count] for i in range(count)] if count < len(cases) else list(cases)
         for attempt in range(10 * count):
             case = order[attempt % len(order)] if attempt < len(order) else cases[int(rng.integers(len(cases)))]
-            lied = lie(case, sources, rng)
-            if lied is not None and _FEWEST_PIXELS < lied.mask.sum() < lied.mask.size // 2:
-                kept.append(replace(lied, kind=kind, frame=f"{case.frame}_{attempt}"))
+            changed = falsify(case, sources, rng)
+            if changed is not None and _FEWEST_PIXELS < changed.mask.sum() < changed.mask.size // 2:
+                kept.append(replace(changed, kind=kind, frame=f"{case.frame}_{attempt}"))
             if len(kept) == count:
                 break
         made += kept
     return made
 
 
-def lie_report(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """One row a kind and one a level of honest frames: the share doubted, and for what reasons."""
+def doubt_report(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the share of doubtful results and their reasons, by kind of falsification or level of original cases."""
     groups: dict[str, list[Run]] = {}
     for run in runs:
-        name = f"{HONEST}, {run.case.level}" if run.case.kind == HONEST else run.case.kind
+        name = f"{ORIGINAL}, {run.case.level}" if run.case.kind == ORIGINAL else run.case.kind
         groups.setdefault(name, []).append(run)
     rows = []
     for name, group in groups.items():
         reasons = reason_shares(group)
         rows.append(
             {
-                "kind": name + (" (hides)" if name in HIDING else ""),
+                "kind": name + (" (hides)" if name in OFTEN_UNNOTICED else ""),
                 "cases": len(group),
                 "doubted": sum(run.doubted for run in group) / len(group),
                 "reasons": ", ".join(f"{reason} {share:.2f}" for reason, share in reasons.items()) or "-",

@@ -1,8 +1,8 @@
-"""How accurate and how honest the calibration of a session is: one camera_from_base, against the true one.
+"""Errors of session calibrations against the true camera_from_base, and check of their covariances.
 
-The frames' own results are solved together, a process a session. Intervals are those of the covariance that
-session.json states: of the base's rotation and of its origin (the remote centre of motion), along and about the base's
-own axes.
+The results of a session's frames are solved together, one session in each worker process. The intervals are computed
+from the covariance in session.json: of the base's rotation and of its origin (the remote centre of motion), along and
+about the base's own axes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from accuracy_calibration import share_interval
-from accuracy_cases import Case, Run, say_progress
+from accuracy_cases import Case, Run, print_progress
 from accuracy_errors import RIGHT_MODE_DEG
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -40,9 +40,9 @@ INTERVAL: Final = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A session to calibrate: its frames' own results in order, and what is true; ``kind`` says what was falsified.
+    """A session to calibrate: the results of its frames in order, and the truth.
 
-    ``base`` (4, 4) is the true camera_from_base.
+    ``kind`` states what was falsified, see `accuracy_cases.Case`; ``base`` (4, 4) is the true camera_from_base.
     """
 
     session: str
@@ -55,7 +55,7 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a trial: the solved session, or why it was refused."""
+    """Outcome of a trial: the solved session, or the message with which it was refused."""
 
     trial: Trial
     solved: SolvedSession | None
@@ -63,7 +63,7 @@ class Outcome:
 
 
 def read_bases(folders: Sequence[str]) -> dict[str, Float64]:
-    """Read the true camera_from_base of session folders by their names; InputError where one has none."""
+    """Read the true camera_from_base of session folders, by name; InputError if one has none."""
     found = {}
     for folder in folders:
         session = read_session(folder)
@@ -73,8 +73,8 @@ def read_bases(folders: Sequence[str]) -> dict[str, Float64]:
     return found
 
 
-def honest_trials(runs: Sequence[Run], bases: Mapping[str, Float64]) -> list[Trial]:
-    """Make a trial of each session's runs, as they are."""
+def original_trials(runs: Sequence[Run], bases: Mapping[str, Float64]) -> list[Trial]:
+    """Make a trial of each session, without falsification."""
     grouped: dict[str, list[Run]] = {}
     for run in runs:
         grouped.setdefault(run.case.session, []).append(run)
@@ -82,7 +82,7 @@ def honest_trials(runs: Sequence[Run], bases: Mapping[str, Float64]) -> list[Tri
 
 
 def run_trials(trials: Sequence[Trial], *, instrument: str, config: EstimateConfig, workers: int) -> list[Outcome]:
-    """Calibrate all sessions, in their order, several at a time."""
+    """Calibrate all sessions in worker processes; the outcomes are in the order of the trials."""
     single = replace(config, threads=1)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context) as pool:
@@ -90,11 +90,12 @@ def run_trials(trials: Sequence[Trial], *, instrument: str, config: EstimateConf
         outcomes = []
         for count, (trial, future) in enumerate(zip(trials, futures, strict=True), start=1):
             outcomes.append(Outcome(trial, *future.result()))
-            say_progress("sessions", count, len(trials))
+            print_progress("sessions", count, len(trials))
         return outcomes
 
 
 def _calibrate(trial: Trial, instrument: str, config: EstimateConfig) -> tuple[SolvedSession | None, str]:
+    """Calibrate a session in a worker process; return the solved session, or None and the message of the error."""
     frames = [
         SessionFrame(f"{k:04d}", _data(run.case), replace(Result.from_dict(dict(run.result)), frame=f"{k:04d}"))
         for k, run in enumerate(trial.runs)
@@ -106,11 +107,12 @@ def _calibrate(trial: Trial, instrument: str, config: EstimateConfig) -> tuple[S
 
 
 def _data(case: Case) -> FrameData:
+    """Return the data of a case's frame."""
     return FrameData(case.mask, case.camera, case.ignore, None, ())
 
 
 def base_error(outcome: Outcome) -> tuple[float, float]:
-    """Error of camera_from_base: rotation, deg, and origin, mm."""
+    """Return the error of camera_from_base: rotation, deg, and origin, mm."""
     assert outcome.solved is not None
     found, true = outcome.solved.calibration.camera_from_base, outcome.trial.base
     return (
@@ -120,7 +122,7 @@ def base_error(outcome: Outcome) -> tuple[float, float]:
 
 
 def frame_errors(instrument: Instrument, trial: Trial, results: Sequence[Result]) -> list[PoseError]:
-    """Errors of results of a trial's frames, in their order; those without pose or truth are left out."""
+    """Return the errors of a trial's frames in order, without those that have no pose or no truth."""
     pairs = zip(results, trial.runs, strict=True)
     return [
         compare_poses(instrument, (one.camera_from_root, one.joints), (truth.camera_from_root, truth.joints))
@@ -130,30 +132,31 @@ def frame_errors(instrument: Instrument, trial: Trial, results: Sequence[Result]
 
 
 def session_row(instrument: Instrument, outcome: Outcome) -> dict[str, Any]:
-    """Errors of a session: of its base, and of its frames before and after it was solved."""
+    """Return the errors of a session: of its base, and of its frames solved one by one and together."""
     trial, solved = outcome.trial, outcome.solved
     row: dict[str, Any] = {"session": trial.session, "kind": trial.kind, "frames": len(trial.runs)}
     if solved is None:
         return {**row, "refused": outcome.refusal}
     alone = frame_errors(instrument, trial, [Result.from_dict(dict(run.result)) for run in trial.runs])
-    after = frame_errors(instrument, trial, list(solved.results.values()))
-    lone = np.array(list(solved.calibration.leave_one_out.values())).reshape(-1, 2)
+    together = frame_errors(instrument, trial, list(solved.results.values()))
+    left_out = np.array(list(solved.calibration.leave_one_out.values())).reshape(-1, 2)
     row["base_deg"], row["base_mm"] = base_error(outcome)
-    row["right_mode"] = [sum(error.rotation_deg < RIGHT_MODE_DEG for error in errors) for errors in (alone, after)]
-    row["tip_mm"] = [_median([error.tip_mm for error in errors]) for errors in (alone, after)]
-    row["left_out_iou"], row["left_out_px"] = float(lone[:, 0].mean()), float(np.median(lone[:, 1]))
+    row["right_mode"] = [sum(error.rotation_deg < RIGHT_MODE_DEG for error in errors) for errors in (alone, together)]
+    row["tip_mm"] = [_median([error.tip_mm for error in errors]) for errors in (alone, together)]
+    row["left_out_iou"], row["left_out_px"] = float(left_out[:, 0].mean()), float(np.median(left_out[:, 1]))
     row["left_out"] = " ".join(solved.calibration.left_out) or "-"
     row["seconds"] = solved.calibration.seconds
     return row
 
 
 def _median(values: Sequence[float | None]) -> float | None:
+    """Return the median of the values that are not None; None if there are none."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
 
 
 def level_rows(rows: Sequence[Mapping[str, Any]], levels: Sequence[str]) -> list[dict[str, Any]]:
-    """Medians and worst of sessions' rows by level, and of all; ``tip_mm`` is alone, then solved together."""
+    """Return medians and maxima by level and over all sessions; ``tip_mm`` is solved one by one, then together."""
     found = []
     for level in dict.fromkeys([*levels, *(["all"] if len(set(levels)) > 1 else [])]):
         own = [row for row, is_of in zip(rows, levels, strict=True) if level in (is_of, "all") and "refused" not in row]
@@ -171,20 +174,21 @@ def level_rows(rows: Sequence[Mapping[str, Any]], levels: Sequence[str]) -> list
 
 
 def deviations(outcome: Outcome) -> Float64:
-    """Measure the true base from the one found, in standard deviations: its six axes, then both as a whole, (8,).
+    """Return the deviations (8,) of the true base from the estimated one.
 
-    The last two are squared Mahalanobis distances of three degrees of freedom: of the origin, of the rotation.
+    The first six are along and about the base's axes, in standard deviations. The last two are the squared Mahalanobis
+    distances of the origin and of the rotation, with three degrees of freedom each.
     """
     assert outcome.solved is not None
     calibration = outcome.solved.calibration
     off = change_between(calibration.camera_from_base, outcome.trial.base)
-    spread = calibration.covariance[:6, :6]
-    whole = [off[part] @ np.linalg.solve(spread[part, part], off[part]) for part in (slice(0, 3), slice(3, 6))]
-    return np.array([*(off / np.sqrt(np.diag(spread))), *whole])
+    covariance = calibration.covariance[:6, :6]
+    whole = [off[part] @ np.linalg.solve(covariance[part, part], off[part]) for part in (slice(0, 3), slice(3, 6))]
+    return np.array([*(off / np.sqrt(np.diag(covariance))), *whole])
 
 
 def interval_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Count whose 95 % intervals hold the truth, by level and quantity, as `accuracy_calibration` does."""
+    """Return the share of 95 % intervals that contain the truth, by level and quantity; see `accuracy_calibration`."""
     kept = [outcome for outcome in outcomes if outcome.solved is not None]
     levels = list(dict.fromkeys(outcome.trial.level for outcome in kept))
     rows = []
@@ -211,7 +215,7 @@ def interval_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def session_report(instrument: Instrument, outcomes: Sequence[Outcome]) -> dict[str, list[dict[str, Any]]]:
-    """Errors of each session and of each level, and how often the 95 % intervals hold the truth."""
+    """Report the errors by session and by level, and the share of 95 % intervals that contain the truth."""
     rows = [session_row(instrument, outcome) for outcome in outcomes]
     return {
         "sessions": rows,

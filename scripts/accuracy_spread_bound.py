@@ -1,23 +1,24 @@
-"""The smallest errors that a session's very masks allow, and so the smallest spread of its frames.
+"""Cramer-Rao bound of the errors for masks with correlated noise, and the expected scatter of a session's frames.
 
-Solved alone, a frame places the centre that all shafts turn about with an error of millimetres: a shaft's tilt towards
-the camera shows only in how its two short edges converge, and the lever to the centre is long. What to expect is
-simulated. Each frame's error is drawn from the smallest covariance that Cramer and Rao allow with the noise that its
-own mask has: the contour's spread about the true silhouette and its correlation length. Added to the true poses, these
-errors give spreads as the estimates' are measured, with the insertions as read, whose errors so count too.
+The remote centre of motion (RCM) computed from a single frame has an error of millimetres: the tilt of the shaft
+towards the camera is determined only by the convergence of its two short edges, and the distance to the RCM is large.
+The expected scatter over the frames is simulated. The error of each frame is drawn from the Cramer-Rao bound of its
+covariance for the noise of its own mask, which is described by the standard deviation of the contour about the true
+silhouette and by the correlation length. These errors are added to the true poses, and the scatter is computed as for
+the estimates, with the insertions as read, so that the errors of these readings are included.
 
-Two models of the noise, of which the first is the one that the program's own weights follow:
+Two models of the noise; the weights of the program follow the first one:
 
-- ``blocks``: each correlation length of outline is one measurement, and all of it is off by as much;
-- ``smooth``: errors at d px from each other are correlated by exp(-pi (d / length)^2), and each row or column reads the
-  outline to a pixel. It supposes that it is known how the errors hang together: a bend sharper than the noise is then
-  seen far better than the noise is large. Nothing that does not know this comes near.
+- ``blocks``: each correlation length of outline is one measurement with one common error;
+- ``smooth``: errors at a distance of d px have the correlation exp(-pi (d / length)^2), and each row or column adds the
+  error of the pixel grid. This bound holds for an estimator with the exact correlation as input. Such an estimator
+  resolves shapes of the outline that vary more rapidly than the noise, even if they are smaller than the noise.
 
-Either takes the errors for Gaussian. Those of a good mask are not: most of its outline is right to the pixel and a few
-stretches are one off. An estimate that passes over those can do better than either says.
+Both models assume Gaussian errors. The errors of a good mask are not Gaussian: most of the outline is exact to a pixel,
+and a few stretches deviate. A robust estimate can therefore have smaller errors than both bounds.
 
-Where no truth is known, the covariances are the results' own, about their poses shifted so that all centres agree: that
-says whether a spread is what the results lead one to expect, not how small it could be.
+Without truth, the covariances are those of the results, and the poses are the results shifted so that all RCMs agree.
+The comparison then shows whether the scatter agrees with these covariances, and not how small it could be.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evaluate.consistency import FEWEST, converge_shafts, rcm_spread
+from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, converge_shafts, rcm_spread
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour
 from dvrk_cmaes.geometry import moved
@@ -45,29 +46,29 @@ Float64 = NDArray[np.float64]
 
 MODELS: Final = ("blocks", "smooth")
 DRAWS: Final = 200
-_BEYOND: Final = 3.0  # standard deviations from the mask's outline, where the true one is not what the mask shows
-_LEAST_SHARE: Final = 0.1  # of the noise's variance that is smooth, whatever the grid accounts for
+_BEYOND: Final = 3.0  # standard deviations from the contour; beyond, the mask does not show the true outline
+_LEAST_SHARE: Final = 0.1  # least share of the noise's variance that is correlated, after subtraction of the grid's
 
 
 @dataclass(frozen=True, eq=False)
 class MaskBound:
-    """Bounds (6 + J, 6 + J) of the covariance at the truth, by the model of the noise, and the noise of the mask."""
+    """Bounds (6 + J, 6 + J) of the covariance at the truth by model of the noise, and the noise of the mask."""
 
     covariances: Mapping[str, Float64]
     noise: OutlineNoise
 
 
 def mask_bound(body: Body, case: Case, config: EstimateConfig) -> MaskBound:
-    """Find the bounds of one case, whose truth is known, with the noise that its mask has."""
+    """Compute the bounds of a case with known truth for the noise of its mask."""
     assert case.truth is not None
     pose, joints = case.truth.camera_from_root, true_joints(body, case)
     silhouette = Renderer(body, case.camera, threads=1).masks(pose[None], joints[None])[0]
     noise = measure_noise(find_contour(case.mask, case.camera, case.ignore), silhouette)
     crossings = find_crossings(body, case, pose, joints)
     off = sampled(signed_distance(case.mask), crossings.pixels)
-    shown = np.abs(off) < _BEYOND * max(noise.sigma, 0.5)
-    lengths, pixels = crossings.lengths[shown], crossings.pixels[shown]
-    rates = crossings.rates[:, shown] / lengths  # across the outline
+    visible = np.abs(off) < _BEYOND * max(noise.sigma, 0.5)
+    lengths, pixels = crossings.lengths[visible], crossings.pixels[visible]
+    rates = crossings.rates[:, visible] / lengths  # perpendicular to the outline
     grid = PIXEL_SIGMA**2 / lengths**2
     smooth = max(noise.sigma**2 - float(grid.mean()), _LEAST_SHARE * noise.sigma**2)
     errors = smooth * np.exp(-np.pi * (cdist(pixels, pixels) / noise.length) ** 2) + np.diag(grid)
@@ -80,16 +81,16 @@ def mask_bound(body: Body, case: Case, config: EstimateConfig) -> MaskBound:
 
 
 def spreads(poses: Float64, insertion: Float64) -> dict[str, float]:
-    """Spreads of poses (N, 4, 4) with the insertions read, (N,) m, in mm.
+    """Return the scatter, mm, of poses (N, 4, 4) with insertion readings (N,), m.
 
-    ``sigma_mm``: standard deviation of the distances from the axes to the point nearest to all; ``rcm_mm``: root mean
-    square distance of the frames' centres of motion from their mean.
+    ``sigma_mm`` is the standard deviation of the distances of the axes from the point nearest to all of them;
+    ``rcm_mm`` is the root mean square distance of the frames' RCMs from their mean.
     """
     return {"sigma_mm": 1e3 * converge_shafts(poses).sigma, "rcm_mm": 1e3 * rcm_spread(poses, insertion).rms}
 
 
-def agreeing(poses: Float64, insertion: Float64) -> Float64:
-    """Shift poses (N, 4, 4) so that each gives, with the insertions (N,), the mean centre of motion of all."""
+def with_common_rcm(poses: Float64, insertion: Float64) -> Float64:
+    """Shift poses (N, 4, 4) so that all RCMs, computed with the insertions (N,), are equal to their mean."""
     found = rcm_spread(poses, insertion)
     shifted = poses.copy()
     shifted[:, :3, 3] += found.centre - found.points
@@ -99,7 +100,7 @@ def agreeing(poses: Float64, insertion: Float64) -> Float64:
 def drawn_spreads(
     poses: Float64, insertion: Float64, covariances: Float64, *, draws: int = DRAWS, seed: int = 0
 ) -> dict[str, Float64]:
-    """Spreads (draws,) of poses (N, 4, 4) with errors of covariances (N, 6 + J, 6 + J) of [t, r, joints] added."""
+    """Return the scatter (draws,) of poses (N, 4, 4) plus random errors of covariances (N, 6 + J, 6 + J)."""
     rng = np.random.default_rng(seed)
     roots = np.linalg.cholesky(covariances[:, :6, :6])
     errors = np.einsum("nij,dnj->dni", roots, rng.standard_normal((draws, len(poses), 6)))
@@ -108,36 +109,37 @@ def drawn_spreads(
 
 
 @dataclass(frozen=True, eq=False)
-class Bounded:
-    """Runs of one session that have a pose, in the right mode where the truth is ``known``, and then their bounds."""
+class BoundedRuns:
+    """Runs of one session with a pose; if the truth is ``known``, only those in the right mode, with their bounds."""
 
     runs: Sequence[Run]
     known: bool
     bounds: Sequence[MaskBound]
 
     def covariances(self, model: str) -> Float64:
-        """Bounds of all frames by one model, (N, 6 + J, 6 + J)."""
+        """Return the bounds (N, 6 + J, 6 + J) of all frames by one model."""
         return np.stack([bound.covariances[model] for bound in self.bounds])
 
 
-def bound_runs(body: Body, runs: Sequence[Run], config: EstimateConfig) -> Bounded:
-    """Find the bounds of one session's runs."""
+def bound_runs(body: Body, runs: Sequence[Run], config: EstimateConfig) -> BoundedRuns:
+    """Compute the bounds of one session's runs."""
     posed = [run for run in runs if not run.failed]
     if any(run.case.truth is None for run in posed):
-        return Bounded(posed, known=False, bounds=())
+        return BoundedRuns(posed, known=False, bounds=())
     right = [run for run in posed if frame_errors(body.instrument, run)["right_mode"]]
-    return Bounded(right, known=True, bounds=[mask_bound(body, run.case, config) for run in right])
+    return BoundedRuns(right, known=True, bounds=[mask_bound(body, run.case, config) for run in right])
 
 
-def spread_rows(runs: Sequence[Run], bounded: Bounded) -> list[dict[str, Any]]:
-    """Spreads of one session's frames, measured and expected: a row for each model; none without insertions.
+def spread_rows(runs: Sequence[Run], bounded: BoundedRuns) -> list[dict[str, Any]]:
+    """Return the measured and expected scatter of one session's frames, one row for each model of the noise.
 
-    ``_expected`` is the mean over the draws and ``_5_95`` their range; ``ratio`` is measured over expected.
-    ``rcm_mm_all`` is that of all ``runs`` that have a pose, whatever their mode; ``rcm_mm_read`` what the insertions'
-    errors alone make of the true poses; ``outline_px`` and ``length_px`` the masks' noise, in the median.
+    There are no rows with fewer than three frames or without insertion readings. ``_expected`` is the mean over the
+    draws and ``_5_95`` their 5th and 95th percentile; ``ratio`` is measured over expected. ``rcm_mm_all`` is that of
+    all ``runs`` with a pose, in any mode; ``rcm_mm_read`` that of the true poses, from the errors of the insertion
+    readings alone; ``outline_px`` and ``length_px`` are the medians of the masks' noise and correlation length.
     """
     used = bounded.runs
-    if len(used) < FEWEST or any("insertion" not in run.case.readings for run in runs):
+    if len(used) < LEAST_FRAMES or any("insertion" not in run.case.readings for run in runs):
         return []
     posed = [run for run in runs if not run.failed]
     found, insertion = _poses(used), _insertion(used)
@@ -150,7 +152,7 @@ def spread_rows(runs: Sequence[Run], bounded: Bounded) -> list[dict[str, Any]]:
         whole["outline_px"] = float(np.median([bound.noise.sigma for bound in bounded.bounds]))
         whole["length_px"] = float(np.median([bound.noise.length for bound in bounded.bounds]))
     else:
-        centre, models = agreeing(found, insertion), {"results' own": np.stack([run.covariance for run in used])}
+        centre, models = with_common_rcm(found, insertion), {"results' own": np.stack([run.covariance for run in used])}
     rows = []
     for model, covariances in models.items():
         drawn = drawn_spreads(centre, insertion, covariances)
@@ -167,8 +169,8 @@ def spread_rows(runs: Sequence[Run], bounded: Bounded) -> list[dict[str, Any]]:
     return rows
 
 
-def tip_rows(body: Body, bounded: Bounded) -> list[dict[str, Any]]:
-    """Root mean square error of one session's jaw tips, mm, and the smallest: a row for each model."""
+def tip_rows(body: Body, bounded: BoundedRuns) -> list[dict[str, Any]]:
+    """Return the root mean square error of one session's jaw tips, mm, and its bound, one row for each model."""
     instrument = body.instrument
     if not bounded.bounds or not instrument.jaw_tips:
         return []
@@ -194,7 +196,7 @@ def tip_rows(body: Body, bounded: Bounded) -> list[dict[str, Any]]:
 
 
 def mask_report(body: Body, runs: Sequence[Run], config: EstimateConfig) -> dict[str, Sequence[dict[str, Any]]]:
-    """Spreads and tips of all sessions, measured and expected."""
+    """Compare measured and expected scatter, and errors of the tips with their bounds, for all sessions."""
     sessions: dict[str, list[Run]] = {}
     for run in runs:
         sessions.setdefault(run.case.session, []).append(run)
@@ -210,8 +212,10 @@ def mask_report(body: Body, runs: Sequence[Run], config: EstimateConfig) -> dict
 
 
 def _poses(runs: Sequence[Run]) -> Float64:
+    """Stack the poses of runs, (N, 4, 4)."""
     return np.stack([run.pose for run in runs])
 
 
 def _insertion(runs: Sequence[Run]) -> Float64:
+    """Return the insertion readings of runs, (N,) m."""
     return np.array([run.case.readings["insertion"] for run in runs], dtype=np.float64)

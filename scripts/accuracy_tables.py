@@ -1,4 +1,4 @@
-"""Tables of plain text, and of comma-separated values."""
+"""Output of tables as plain text and as CSV."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from accuracy_cases import Run
 
 
 def show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print rows of the same columns below their names, under a title."""
+    """Print rows as a table with the names of the columns, under a title."""
     print(f"\n{title}")
     if not rows:
         print("  (none)")
@@ -24,6 +24,7 @@ def show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _text(value: Any) -> str:
+    """Format a cell: ``-`` for None, three significant digits for small numbers."""
     if value is None:
         return "-"
     if isinstance(value, float):
@@ -34,7 +35,7 @@ def _text(value: Any) -> str:
 
 
 def write_features(path: Path, runs: Sequence[Run], truth: Sequence[Mapping[str, Any]]) -> None:
-    """Write one line a run: what it was, what the program said, the features, and its errors if the truth is known."""
+    """Write a CSV with one line for each run: case, status, reasons, features, and errors if the truth is known."""
     rows = [
         {
             "session": run.case.session,

@@ -1,13 +1,12 @@
-"""Measure how fast it is. Run by hand, on a quiet machine; never in the tests.
+"""Measure the speed of the renderer and of estimates. To be run by hand on a machine without other load.
 
-    python scripts/bench.py render       ms a candidate, loss terms out, beside peers that do the same work
+    python scripts/bench.py render       ms for the loss terms of a candidate, compared with other renderers
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
-    python scripts/bench.py scale        the renderer against image and mesh size, frames a second against workers
-    python scripts/bench.py cores        what a second core is worth to two threads, and to two processes
+    python scripts/bench.py scale        time of the renderer by image and mesh size, frames a second by processes
+    python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
 
-Frames and meshes are those kept beside the checkout, or --sessions and --instrument. --json prints numbers for
-programs, --quick does the least that shows that it works. What is compared is run in turns, in one process; times are
-medians.
+The default sessions and instrument are in the folder shared beside the checkout. Alternatives that are compared are run
+alternately in one process; times are medians.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ FRAMES: Final = ("made/clean", "made/easy", "made/medium", "made/hard", "real/ea
 
 
 def main() -> int:
+    """Run a command and print its report; return the exit code."""
     arguments = _parser().parse_args()
     try:
         report = {"machine": [_machine()], **COMMANDS[arguments.command](arguments)}
@@ -51,14 +51,17 @@ def main() -> int:
 
 
 def _render(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command render."""
     return render_report(arguments.instrument, arguments.golden, repeats=3 if arguments.quick else arguments.repeats)
 
 
 def _estimate(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command estimate."""
     return estimate_report(arguments.instrument, arguments.sessions, frames=1 if arguments.quick else arguments.frames)
 
 
 def _scale(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command scale."""
     report = scale_report(arguments.instrument, arguments.golden, repeats=2 if arguments.quick else arguments.repeats)
     workers = [1, 2] if arguments.quick else [n for n in (1, 2, 4, 8) if n <= max(os.cpu_count() or 1, 2)]
     frames = 2 if arguments.quick else arguments.frames
@@ -66,6 +69,7 @@ def _scale(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _cores(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command cores."""
     return cores_report(arguments.instrument, arguments.golden, repeats=3 if arguments.quick else arguments.repeats)
 
 
@@ -73,12 +77,13 @@ COMMANDS: Final = {"render": _render, "estimate": _estimate, "scale": _scale, "c
 
 
 def _machine() -> dict[str, Any]:
+    """Describe the machine: cores, load average over a minute, versions."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {"cores": os.cpu_count(), "load": load, "python": platform.python_version(), "numpy": np.__version__}
 
 
 def _show(title: str, rows: Sequence[Mapping[str, Any] | str]) -> None:
-    """Print rows under their title; those with the same names below each other."""
+    """Print rows as a table under a title, and rows of text below it."""
     print(f"\n{title}")
     tables = [row for row in rows if not isinstance(row, str)]
     columns = list(dict.fromkeys(name for row in tables for name in row))
@@ -92,22 +97,41 @@ def _show(title: str, rows: Sequence[Mapping[str, Any] | str]) -> None:
 
 
 def _text(value: Any) -> str:
+    """Format a cell: ``-`` for None, three significant digits for small numbers."""
     if value is None:
         return "-"
     return f"{value:.3g}" if isinstance(value, float) and abs(value) < 1000 else str(value)
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=COMMANDS)
-    parser.add_argument("--instrument", default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"))
-    parser.add_argument("--golden", type=Path, default=SHARED / "frames" / "made" / "clean", help="session with truth")
+    parser.add_argument("command", choices=COMMANDS, help="what to measure")
+    parser.add_argument(
+        "--instrument",
+        default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"),
+        metavar="NAME|URDF",
+        help="bundled instrument or URDF",
+    )
+    parser.add_argument(
+        "--golden",
+        type=Path,
+        default=SHARED / "frames" / "made" / "clean",
+        metavar="SESSION",
+        help="session with golden.json, for render, scale and cores",
+    )
     sessions = [SHARED / "frames" / name for name in FRAMES]
-    parser.add_argument("--sessions", type=Path, nargs="+", default=sessions, help="sessions for estimate")
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--frames", type=int, default=None, help="at most so many of each session")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--sessions", type=Path, nargs="+", default=sessions, metavar="SESSION", help="sessions, for estimate"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=15, metavar="N", help="repetitions of each measurement (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--frames", type=int, default=None, metavar="N", help="largest number of frames of each session (default: all)"
+    )
+    parser.add_argument("--quick", action="store_true", help="few repetitions and frames, to test the script")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 

@@ -1,8 +1,9 @@
-"""What the second core is worth: to threads, which share the interpreter's lock, and to processes, which share nothing.
+"""Speed of the renderer with two threads and with two processes, relative to one thread.
 
-NumPy lets go of the lock for the length of each larger operation, some tens of microseconds here. A thread that wants
-it back while the other one holds it goes to sleep, and is woken by the system: that, not the rendering, is what two
-threads lose against two processes. Processes are the most that the machine's cores, caches and memory have to give.
+NumPy releases Python's global interpreter lock during each larger operation, for some tens of microseconds here. A
+thread that requests the lock while the other one holds it is suspended, and later resumed by the operating system. Two
+threads are slower than two processes because of these waits. Two processes show the largest speed that the machine's
+cores, caches and memory allow.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
 
 WORKERS: Final = 2
-_TOGETHER: Final = 8  # populations a process draws between two looks at the clock
+_CALLS: Final = 8  # renderings of the population in each timed task of a process
 
 _work: Callable[[int], object] | None = None
 
 
 def _prepare(source: str, golden: Path) -> tuple[Callable[[int], object], int]:
-    """Work that draws a population once on so many threads, and how many candidates that is."""
+    """Return a function that renders a population once on a number of threads, and the number of candidates."""
     body = Body.prepare(load_instrument(source))
     camera, poses, joints = population(body.instrument, golden)
     table = PixelSums.of(images_to_sum(camera))
@@ -36,63 +37,65 @@ def _prepare(source: str, golden: Path) -> tuple[Callable[[int], object], int]:
     return lambda threads: renderers[threads].sums(poses, joints, table), len(poses)
 
 
-def _start(source: str, golden: Path) -> None:
+def _prepare_worker(source: str, golden: Path) -> None:
+    """Prepare the work in a worker process."""
     global _work
     _work, _ = _prepare(source, golden)
     _work(1)
 
 
-def _several() -> None:
+def _render_several() -> None:
+    """Render the population several times in a worker process."""
     assert _work is not None
-    for _ in range(_TOGETHER):
+    for _ in range(_CALLS):
         _work(1)
 
 
-def _waits() -> int:
-    """How often this process's threads have gone to sleep so far."""
+def _context_switches() -> int:
+    """Return the number of voluntary context switches of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw
 
 
 def cores_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
-    """Milliseconds a candidate: one thread, two threads, and two processes at once, in turns."""
+    """Measure milliseconds a candidate with one thread, two threads and two processes, called alternately."""
     draw, count = _prepare(source, golden)
     seconds: dict[str, list[float]] = {"1 thread": [], "2 threads": [], "2 processes": []}
     waits: dict[str, list[int]] = {name: [] for name in seconds}
     with ProcessPoolExecutor(
-        WORKERS, mp_context=get_context("spawn"), initializer=_start, initargs=(source, golden)
+        WORKERS, mp_context=get_context("spawn"), initializer=_prepare_worker, initargs=(source, golden)
     ) as pool:
 
         def processes() -> None:
-            for done in [pool.submit(_several) for _ in range(WORKERS)]:
+            for done in [pool.submit(_render_several) for _ in range(WORKERS)]:
                 done.result()
 
-        ways: dict[str, tuple[Callable[[], object], int]] = {
+        methods: dict[str, tuple[Callable[[], object], int]] = {
             "1 thread": (lambda: draw(1), 1),
             "2 threads": (lambda: draw(WORKERS), 1),
-            "2 processes": (processes, WORKERS * _TOGETHER),
+            "2 processes": (processes, WORKERS * _CALLS),
         }
-        for turn in range(repeats + 1):
-            for name, (work, populations) in ways.items():
-                before, start = _waits(), time.perf_counter()
+        for repeat in range(repeats + 1):
+            for name, (work, populations) in methods.items():
+                before, start = _context_switches(), time.perf_counter()
                 work()
-                taken, slept = time.perf_counter() - start, _waits() - before
-                if turn:  # the first is for nothing
+                taken, waited = time.perf_counter() - start, _context_switches() - before
+                if repeat:  # the first is a warm-up
                     seconds[name].append(taken / (populations * count))
-                    waits[name].append(slept)
+                    waits[name].append(waited)
     each = {name: 1e3 * float(np.median(values)) for name, values in seconds.items()}
     rows: list[dict[str, Any]] = [
         {"way": name, "ms a candidate": value, "times as fast as one thread": each["1 thread"] / value}
         for name, value in each.items()
     ]
-    sleeps = float(np.median(waits["2 threads"]))
+    median_waits = float(np.median(waits["2 threads"]))
     lost = 1e3 * count * (each["2 threads"] - each["2 processes"])
     return {
         "cores": rows,
         "two threads": [
             {
-                "waits a population": sleeps,
+                "waits a population": median_waits,
                 "us lost a population": lost,
-                "us lost a wait, both threads": WORKERS * lost / max(sleeps, 1),
+                "us lost a wait, both threads": WORKERS * lost / max(median_waits, 1),
             }
         ],
     }

@@ -1,4 +1,4 @@
-"""Seconds by stage, silhouettes and rays a frame; frames a second against the number of processes."""
+"""Seconds by stage, silhouettes and rays a frame; frames a second by number of processes."""
 
 from __future__ import annotations
 
@@ -15,58 +15,62 @@ from unittest import mock
 
 import numpy as np
 
-from dvrk_cmaes import estimation, local_search
+from dvrk_cmaes import estimation
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.pose import find_pose
+from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import run_frame
 from dvrk_cmaes.silhouette.prepare import prepare
 
-_ROUNDS = 2  # frames for nothing, for each process
+_WARM_UP_FRAMES = 2  # frames for each process, not measured
 
 
 _STAGES = {
     "evidence": (estimation, "gather_evidence"),
-    "search": (estimation, "find_candidates"),
-    "refinement": (local_search.LocalSearch, "refine"),
-    "quality": (estimation, "measure_quality"),
+    "search": (find_pose, "find_candidates"),
+    "refinement": (LocalSearch, "refine"),
+    "quality": (find_pose, "measure_quality"),
 }
-"""Where `estimate` spends its time: each stage's home and name."""
+"""The measured stages of `estimate`: module or class, and name of the function."""
 
 
 @contextmanager
-def _stopwatches() -> Iterator[dict[str, list[float]]]:
-    """Note the seconds of each call of each stage."""
+def _timed_stages() -> Iterator[dict[str, list[float]]]:
+    """Record the seconds of each call of each stage."""
     seconds: dict[str, list[float]] = {stage: [] for stage in _STAGES}
 
     def timed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
         def measured(*given: Any, **named: Any) -> Any:
-            begun = time.perf_counter()
+            started = time.perf_counter()
             value = function(*given, **named)
-            seconds[stage].append(time.perf_counter() - begun)
+            seconds[stage].append(time.perf_counter() - started)
             return value
 
         return measured
 
     with ExitStack() as stack:
-        for stage, (home, name) in _STAGES.items():
-            stack.enter_context(mock.patch.object(home, name, timed(stage, getattr(home, name))))
+        for stage, (owner, name) in _STAGES.items():
+            stack.enter_context(mock.patch.object(owner, name, timed(stage, getattr(owner, name))))
         yield seconds
 
 
 def _estimated(session: Session, files: FrameFiles, instrument: str, config: EstimateConfig) -> Result:
+    """Estimate one frame."""
     data = read_frame(files, session.camera)
     return run_frame(files, data, prepare(instrument), arm="classic", config=config, out=None).result
 
 
 def _one_by_one(session: Session, instrument: str, config: EstimateConfig, frames: int | None) -> list[Result]:
+    """Estimate the first ``frames`` frames of a session, or all, in this process."""
     return [_estimated(session, files, instrument, config) for files in session.frames[:frames]]
 
 
 def estimate_report(instrument: str, sessions: Sequence[Path], *, frames: int | None) -> dict[str, Any]:
-    """Seconds, silhouettes and rays a frame of each session and of all together."""
+    """Measure seconds, silhouettes and rays a frame, for each session and for all of them together."""
     names = prepare(instrument).instrument.joint_names
     config = EstimateConfig()
     rows: list[dict[str, Any]] = []
@@ -75,17 +79,18 @@ def estimate_report(instrument: str, sessions: Sequence[Path], *, frames: int | 
     for folder in sessions:
         session = read_session(folder, known=names)
         if not everything:
-            _one_by_one(session, instrument, config, 1)  # what is made at its first use
-        with _stopwatches() as watches:
+            _one_by_one(session, instrument, config, 1)  # so that caches are filled before the measurement
+        with _timed_stages() as timed:
             results = _one_by_one(session, instrument, config, frames)
         everything += results
-        for stage, seconds in watches.items():
+        for stage, seconds in timed.items():
             stages[stage] += seconds
-        rows.append(_summary("/".join(folder.parts[-2:]), results, watches))
+        rows.append(_summary("/".join(folder.parts[-2:]), results, timed))
     return {"estimate, a frame": [*rows, _summary("all", everything, stages)]}
 
 
 def _summary(name: str, results: Sequence[Result], stages: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """Return a row of medians over results."""
     seconds = [result.seconds for result in results]
     return {
         "session": name,
@@ -98,25 +103,25 @@ def _summary(name: str, results: Sequence[Result], stages: Mapping[str, Sequence
     }
 
 
-def _ready(instrument: str) -> None:
-    """Prepare the instrument in a fresh process."""
+def _prepare_worker(instrument: str) -> None:
+    """Prepare the instrument in a worker process."""
     prepare(instrument)
 
 
 def workers_report(instrument: str, folder: Path, *, workers: Sequence[int], frames: int | None) -> dict[str, Any]:
-    """Frames a second of a session's folder against the number of processes, each with one thread.
+    """Measure frames a second of a session by number of processes, each with one thread.
 
-    Processes are started and ready before the clock is.
+    The processes are started and have estimated some frames before the measurement starts.
     """
     session = read_session(folder, known=prepare(instrument).instrument.joint_names)
     files = session.frames[:frames]
     config = replace(EstimateConfig(), threads=1)
     rows = []
     for count in workers:
-        with ProcessPoolExecutor(count, get_context("spawn"), _ready, (instrument,)) as pool:
-            rounds = range(_ROUNDS * count)
-            warm = [pool.submit(_estimated, session, files[0], instrument, config) for _ in rounds]
-            for one in warm:
+        with ProcessPoolExecutor(count, get_context("spawn"), _prepare_worker, (instrument,)) as pool:
+            warm_up = range(_WARM_UP_FRAMES * count)
+            first = [pool.submit(_estimated, session, files[0], instrument, config) for _ in warm_up]
+            for one in first:
                 one.result()
             start = time.perf_counter()
             done = [pool.submit(_estimated, session, one, instrument, config) for one in files]

@@ -1,10 +1,10 @@
-"""Frames a second of a whole folder against the number of workers, and memory over time.
+"""Measure frames a second of a folder against the number of workers, and memory over time.
 
     python scripts/bench_folder.py --frames 1000 --workers 1 2
 
-Run by hand, on a quiet machine. Frames are those of --session over and over. Memory is the workers' largest and the
-parent's resident set, in MB, after the first 100 frames and at the end; rates are from the first result to the last,
-and the whole run's. --json prints numbers for programs.
+To be run by hand on a machine without other load. The frames are those of --session, repeated. Memory is the resident
+set, in MB, of the largest worker and of the parent process, after the first 100 frames and at the end. Rates are given
+from the first result to the last, and for the whole run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 import psutil
-from many_frames import multiplied_session
+from many_frames import repeated_session
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -29,52 +29,59 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.results.result import Status
-from dvrk_cmaes.runs.batch import Watcher, run_batch
+from dvrk_cmaes.runs.batch import BatchProgress, run_batch
 from dvrk_cmaes.runs.worker import FrameOutcome
 
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
-SETTLED: Final = 100  # frames, after which memory should not grow
-_AROUND: Final = 10  # frames whose median is taken: single samples waver
+SETTLED: Final = 100  # frames after which memory should be constant
+_AROUND: Final = 10  # samples whose median is taken, since single ones scatter
 
 
 @dataclass
-class Memory(Watcher):
-    """Samples of time and memory, one a frame: (seconds, largest worker's MB, parent's MB)."""
+class Memory(BatchProgress):
+    """Samples of time and memory, one for each frame: (seconds, MB of the largest worker, MB of the parent)."""
 
-    began: float = 0.0
+    started: float = 0.0
     samples: list[tuple[float, float, float]] = field(default_factory=list)
 
-    def begins(self, todo: int, kept: Sequence[Status]) -> None:
+    def on_start(self, todo: int, kept: Sequence[Status]) -> None:
         """Start the clock."""
-        self.began = time.perf_counter()
+        self.started = time.perf_counter()
 
-    def done(self, outcome: FrameOutcome) -> None:
+    def on_frame(self, outcome: FrameOutcome) -> None:
         """Take a sample."""
         parent = psutil.Process()
         workers = []
         for child in parent.children():
             try:
                 workers.append(child.memory_info().rss)
-            except psutil.Error:  # It has just ended.
+            except psutil.Error:  # the process has just ended
                 continue
-        seconds = time.perf_counter() - self.began
+        seconds = time.perf_counter() - self.started
         self.samples.append((seconds, max(workers, default=0) / 1e6, parent.memory_info().rss / 1e6))
 
 
 def main() -> int:
+    """Measure each number of workers and print a row for each; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--session", type=Path, default=SHARED / "frames" / "made" / "medium")
-    parser.add_argument("--instrument", default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"))
-    parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--config", type=Path, help="settings (TOML)")
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--session", type=Path, default=SHARED / "frames" / "made" / "medium", help="session")
+    parser.add_argument(
+        "--instrument",
+        default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"),
+        help="bundled instrument or URDF",
+    )
+    parser.add_argument("--frames", type=int, default=1000, metavar="N", help="number of frames (default: %(default)s)")
+    parser.add_argument(
+        "--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of workers (default: 1 2)"
+    )
+    parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     try:
         instrument = load_instrument(arguments.instrument)
         config = EstimateConfig() if arguments.config is None else read_config(arguments.config, EstimateConfig())
         with tempfile.TemporaryDirectory() as place:
-            session = multiplied_session(arguments.session, Path(place, "session"), arguments.frames)
+            session = repeated_session(arguments.session, Path(place, "session"), arguments.frames)
             rows = [_measure(session, Path(place, f"out-{n}"), instrument, config, n) for n in arguments.workers]
     except DvrkCmaesError as error:
         print(f"bench_folder.py: {error}", file=sys.stderr)
@@ -90,10 +97,10 @@ def main() -> int:
 
 
 def _measure(session: Path, out: Path, instrument: Instrument, config: EstimateConfig, workers: int) -> dict[str, Any]:
-    """Run a whole folder."""
+    """Estimate a folder with a number of workers and return rates and memory."""
     memory = Memory()
     read = read_session(session, known=instrument.joint_names)
-    done = run_batch(read, out, instrument, config=config, workers=workers, watcher=memory)
+    done = run_batch(read, out, instrument, config=config, workers=workers, progress=memory)
     seconds, worker, parent = np.array(memory.samples).T
     early = min(SETTLED, len(seconds) // 2)
     row: dict[str, Any] = {

@@ -1,8 +1,8 @@
-"""Other ways to the same silhouettes and loss terms, each as its users would write it well.
+"""Other renderers of silhouettes, for comparison: trimesh, Open3D, OpenCV, and our own trace of every pixel.
 
-A peer draws the masks of C poses (C, H, W) and sums K images over each. What can be prepared once is prepared once: the
-rays, and the images as a matrix. The posed instrument is one mesh whose scene is built anew for every pose: that takes
-less time than to move as many rays as pixels into the frame of each link.
+A peer draws the masks of C poses (C, H, W) and sums K images over each mask. The rays, and the images as a matrix, are
+prepared once. The instrument is posed as one mesh, and its scene is built again for each pose, which takes less time
+than the transformation of one ray for each pixel into the frame of each link.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from dvrk_cmaes.silhouette import NEAR, Body, Renderer
 
 Float64 = NDArray[np.float64]
 Masks = NDArray[np.bool_]
-_SHIFT = 4  # bits behind the point of OpenCV's pixel coordinates
+_SHIFT = 4  # fractional bits of OpenCV's pixel coordinates
 
 
 @dataclass(frozen=True)
 class Peer:
-    """A way to draw silhouettes: ``masks`` maps poses (C, 4, 4) and joints (C, J) to (C, H, W)."""
+    """Renderer of silhouettes: ``masks`` maps poses (C, 4, 4) and joints (C, J) to masks (C, H, W)."""
 
     name: str
     threads: str
     masks: Callable[[Float64, Float64], Masks]
 
     def sums(self, poses: Float64, joints: Float64, images: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Loss terms: images (K, H * W) summed over the masks of C poses, (C, K)."""
+        """Return the sums (C, K) of images (K, H * W) over the masks of C poses."""
         masks = self.masks(poses, joints)
         return masks.reshape(len(masks), -1).astype(np.float32) @ images.T
 
 
 def all_peers(body: Body, camera: Camera, threads: int) -> tuple[list[Peer], list[str]]:
-    """Peers that are installed, and why the others are left out."""
+    """Return the peers that are installed, and one message for each of the others."""
     makers = {"trimesh": _trimesh, "Open3D": _open3d, "OpenCV fill": _opencv, "own trace": _own_trace}
     peers, left_out = [], []
     for name, make in makers.items():
@@ -52,7 +52,7 @@ def all_peers(body: Body, camera: Camera, threads: int) -> tuple[list[Peer], lis
 
 
 def _rays(camera: Camera) -> NDArray[np.float32]:
-    """Give rays (H * W, 6) through all pixels, from the near plane: origin and direction."""
+    """Return rays (H * W, 6) through all pixels, starting at the near plane: origin and direction."""
     v, u = np.mgrid[: camera.height, : camera.width]
     pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
     directions = np.c_[camera.normalise(pixels), np.ones(len(pixels))]
@@ -70,6 +70,7 @@ def _posed(body: Body, poses: Float64, joints: Float64) -> Iterator[tuple[Float6
 
 
 def _trimesh(body: Body, camera: Camera, threads: int) -> Peer:
+    """Make the peer that traces rays with trimesh (Embree), on one thread."""
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
     rays = _rays(camera)
@@ -86,6 +87,7 @@ def _trimesh(body: Body, camera: Camera, threads: int) -> Peer:
 
 
 def _open3d(body: Body, camera: Camera, threads: int) -> Peer:
+    """Make the peer that traces rays with Open3D (Embree)."""
     import open3d
 
     rays = open3d.core.Tensor(_rays(camera))
@@ -102,11 +104,12 @@ def _open3d(body: Body, camera: Camera, threads: int) -> Peer:
 
 
 def _own_trace(body: Body, camera: Camera, threads: int) -> Peer:
+    """Make the peer that traces every pixel with our renderer, on one thread."""
     return Peer("own trace of every pixel", "1", Renderer(body, camera, threads=1).trace)
 
 
 def _opencv(body: Body, camera: Camera, threads: int) -> Peer:
-    """Triangles before the near plane are filled one by one: together, OpenCV would fill them by the even-odd rule."""
+    """Make the peer that fills triangles with OpenCV, one call each, since a common call uses the even-odd rule."""
     size = np.array([camera.width, camera.height])
 
     def masks(poses: Float64, joints: Float64) -> Masks:
@@ -123,13 +126,13 @@ def _opencv(body: Body, camera: Camera, threads: int) -> Peer:
 
 
 def _clipped(triangles: Float64) -> Float64:
-    """Cut triangles (T, 3, 3) at the near plane; what is left of each, as one or two triangles."""
+    """Clip triangles (T, 3, 3) at the near plane; a clipped triangle becomes one or two triangles."""
     behind = triangles[:, :, 2] < NEAR
     count = behind.sum(axis=1)
     parts = [triangles[count == 0]]
     for number in (1, 2):
         some = triangles[count == number]
-        # Turned so that the odd corner out comes first.
+        # rotated so that the corner alone on its side of the plane comes first
         odd = np.argmax(behind[count == number] == (number == 1), axis=1)
         a, b, c = (some[np.arange(len(some)), (odd + k) % 3] for k in range(3))
         ab = a + ((NEAR - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)

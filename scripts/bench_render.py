@@ -1,4 +1,4 @@
-"""Milliseconds a candidate: ours beside peers, and ours against the sizes of image and mesh."""
+"""Milliseconds a candidate: our renderer compared with peers, and by image size and mesh size."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ Float64 = NDArray[np.float64]
 POPULATION: Final = 32
 PEER_POSES: Final = 4
 THREADS: Final = 2
-SPREAD: Final = np.array([1e-3] * 3 + [3e-2] * 3)  # m and rad, of candidates about a golden pose
-JOINT_SPREAD: Final = 5e-2  # rad
+POSE_SIGMA: Final = np.array([1e-3] * 3 + [3e-2] * 3)  # m and rad, of candidates about a golden pose
+JOINT_SIGMA: Final = 5e-2  # rad
 SIZES: Final = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 FACES: Final = (5_000, 10_000, 18_000, 40_000, 80_000)
-_TRIES: Final = 12  # cells tried to come near a number of faces
+_TRIES: Final = 12  # cell sizes of the decimation tried for a number of faces
 
 
 def population(instrument: Instrument, golden: Path, count: int = POPULATION) -> tuple[Camera, Float64, Float64]:
-    """Camera, poses (C, 4, 4) and joints (C, J) around the golden poses of a session."""
+    """Return the camera, and poses (C, 4, 4) and joints (C, J) drawn around the golden poses of a session."""
     session = read_session(golden, known=instrument.joint_names)
     truth = list(session.truth.frames.values())
     chosen = [truth[i % len(truth)] for i in range(count)]
     rng = np.random.default_rng(0)
     poses = np.array([one.camera_from_root for one in chosen])
     joints = np.array([[one.joints[name] for name in instrument.joint_names] for one in chosen])
-    poses = moved(poses, rng.standard_normal((count, 6)) * SPREAD)
-    return session.camera, poses, joints + rng.standard_normal(joints.shape) * JOINT_SPREAD
+    poses = moved(poses, rng.standard_normal((count, 6)) * POSE_SIGMA)
+    return session.camera, poses, joints + rng.standard_normal(joints.shape) * JOINT_SIGMA
 
 
-def in_turns(work: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median seconds of each piece of work, done in turns, after once for nothing."""
+def median_seconds(work: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Return the median seconds of each function; they are called alternately, after one warm-up call each."""
     times: dict[str, list[float]] = {name: [] for name in work}
     for done in work.values():
         done()
@@ -58,24 +58,24 @@ def in_turns(work: Mapping[str, Callable[[], object]], repeats: int) -> dict[str
 
 
 def images_to_sum(camera: Camera) -> NDArray[np.float32]:
-    """Three images to sum, as a loss has them: ones, a mask, a distance field."""
+    """Return three images (3, H, W) like those summed in the loss: ones, a mask, a distance field."""
     v, u = np.mgrid[: camera.height, : camera.width]
     far = np.hypot(u - camera.width / 2, v - camera.height / 2) / camera.width
     return np.stack([np.ones_like(far), far < 0.25, far]).astype(np.float32)
 
 
 def _disagreement(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> tuple[int, int]:
-    """Pixels that differ, and how many of these are not beside an outline."""
-    wrong, stray = 0, 0
+    """Count the pixels that differ, and those of them that are not beside an outline."""
+    different, far = 0, 0
     for one, other in zip(ours, theirs, strict=True):
         differs = one != other
         band = cv2.morphologyEx(one.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
-        wrong, stray = wrong + int(differs.sum()), stray + int((differs & ~band).sum())
-    return wrong, stray
+        different, far = different + int(differs.sum()), far + int((differs & ~band).sum())
+    return different, far
 
 
 def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
-    """Ours with one and two threads beside all peers, in one run; DvrkCmaesError where masks disagree."""
+    """Compare our renderer, with one and two threads, with all peers; DvrkCmaesError if their masks disagree."""
     instrument = load_instrument(source)
     body = Body.prepare(instrument)
     camera, poses, joints = population(instrument, golden)
@@ -87,10 +87,12 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     peers, left_out = all_peers(body, camera, THREADS)
     agreement = []
     for peer in peers:
-        wrong, stray = _disagreement(masks, peer.masks(*few))
-        if stray:
-            raise DvrkCmaesError(f"{peer.name}: {stray} pixels differ that are not beside an outline")
-        agreement.append({"peer": peer.name, "pixels that differ": wrong / PEER_POSES, "not beside an outline": stray})
+        different, far = _disagreement(masks, peer.masks(*few))
+        if far:
+            raise DvrkCmaesError(f"{peer.name}: {far} pixels differ that are not beside an outline")
+        agreement.append(
+            {"peer": peer.name, "pixels that differ": different / PEER_POSES, "not beside an outline": far}
+        )
 
     def ours(threads: int, to_pixel: bool) -> Callable[[], object]:
         return lambda: renderers[threads].sums(poses, joints, table, to_pixel=to_pixel)
@@ -101,7 +103,7 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     work = {f"ours, {n} thread(s)": ours(n, False) for n in renderers}
     work |= {f"ours, {n} thread(s), to the pixel": ours(n, True) for n in renderers}
     candidates = dict.fromkeys(work, len(poses)) | {peer.name: PEER_POSES for peer in peers}
-    seconds = in_turns(work | {peer.name: theirs(peer) for peer in peers}, repeats)
+    seconds = median_seconds(work | {peer.name: theirs(peer) for peer in peers}, repeats)
     each = {name: 1e3 * value / candidates[name] for name, value in seconds.items()}
     best = min(each[f"ours, {n} thread(s)"] for n in renderers)
     threads = {f"ours, {n} thread(s){rest}": str(n) for n in renderers for rest in ("", ", to the pixel")}
@@ -119,7 +121,7 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
 
 
 def _seen_at(camera: Camera, width: int, height: int) -> Camera:
-    """Give a camera of the same vertical field of view at another size and aspect."""
+    """Return a camera with the same vertical field of view, and another size and aspect ratio."""
     scale = height / camera.height
     cx = (camera.cx + 0.5 - camera.width / 2) * scale + width / 2 - 0.5
     cy = (camera.cy + 0.5) * scale - 0.5
@@ -128,7 +130,7 @@ def _seen_at(camera: Camera, width: int, height: int) -> Camera:
 
 
 def _divided(link: Link) -> Link:
-    """Divide each face into four at the middles of its edges."""
+    """Divide each face into four at the midpoints of its edges."""
     edges = np.sort(link.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     pairs, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = link.faces.T
@@ -139,13 +141,13 @@ def _divided(link: Link) -> Link:
 
 
 def with_faces(body: Body, wanted: int) -> Body:
-    """Give a body of about so many faces: links divided, largest first, or vertices joined."""
+    """Return a body with about ``wanted`` faces, by decimation, or by division of the links with the most faces."""
     links = list(body.instrument.links)
     count = sum(len(link.faces) for link in links)
     if count > 1.15 * wanted:
         cells = np.geomspace(2e-5, 2e-3, _TRIES)
-        lighter = [body.lightened(cell) for cell in cells]
-        return min(lighter, key=lambda one: abs(len(one.topology.planes) - wanted))
+        decimated = [body.decimated(cell) for cell in cells]
+        return min(decimated, key=lambda one: abs(len(one.topology.planes) - wanted))
     while count < 0.95 * wanted:
         fitting = [i for i, link in enumerate(links) if count + 3 * len(link.faces) <= 1.25 * wanted]
         if not fitting:
@@ -157,7 +159,7 @@ def with_faces(body: Body, wanted: int) -> Body:
 
 
 def scale_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
-    """Ours, one thread, against image size and mesh size; ratios to 640 x 480 and to the mesh as it is."""
+    """Measure our renderer with one thread by image and mesh size, relative to 640 x 480 and to the given mesh."""
     body = Body.prepare(load_instrument(source))
     camera, poses, joints = population(body.instrument, golden)
 
@@ -165,9 +167,9 @@ def scale_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
         table, renderer = PixelSums.of(images_to_sum(camera)), Renderer(body, camera, threads=1)
         return lambda: renderer.sums(poses, joints, table)
 
-    by_size = in_turns({f"{w} x {h}": sums(body, _seen_at(camera, w, h)) for w, h in SIZES}, repeats)
+    by_size = median_seconds({f"{w} x {h}": sums(body, _seen_at(camera, w, h)) for w, h in SIZES}, repeats)
     bodies = [body, *(with_faces(body, wanted) for wanted in FACES)]
-    by_faces = in_turns({str(len(one.topology.planes)): sums(one, camera) for one in bodies}, repeats)
+    by_faces = median_seconds({str(len(one.topology.planes)): sums(one, camera) for one in bodies}, repeats)
     sizes: Sequence[dict[str, Any]] = [
         {"image": name, "ms a candidate": 1e3 * s / len(poses), "times 640 x 480": s / by_size["640 x 480"]}
         for name, s in by_size.items()

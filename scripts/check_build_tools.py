@@ -1,6 +1,6 @@
-"""Say in one line what is missing to install the package from source: Python's version, venv, a C compiler, headers.
+"""Print in one line what is missing to install the package: Python's version, venv, a C compiler, Python's headers.
 
-One dependency, scikit-fmm, has no wheels for Linux and is compiled. Runs on any Python 3, with nothing installed.
+One dependency, scikit-fmm, has no wheels for Linux and is compiled. The script runs on any Python 3 without packages.
 """
 
 import os
@@ -12,7 +12,7 @@ OLDEST = (3, 11)
 
 
 def missing() -> "list[str]":
-    """Return what is missing, in words; nothing where all is there."""
+    """Return descriptions of what is missing; an empty list if nothing is."""
     found = []
     version = sys.version_info[:2]
     if version < OLDEST:

@@ -1,4 +1,4 @@
-"""Data that is committed and that tests compare with."""
+"""Protection of committed data with which tests compare."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 
 def refuse_in_ci(script: str) -> None:
-    """Leave with exit code 2 where CI is set: what tests compare with must not be made by the run that compares."""
+    """Exit with code 2 if CI is set: a test run must not rewrite the data that it compares with."""
     if os.environ.get("CI", "").lower() not in ("", "0", "false"):
         print(
             f"{script}: not run in CI: committed data must not change there (unset CI to make it anew)", file=sys.stderr

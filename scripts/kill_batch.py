@@ -1,9 +1,9 @@
-"""Kill a batch by SIGKILL at random moments, go on each time, and compare what is there in the end.
+"""Kill a batch by SIGKILL at random times, resume it each time, and compare its files with an uninterrupted batch.
 
     python scripts/kill_batch.py --kills 20 --frames 60
 
-Every other victim is one of its workers. After each kill all results that are there must be whole; in the end all
-files must be those of a batch that nobody disturbed, byte for byte but for times. Exit code 1 if not.
+Every second time a worker process is killed before the batch. After each kill the existing results must be complete. At
+the end all files must be equal to those of an uninterrupted batch, except for times; the exit code is 1 if not.
 """
 
 from __future__ import annotations
@@ -21,45 +21,56 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from many_frames import multiplied_session
+from many_frames import repeated_session
 
 from dvrk_cmaes.io.bundled import bundled_path
 
 
 def main() -> int:
+    """Run the batches and print the report as JSON; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--session", type=Path, default=bundled_path("demo"), help="whose frames are used")
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--longest", type=float, default=8.0, help="seconds until a kill, at most")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("options", nargs="*", help="of dvrk-cmaes batch, after --")
+    parser.add_argument(
+        "--session",
+        type=Path,
+        default=bundled_path("demo"),
+        help="session whose frames are repeated (default: the demo)",
+    )
+    parser.add_argument("--frames", type=int, default=60, metavar="N", help="number of frames (default: %(default)s)")
+    parser.add_argument("--kills", type=int, default=20, metavar="N", help="number of kills (default: %(default)s)")
+    parser.add_argument(
+        "--longest", type=float, default=8.0, metavar="S", help="longest time until a kill, s (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the random times (default: %(default)s)"
+    )
+    parser.add_argument("options", nargs="*", help="options of dvrk-cmaes batch, after --")
     arguments = parser.parse_args()
     rng = random.Random(arguments.seed)
     with tempfile.TemporaryDirectory() as place:
-        session = multiplied_session(arguments.session, Path(place, "session"), arguments.frames)
+        session = repeated_session(arguments.session, Path(place, "session"), arguments.frames)
         command = [sys.executable, "-m", "dvrk_cmaes", "batch", str(session), *arguments.options, "--out"]
-        calm, disturbed = Path(place, "calm"), Path(place, "disturbed")
-        _finish([*command, str(calm)])
+        uninterrupted, killed = Path(place, "uninterrupted"), Path(place, "killed")
+        _run_to_end([*command, str(uninterrupted)])
         kills, counts = 0, []
         while kills < arguments.kills:
-            kills += _killed([*command, str(disturbed)], rng.uniform(0, arguments.longest), worker=kills % 2 == 1)
-            counts.append(_check_whole(disturbed))
+            kills += _run_and_kill([*command, str(killed)], rng.uniform(0, arguments.longest), worker=kills % 2 == 1)
+            counts.append(_count_complete(killed))
             print(f"{kills} kills: {counts[-1]} results, all whole", file=sys.stderr)
-        _finish([*command, str(disturbed)])
-        differ = _differences(calm, disturbed)
+        _run_to_end([*command, str(killed)])
+        differ = _differences(uninterrupted, killed)
     print(json.dumps({"kills": kills, "results after each": counts, "files that differ": differ}, indent=1))
     return 1 if differ else 0
 
 
-def _finish(command: Sequence[str]) -> None:
+def _run_to_end(command: Sequence[str]) -> None:
+    """Run a batch; exit with a message unless its exit code is 0 or 3."""
     code = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False).returncode
     if code not in (0, 3):
         raise SystemExit(f"kill_batch.py: {' '.join(command)} ended with exit code {code}")
 
 
-def _killed(command: Sequence[str], seconds: float, *, worker: bool) -> bool:
-    """Run a batch and kill it, or a worker first, after so many seconds; False if it had ended by then."""
+def _run_and_kill(command: Sequence[str], seconds: float, *, worker: bool) -> bool:
+    """Run a batch and kill it after some seconds, optionally a worker first; False if it had ended by then."""
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as batch:
         time.sleep(seconds)
         if batch.poll() is not None:
@@ -72,13 +83,13 @@ def _killed(command: Sequence[str], seconds: float, *, worker: bool) -> bool:
 
 
 def _workers(pid: int) -> list[int]:
-    """List the processes that a batch has started for frames."""
+    """Return the ids of a batch's worker processes."""
     found = subprocess.run(["pgrep", "-P", str(pid), "-f", "spawn_main"], capture_output=True, text=True, check=False)
     return [int(line) for line in found.stdout.split()]
 
 
-def _check_whole(out: Path) -> int:
-    """Count results, each of which must be whole and have its overlay."""
+def _count_complete(out: Path) -> int:
+    """Return the number of results; exit with a message if an overlay is damaged."""
     paths = sorted((out / "frames").glob("*.json"))
     for path in paths:
         json.loads(path.read_text(encoding="utf-8"))
@@ -89,15 +100,15 @@ def _check_whole(out: Path) -> int:
 
 
 def _differences(one: Path, other: Path) -> list[str]:
-    """Names of files that are not in both folders with the same content but for times."""
+    """Return the names of the files that are not in both folders with the same content, times excluded."""
     first, second = _contents(one), _contents(other)
     return sorted(name for name in {*first, *second} if first.get(name) != second.get(name))
 
 
 def _contents(out: Path) -> dict[str, bytes]:
-    """Contents of the files of a folder of results, times cut out."""
+    """Return the contents of the files of a folder of results by name, without times."""
     contents = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
-    del contents["report.html"]  # times all over
+    del contents["report.html"]  # contains times in many places
     contents["summary.json"] = re.sub(rb'"timing": \{.*?\n \},', b"", contents["summary.json"], flags=re.DOTALL)
     table = [line.split(b",") for line in contents["poses.csv"].splitlines()]
     at = table[0].index(b"seconds")

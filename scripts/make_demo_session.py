@@ -1,9 +1,9 @@
-"""Make the demo session data/demo: an arm that moves the bundled needle driver, five frames with known truth.
+"""Write the demo session data/demo: five synthetic frames of the bundled needle driver on an arm, with known truth.
 
     python scripts/make_demo_session.py
 
-Masks have a segmenter's mistakes and readings are wrong by several degrees, as they would be on a robot. The same seed
-gives the same session. Not run in CI.
+The masks have simulated segmentation errors, and the readings have errors of several degrees as on a robot. The same
+seed gives the same session. The script refuses to run in CI.
 """
 
 from __future__ import annotations
@@ -24,48 +24,52 @@ from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
 from dvrk_cmaes.synth.images import draw_image
-from dvrk_cmaes.synth.masks import MEDIUM, segmented
-from dvrk_cmaes.synth.occluders import tissue_before_a_jaw
+from dvrk_cmaes.synth.masks import MEDIUM, simulate_segmentation
+from dvrk_cmaes.synth.occluders import tissue_over_jaw
 from dvrk_cmaes.synth.poses import arm_session
-from dvrk_cmaes.synth.readings import steady_readings
+from dvrk_cmaes.synth.readings import fixed_rms_readings
 from dvrk_cmaes.synth.truth import exact_mask
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "demo"
 CAMERA: Final = Camera(640, 480, fx=1042.6, fy=1042.6, cx=326.3, cy=235.1)
 FRAMES: Final = 5
-OCCLUDED: Final = (2,)  # frames in which tissue lies before a jaw
+OCCLUDED: Final = (2,)  # frames in which tissue covers a jaw
 SEED: Final = 8
 
 README: Final = """\
 # Demo session
 
-Five frames of the bundled needle driver (`lnd`) on an arm that moves about its remote centre of motion. No patient,
-no robot: everything is drawn, and the truth is known.
+Five frames of the bundled needle driver (`lnd`) on an arm that moves about its remote centre of motion. All of them are
+synthetic, without a patient or a robot, and the truth is known.
 
-- `camera.yaml`: intrinsics, ROS camera_info. `joints.csv`: readings, wrong by several degrees (wrist and roll).
-- `masks/`: as a segmenter makes them: coarse, wavering, highlights missing; in frame 0002 tissue lies before a jaw.
-- `images/`: to look at below an overlay.
+- `camera.yaml`: intrinsics, ROS camera_info. `joints.csv`: readings, with errors of several degrees (wrist and roll).
+- `masks/`: with simulated segmentation errors: coarse, correlated noise of the outline, missing highlights; in frame
+  0002 tissue covers a jaw.
+- `images/`: backgrounds of the overlays.
 - `golden.json`: the truth: pose of the root link in the camera, joints, jaw tips, and `camera_from_base`.
 
-Made by `python scripts/make_demo_session.py`; change that, not these files. Licence: MIT, as the project.
+Made by `python scripts/make_demo_session.py`; edit that script, not these files. Licence: MIT, as the project.
 """
 
 
 def main() -> int:
+    """Parse the options, make the session and write its files; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write")
-    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the random numbers")
+    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write (default: data/demo)")
+    parser.add_argument(
+        "--seed", type=int, default=SEED, metavar="N", help="seed of the random numbers (default: %(default)s)"
+    )
     arguments = parser.parse_args()
     refuse_in_ci("make_demo_session.py")
     out: Path = arguments.out
     rng = np.random.default_rng(arguments.seed)
     body = Body.prepare(load_instrument("lnd"))
     camera_from_base, truths = arm_session(body, CAMERA, rng, FRAMES)
-    readings = steady_readings(truths, rng)
+    readings = fixed_rms_readings(truths, rng)
     names = [f"{k:04d}" for k in range(FRAMES)]
     for k, (name, truth) in enumerate(zip(names, truths, strict=True)):
-        occluder = tissue_before_a_jaw(CAMERA, truth, rng) if k in OCCLUDED else None
-        made = segmented(exact_mask(body, CAMERA, truth), rng, MEDIUM, occluder)
+        occluder = tissue_over_jaw(CAMERA, truth, rng) if k in OCCLUDED else None
+        made = simulate_segmentation(exact_mask(body, CAMERA, truth), rng, MEDIUM, occluder)
         write_image(out / "masks" / f"{name}.png", made.mask)
         image = draw_image(CAMERA, truth, rng, holes=made.holes, occluder=occluder)
         write_image(out / "images" / f"{name}.jpg", image)

@@ -1,9 +1,9 @@
-"""Make the golden cases data/golden: single masks of the bundled needle driver with truth and stated tolerances.
+"""Write the golden cases data/golden: single masks of the bundled needle driver with truth and tolerances.
 
     python scripts/make_golden.py
 
-The tests estimate each case and compare with the truth. Plain cases must come out right; awkward ones (a tool seen
-nearly end-on, jaws out of sight, ...) may also be called doubtful, but never be wrong without a word. Not run in CI.
+The tests estimate each case and compare it with the truth. Plain cases must be within tolerance; difficult ones (the
+shaft seen nearly end-on, hidden jaws, ...) may be doubtful instead. The script refuses to run in CI.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
 from dvrk_cmaes.synth.levels import Mistakes
-from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, segmented
-from dvrk_cmaes.synth.occluders import tissue_before_a_jaw, with_brim
-from dvrk_cmaes.synth.readings import steady_readings
-from dvrk_cmaes.synth.truth import Truth, aimed, exact_mask
+from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, simulate_segmentation
+from dvrk_cmaes.synth.occluders import dilate_region, tissue_over_jaw
+from dvrk_cmaes.synth.readings import fixed_rms_readings
+from dvrk_cmaes.synth.truth import Truth, exact_mask, pose_from_view
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "golden"
 SCHEMA: Final = 1
@@ -47,9 +47,9 @@ LOOSE: Final = Tolerance(root_mm=3.0, tip_mm=3.0, shaft_deg=8.0, roll_deg=20.0, 
 
 @dataclass(frozen=True)
 class Case:
-    """One golden case. Angles in degrees, lengths in millimetres, pixels; see ``dvrk_cmaes.synth.truth.aimed``.
+    """One golden case. Angles in degrees, lengths in mm, pixels; see ``dvrk_cmaes.synth.truth.pose_from_view``.
 
-    ``reason`` is a word that the reasons contain if the result is doubtful.
+    ``read`` states whether it has readings; ``reason`` is a word that the reasons contain if the result is doubtful.
     """
 
     about: str
@@ -147,8 +147,8 @@ CASES: Final[dict[str, Case]] = {
 
 
 def truth_of(case: Case, instrument: Instrument) -> Truth:
-    """Where the instrument is in a case."""
-    pose = aimed(
+    """Return the true pose and joints of a case."""
+    pose = pose_from_view(
         case.camera,
         wrist=case.wrist,
         depth=case.depth * 1e-3,
@@ -163,19 +163,19 @@ def truth_of(case: Case, instrument: Instrument) -> Truth:
 def masks_of(
     case: Case, body: Body, truth: Truth, rng: np.random.Generator
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
-    """Mask of a case, and the pixels to ignore if something lies before the tool, (H, W)."""
-    occluder = tissue_before_a_jaw(case.camera, truth, rng) if case.occluded else None
+    """Return the mask of a case, and the pixels to ignore if tissue covers the tool, (H, W) each."""
+    occluder = tissue_over_jaw(case.camera, truth, rng) if case.occluded else None
     mask = exact_mask(body, case.camera, truth)
     if case.mistakes is not None:
-        mask = segmented(mask, rng, case.mistakes, occluder).mask
+        mask = simulate_segmentation(mask, rng, case.mistakes, occluder).mask
     if occluder is None:
         return mask, None
-    return mask, with_brim(occluder)
+    return mask, dilate_region(occluder)
 
 
 def entry(name: str, case: Case, truth: Truth, rng: np.random.Generator) -> dict[str, Any]:
-    """Write out what golden.json holds of a case."""
-    reading = steady_readings([truth], rng)[0] if case.read else {}
+    """Return the entry of a case in golden.json."""
+    reading = fixed_rms_readings([truth], rng)[0] if case.read else {}
     return {
         "about": case.about,
         "camera": {**asdict(case.camera), "distortion": list(case.camera.distortion)},
@@ -191,15 +191,16 @@ def entry(name: str, case: Case, truth: Truth, rng: np.random.Generator) -> dict
 
 
 def main() -> int:
+    """Write masks and golden.json; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write")
+    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write (default: data/golden)")
     arguments = parser.parse_args()
     refuse_in_ci("make_golden.py")
     out: Path = arguments.out
     body = Body.prepare(load_instrument("lnd"))
     entries = {}
     for number, (name, case) in enumerate(CASES.items()):
-        rng = np.random.default_rng([20, number])  # of its own, so that a changed case leaves the others alone
+        rng = np.random.default_rng([20, number])  # for each case, so that a change of one does not change others
         truth = truth_of(case, body.instrument)
         mask, ignore = masks_of(case, body, truth, rng)
         write_image(out / "masks" / f"{name}.png", mask)

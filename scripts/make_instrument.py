@@ -1,9 +1,9 @@
-"""Make the bundled instrument `lnd`: a parametric Large Needle Driver, as a URDF and one mesh a moving link.
+"""Write the bundled instrument `lnd`, a parametric Large Needle Driver, as a URDF and one mesh for each moving link.
 
     python scripts/make_instrument.py            # writes data/instruments/lnd
-    python scripts/make_instrument.py --check    # exit code 1 if the files there are not what this makes
+    python scripts/make_instrument.py --check    # exit code 1 if those files differ from what this script writes
 
-The same solids give the same bytes. Needs manifold3d: pip install "dvrk-cmaes[make]".
+The same solids give the same bytes. The script needs manifold3d: pip install "dvrk-cmaes[make]".
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ except ModuleNotFoundError as missing:
     sys.exit(2)
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "instruments" / "lnd"
-SIMPLIFY: Final = 0.003  # mm, within which edges left over by the Boolean operations are collapsed
+SIMPLIFY: Final = 0.003  # mm, tolerance for collapsing short edges that the Boolean operations leave
 
 
 def ply_bytes(solid: Manifold) -> bytes:
-    """Binary PLY in metres; vertices and faces sorted, so that the same solid gives the same bytes."""
+    """Return a binary PLY in metres, with sorted vertices and faces, so that the same solid gives the same bytes."""
     mesh: Any = solid.to_mesh()
     points = (np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] * 1e-3).astype("<f4") + np.float32(0)
     faces = np.asarray(mesh.tri_verts, dtype=np.int64)
@@ -49,7 +49,7 @@ def ply_bytes(solid: Manifold) -> bytes:
 
 
 def urdf() -> str:
-    """Write out the kinematics: names, axes and limits as in the dVRK's own model; metres and radians."""
+    """Return the URDF: names, axes and limits are those of the dVRK's own model; metres and radians."""
     turn = "-1.5707963267948966 -1.5707963267948966 0"
     wrist = (-1.39626, 1.39626)
 
@@ -98,20 +98,20 @@ def urdf() -> str:
 
 
 def instrument_files() -> dict[str, bytes]:
-    """Make every file of the instrument: path below its folder, and contents."""
+    """Make the files of the instrument: contents by path relative to its folder."""
     jaw = jaw_1_link()
     solids = {
         "roll_link": roll_link(),
         "wrist_pitch_link": wrist_pitch_link(),
         "jaw_1_link": jaw,
-        "jaw_2_link": jaw.transform(np.array([[-1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]])),  # half round about y
+        "jaw_2_link": jaw.transform(np.array([[-1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]])),  # half a turn about y
     }
     files = {f"meshes/{name}.ply": ply_bytes(solid.simplify(SIMPLIFY)) for name, solid in solids.items()}
     return {"lnd.urdf": urdf().encode(), **files}
 
 
 def differences(folder: Path, files: dict[str, bytes]) -> list[str]:
-    """Name the files in the folder that are missing, not as made, or not made by this script (one line each)."""
+    """List the files in the folder that are missing, different, or not made by this script, one message each."""
     found = []
     for name, contents in files.items():
         path = folder / name
@@ -119,24 +119,31 @@ def differences(folder: Path, files: dict[str, bytes]) -> list[str]:
             found.append(f"{path}: missing")
         elif path.read_bytes() != contents:
             found.append(f"{path}: not what scripts/make_instrument.py makes")
-    strays = {p.relative_to(folder).as_posix() for p in folder.glob("meshes/*")} - files.keys()
-    return found + [f"{folder / name}: not made by scripts/make_instrument.py" for name in sorted(strays)]
+    unknown = {p.relative_to(folder).as_posix() for p in folder.glob("meshes/*")} - files.keys()
+    return found + [f"{folder / name}: not made by scripts/make_instrument.py" for name in sorted(unknown)]
 
 
 def write(folder: Path, files: dict[str, bytes]) -> None:
-    """Write each file beside its place, then rename it."""
+    """Write each file under a temporary name in its folder, then rename it."""
     for name, contents in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_name(path.name + ".part")
-        beside.write_bytes(contents)
-        os.replace(beside, path)
+        temporary = path.with_name(path.name + ".part")
+        temporary.write_bytes(contents)
+        os.replace(temporary, path)
 
 
 def main() -> int:
+    """Write the files or compare with the existing ones; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write, or to check")
-    parser.add_argument("--check", action="store_true", help="write nothing, compare with what is there")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=OUT,
+        metavar="DIR",
+        help="folder to write or to check (default: data/instruments/lnd)",
+    )
+    parser.add_argument("--check", action="store_true", help="compare with the existing files and write nothing")
     arguments = parser.parse_args()
     files = instrument_files()
     if not arguments.check:

@@ -1,4 +1,4 @@
-"""Make the README's picture data/docs/overlay.jpg: the overlay of one frame of the bundled session, small.
+"""Write the README's picture data/docs/overlay.jpg: the overlay of one frame of the bundled session, reduced in size.
 
 python scripts/make_readme_picture.py
 """
@@ -20,12 +20,13 @@ from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAME = "0001"
 WIDTH = 960  # px
-QUALITY = 78  # JPEG's
+QUALITY = 78  # of the JPEG, 0 to 100
 
 
 def main() -> None:
+    """Estimate the frame and write its overlay."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=bundled_path("docs", "overlay.jpg"))
+    parser.add_argument("--out", type=Path, default=bundled_path("docs", "overlay.jpg"), help="file to write")
     out = parser.parse_args().out
     session, body = read_session(bundled_path("demo")), prepare("lnd")
     files = next(frame for frame in session.frames if frame.name == FRAME)

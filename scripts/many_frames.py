@@ -1,4 +1,4 @@
-"""Sessions of as many frames as wanted, for measuring batches: those of one session over and over, by links."""
+"""Sessions with many frames for measurements of batches: the frames of one session repeated as symbolic links."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 
 
-def multiplied_session(source: Path, folder: Path, count: int) -> Path:
-    """Make a session of ``count`` frames that are links to those of another, with their readings and tips."""
+def repeated_session(source: Path, folder: Path, count: int) -> Path:
+    """Write a session of ``count`` frames whose files are links to those of a session, with its readings and tips."""
     masks = sorted((source / "masks").iterdir())
     if not masks:
         raise InputError(f"{source / 'masks'}: expected masks, got none")
@@ -25,12 +25,12 @@ def multiplied_session(source: Path, folder: Path, count: int) -> Path:
     shutil.copy(source / "camera.yaml", folder)
     for table in (source / "joints.csv", source / "keypoints.csv"):
         if table.exists():
-            _multiply(table, folder / table.name, [(name, mask.stem) for name, mask in names])
+            _write_repeated(table, folder / table.name, [(name, mask.stem) for name, mask in names])
     return folder
 
 
-def _multiply(table: Path, target: Path, names: list[tuple[str, str]]) -> None:
-    """Write a table whose rows are those of other frames."""
+def _write_repeated(table: Path, target: Path, names: list[tuple[str, str]]) -> None:
+    """Write a table with the rows of other frames; ``names`` are pairs of a new frame and the frame it repeats."""
     with table.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)
         rows = {row["frame"]: row for row in reader}

@@ -2,7 +2,7 @@
 
 Every solid is in the frame of its own link, so that the URDF's visual origins are the identity. The kinematics are the
 dVRK's (pitch to yaw axis 9.1 mm); the other dimensions are lengths and radii measured on a Large Needle Driver 400006,
-with left and right made equal. Holes for pins, cables and the teeth are left out.
+with left and right made equal. The teeth, and the holes for pins and cables, are not modelled.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from solids import arc, bend, box, loft, prism, revolve, rod, rounded_rectangle
 # Roll link: +z along the shaft, distally; origin on the pitch axis; pitch axis along y.
 SHAFT_RADIUS: Final = 4.07
 SHAFT_PROXIMAL_END: Final = -323.65  # z
-FLANGE_RADIUS: Final = 4.155  # the steel end piece is a little thicker than the shaft
+FLANGE_RADIUS: Final = 4.155  # of the steel end piece, which is thicker than the shaft
 FLANGE_PROXIMAL_END: Final = -9.05  # z
 FLANGE_DISTAL_END: Final = -3.55  # z, the floor of the fork
 LUG_HALF_WIDTH: Final = 2.65  # along x; rounded at the end with the same radius
@@ -40,14 +40,14 @@ BODY_DISTAL_AXIS: Final = 5.55  # towards the jaws: the fork ends at x = 10.6
 BODY_HALF_WIDTH: Final = 3.15  # along y
 BODY_EDGE_ROUNDING: Final = 0.5
 BODY_FLAT_X: Final = (3.0, 6.8)  # where the sides are flat
-BODY_PROXIMAL_BEND: Final = 10.7  # radius by which they turn in towards the shaft
-BODY_DISTAL_BEND: Final = 8.4  # and towards the jaws
+BODY_PROXIMAL_BEND: Final = 10.7  # radius with which the sides bend inwards towards the shaft
+BODY_DISTAL_BEND: Final = 8.4  # the same towards the jaws
 FORK_HALF_GAP: Final = 1.95  # along y
 FORK_FLOOR: Final = 6.1  # x
 PULLEY_IN_FORK: Final = (5.78, 2.42)  # x of the axis, radius
 
 # Jaw links: +y towards the tip, z along the yaw axis. This is jaw_1, at -x and with its pulley at +z; jaw_2 is the same
-# jaw turned half round about y.
+# jaw rotated by half a turn about y.
 # The rim: r, z along the cable's groove.
 PULLEY_RIM: Final = ((2.19, 0.03), (2.22, 0.10), (2.22, 0.20), (2.10, 0.55), (2.10, 0.72), (2.26, 0.90), (2.41, 1.0))
 PULLEY_RIM_TOP: Final = 1.2  # z
@@ -88,7 +88,7 @@ TIP_FRAME: Final = 10.2  # y of the dVRK's tool tip frame, beyond the jaws
 
 
 def roll_link() -> Manifold:
-    """Shaft, end piece with its two lugs, and the pulleys between them."""
+    """Make the roll link: shaft, end piece with two lugs, and the pulleys between the lugs."""
     lug = np.concatenate([
         arc((0.0, LUG_ROUNDING_CENTRE), (LUG_HALF_WIDTH, LUG_HALF_WIDTH), 0.0, np.pi),
         [[-LUG_HALF_WIDTH, FLANGE_DISTAL_END - 1.0], [LUG_HALF_WIDTH, FLANGE_DISTAL_END - 1.0]],
@@ -106,7 +106,7 @@ def roll_link() -> Manifold:
 
 
 def wrist_pitch_link() -> Manifold:
-    """Tongue about the pitch axis with its pin, lens-shaped body, and the fork that holds the jaws."""
+    """Make the wrist pitch link: tongue about the pitch axis with its pin, lens-shaped body, fork of the jaws."""
     start, stop = FILLET_X
     proximal = np.linspace(np.arccos((stop - BODY_WIDEST) / BODY_PROXIMAL_AXIS), np.pi / 2, 16)
     distal = np.linspace(np.pi / 2, 0.06, 22)[1:]
@@ -139,7 +139,7 @@ def wrist_pitch_link() -> Manifold:
 
 
 def pulley() -> Manifold:
-    """Cable pulley about the yaw axis, domed on its outer side."""
+    """Make the cable pulley about the yaw axis, which is domed on its outer side."""
     rise = PULLEY_TOP - PULLEY_RIM_TOP
     z_centre = (PULLEY_TOP + PULLEY_RIM_TOP) / 2 - (PULLEY_RADIUS**2 - PULLEY_TOP_RADIUS**2) / (2 * rise)
     z = np.linspace(PULLEY_RIM_TOP, PULLEY_TOP, 7)
@@ -149,9 +149,9 @@ def pulley() -> Manifold:
 
 
 def blade() -> Manifold:
-    """Gripping part of jaw_1: flat on the side of the other jaw, rounded outside and at the tip."""
+    """Make the gripping part of jaw_1: flat on the side of the other jaw, rounded outside and at the tip."""
     start, turn = np.array(BLADE_START), np.array(BLADE_ROUNDING_START)
-    radius = turn[2]  # the tip is a half circle of the blade's own height
+    radius = turn[2]  # the tip is a half circle as high as the blade
     rows = [start, turn]
     for angle in np.deg2rad([12, 24, 35, 45, 54, 62, 69, 75, 80, 84]):
         shrink = float(np.cos(angle))
@@ -166,7 +166,7 @@ def blade() -> Manifold:
 
 
 def jaw_1_link() -> Manifold:
-    """Pulley, arm, the block that holds the cable's end, and the blade."""
+    """Make the link of jaw_1: pulley, arm, the block that holds the cable's end, and the blade."""
     rings = []
     for y, left, right, low, high, r in NECK:
         radii = [NECK_RIGHT_ROUNDING, NECK_RIGHT_ROUNDING, r, r]

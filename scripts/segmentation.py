@@ -1,9 +1,9 @@
-"""Measure how good masks found in images are, on session folders that have both images and masks. Run by hand.
+"""Measure the quality of masks found in images, on session folders with images and masks. To be run by hand.
 
     python scripts/segmentation.py masks SESSION...    overlap with the given masks, by prompt; CPU seconds an image
-    python scripts/segmentation.py poses SESSION...    poses from image alone against those from the given masks
+    python scripts/segmentation.py poses SESSION...    poses from the image alone, compared with those from the masks
 
-``poses`` wants the session's camera and readings, and its --instrument.
+``poses`` needs the session's camera, its readings and --instrument.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.runs.frame import read_any_frame, solve_frame
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.with_instrument import Segmenter
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -43,6 +42,7 @@ NEAR_DEG: Final = 10.0
 
 
 def main() -> int:
+    """Run a command and print its report; return the exit code."""
     arguments = _parser().parse_args()
     try:
         sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in arguments.sessions}
@@ -59,21 +59,23 @@ def main() -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("masks", "poses"))
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION")
-    parser.add_argument("--instrument", default="lnd", help="for poses: a bundled instrument or a URDF")
-    parser.add_argument("--json", action="store_true", help="figures as JSON")
+    parser.add_argument("command", choices=("masks", "poses"), help="what to measure")
+    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders")
+    parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 
 def _box(mask: Bool) -> dict[str, Any]:
+    """Return the bounding box of a mask as a prompt."""
     left, top, width, height = window_around(mask, 0)
     return {"box": (left, top, left + width - 1, top + height - 1)}
 
 
 def _point(mask: Bool) -> dict[str, Any]:
-    """Point where somebody would click: in the middle of where the mask is widest."""
+    """Return a point prompt as a user would click: the point of the mask that is farthest from its contour."""
     inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     v, u = np.unravel_index(int(inside.argmax()), inside.shape)
     return {"points": [(float(u), float(v))]}
@@ -83,7 +85,7 @@ PROMPTS: Final[Mapping[str, Callable[[Bool], dict[str, Any]]]] = {"box": _box, "
 
 
 def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
-    """Overlap with the given masks and CPU seconds, of each session and image, by prompt."""
+    """Report the overlap with the given masks and the CPU seconds, by session and prompt, and of each image."""
     rows: Rows = []
     frames: Rows = []
     for name, session in sessions.items():
@@ -109,6 +111,7 @@ def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
 def _mask_row(
     session: Session, files: FrameFiles, prompt: str, made: Callable[[Bool], dict[str, Any]]
 ) -> dict[str, Any]:
+    """Segment one image with a prompt, and compare the mask with the given one."""
     data = read_frame(files, session.camera)
     if data.image is None:
         raise InputError(f"frame {files.name}: expected an image beside the mask, got none")
@@ -125,7 +128,7 @@ def _mask_row(
 
 
 def poses_report(sessions: Mapping[str, Session], instrument: str) -> dict[str, Rows]:
-    """Poses from image alone against those from the given masks: root, axis, and whether far ones are doubted."""
+    """Report the differences between poses from the image alone and poses from the given masks."""
     body = prepare(instrument)
     rows: Rows = []
     frames: Rows = []
@@ -151,10 +154,11 @@ def poses_report(sessions: Mapping[str, Session], instrument: str) -> dict[str, 
 
 
 def _pose_row(session: Session, files: FrameFiles, body: Body) -> dict[str, Any]:
+    """Estimate one frame from the image alone and from the given mask, and compare the poses."""
     given = read_frame(files, session.camera)
-    reference = _estimated(session, files, body, None)[0]
+    reference = _estimated(session, files, body, from_image=False)[0]
     started = time.process_time()
-    result, mask = _estimated(session, files, body, Segmenter(body, EstimateConfig()))
+    result, mask = _estimated(session, files, body, from_image=True)
     seconds = time.process_time() - started
     assert result.camera_from_root is not None
     assert reference.camera_from_root is not None
@@ -172,10 +176,12 @@ def _pose_row(session: Session, files: FrameFiles, body: Body) -> dict[str, Any]
     }
 
 
-def _estimated(session: Session, files: FrameFiles, body: Body, segmenter: Segmenter | None) -> tuple[Result, Bool]:
-    files = files if segmenter is None else replace(files, mask=None)
-    data = read_frame(files, session.camera, segmenter)
-    return estimate_frame(files, data, body, arm="classic", config=EstimateConfig()), data.mask
+def _estimated(session: Session, files: FrameFiles, body: Body, *, from_image: bool) -> tuple[Result, Bool]:
+    """Estimate a frame with the given mask, or from the image alone; return the result and the mask used."""
+    files = replace(files, mask=None) if from_image else files
+    frame = read_any_frame(files, session.camera)
+    solved = solve_frame(files, frame, body, arm="classic", config=EstimateConfig())
+    return solved.result, solved.data.mask
 
 
 if __name__ == "__main__":

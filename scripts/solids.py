@@ -1,6 +1,6 @@
-"""Solids that the bundled instrument is put together from: prisms, rods, boxes and lofts, in millimetres.
+"""Solids of which the bundled instrument is composed: prisms, rods, boxes and lofts, in millimetres.
 
-Thin helpers over manifold3d: outlines come in as arrays, circles get as many sides as CHORD_ERROR asks for.
+The functions wrap manifold3d: outlines are given as arrays, and circles become polygons within CHORD_ERROR.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
 
-CHORD_ERROR: Final = 0.002  # mm, by which a polygon may fall short of its circle: 0.025 px at 80 mm and f = 1000 px
+CHORD_ERROR: Final = 0.002  # mm, largest distance of a polygon from its circle: 0.025 px at 80 mm and f = 1000 px
 
 
 def sides(radius: float) -> int:
-    """Count the sides, a multiple of four, of a polygon within CHORD_ERROR of a circle of this radius (mm)."""
+    """Return the number of sides, a multiple of four, of a polygon within CHORD_ERROR of a circle of a radius, mm."""
     return 4 * int(np.ceil(np.pi / np.arccos(1 - CHORD_ERROR / radius) / 4))
 
 
 def arc(centre: tuple[float, float], half_axes: tuple[float, float], start: float, stop: float) -> Points:
-    """Points (N, 2) on an axis-parallel ellipse, from one angle to another (rad), both ends included."""
+    """Return points (N, 2) on an axis-parallel ellipse from one angle to another (rad), both ends included."""
     steps = max(2, int(np.ceil(sides(max(half_axes)) * abs(stop - start) / (2 * np.pi))))
     angle = np.linspace(start, stop, steps + 1)
     return np.stack([centre[0] + half_axes[0] * np.cos(angle), centre[1] + half_axes[1] * np.sin(angle)], 1)
 
 
 def bend(start: float, stop: float, radius: float, height: float) -> Points:
-    """Points (N, 2) on a circle that leaves the line y = height at x = start and turns down, to x = stop."""
+    """Return points (N, 2) on a circle that is tangent to y = height at x = start and bends down, until x = stop."""
     angle = np.arcsin((stop - start) / radius)
     return arc((start, height - radius), (radius, radius), np.pi / 2, np.pi / 2 - angle)
 
 
 def prism(outline: Points, low: float, high: float, axis: str = "z") -> Manifold:
-    """Extrude an outline (N, 2) along z, or an outline given as (x, z) along y, or as (y, z) along x."""
+    """Extrude an outline (N, 2) along an axis: (x, y) along z, (x, z) along y, or (y, z) along x."""
     solid = CrossSection([outline], FillRule.NonZero).extrude(high - low).translate((0.0, 0.0, low))
     turned = {
         "z": solid,
@@ -52,12 +52,12 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Ma
 
 
 def rod(radius: float, low: float, high: float, axis: str = "z", centre: tuple[float, float] = (0.0, 0.0)) -> Manifold:
-    """Make a cylinder; its centre in the plane is given as for `prism`."""
+    """Make a cylinder along an axis; ``centre`` has the same two coordinates as an outline of `prism`."""
     return prism(arc(centre, (radius, radius), 0.0, 2 * np.pi)[:-1], low, high, axis)
 
 
 def rounded_rectangle(low: Points, high: Points, radii: Sequence[float], steps: Sequence[int]) -> Points:
-    """Outline (N, 2), anticlockwise from the right low corner on; a corner of zero steps is sharp."""
+    """Return an outline (N, 2), anticlockwise from the lower right corner; a corner with zero steps is not rounded."""
     corners = [(high[0], low[1]), (high[0], high[1]), (low[0], high[1]), (low[0], low[1])]
     inward = [(-1, 1), (-1, -1), (1, -1), (1, 1)]
     parts = []
@@ -72,12 +72,12 @@ def rounded_rectangle(low: Points, high: Points, radii: Sequence[float], steps: 
 
 
 def revolve(outline: Points, radius: float) -> Manifold:
-    """Turn an outline (N, 2) of r and z about the z axis; the radius (mm) decides on the number of sides."""
+    """Revolve an outline (N, 2) of r and z about the z axis, with the number of sides for a radius, mm."""
     return CrossSection([outline], FillRule.NonZero).revolve(sides(radius))
 
 
 def loft(sections: Points) -> Manifold:
-    """Close the surface over sections (S, N, 3): convex rings, one behind the other, into a solid."""
+    """Make a solid whose surface connects consecutive convex rings, ``sections`` (S, N, 3), and closes the ends."""
     count, n = sections.shape[:2]
     k, j = np.meshgrid(np.arange(count - 1), np.arange(n), indexing="ij")
     a, b = k * n + j, k * n + (j + 1) % n

@@ -1,8 +1,8 @@
-"""What each part is worth: the same frames with a loss, edges or readings left out, or with other methods.
+"""Ablation: the same frames without a loss term, shaft edges or readings, or with other methods.
 
     python scripts/experiments/ablation.py [--quick]
 
-Made frames of the medium and hard levels, each variant on the very same frames.
+The frames are synthetic, of the levels medium and hard. All variants are run on the same frames.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEVELS: Final[tuple[LevelName, ...]] = ("medium", "hard")
-AS_IT_IS: Final = "as it is"
+UNCHANGED: Final = "as it is"
 _COLOURS: Final = {"medium": "#1d3557", "hard": "#e76f51"}
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done: frames of each level, and at most so many variants."""
+    """Size of a run: number of frames of each level, and largest number of variants (None for all)."""
 
     frames: int
     variants: int | None
@@ -45,7 +45,7 @@ QUICK: Final = Size(frames=1, variants=4)
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to estimate the frames; ``readings`` says whether they are given."""
+    """A variant of the method; ``readings`` states whether readings are used."""
 
     name: str
     config: EstimateConfig
@@ -53,8 +53,8 @@ class Variant:
 
 
 def variants(config: EstimateConfig) -> list[Variant]:
-    """All variants of a configuration, itself first."""
-    found = [Variant(AS_IT_IS, config)]
+    """Return all variants of a configuration; the first one is the configuration itself."""
+    found = [Variant(UNCHANGED, config)]
     for name in [field.name for field in fields(config.weights) if field.name != "line_offset"]:
         found.append(Variant(f"loss: no {name}", replace(config, weights=replace(config.weights, **{name: 0.0}))))
     found += [
@@ -78,41 +78,41 @@ def variants(config: EstimateConfig) -> list[Variant]:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A frame by a variant: its error, None without a pose, and the seconds it took."""
+    """Error of a frame by a variant, None without a pose, and its time in seconds."""
 
     error: PoseError | None
     seconds: float
 
     @property
     def tip_mm(self) -> float:
-        """Error of the tips, infinite without a pose."""
+        """Error of the tips, mm; infinite without a pose."""
         return float("inf") if self.error is None or self.error.tip_mm is None else self.error.tip_mm
 
     @property
     def right_mode(self) -> bool:
-        """Whether the pose is the true one, to be made better, and not another."""
+        """Whether the pose is in the true mode."""
         return self.error is not None and self.error.rotation_deg < RIGHT_MODE_DEG
 
 
 def outcomes_of(variant: Variant, sessions: Sequence[Made]) -> list[Outcome]:
-    """Estimate all frames by a variant."""
+    """Estimate all frames of sessions by a variant."""
     found = []
     total = sum(len(made.frames) for made in sessions)
     for made in sessions:
         for frame in made.frames:
-            handed = frame if variant.readings else replace(frame, readings={})
-            result = by_estimate(made, handed, variant.config)
+            given = frame if variant.readings else replace(frame, readings={})
+            result = by_estimate(made, given, variant.config)
             found.append(Outcome(error_of(frame, result), result.seconds))
             progress(variant.name, len(found), total)
     return found
 
 
-def row_of(name: str, level: str, found: Sequence[Outcome], as_it_is: Sequence[Outcome]) -> dict[str, Any]:
-    """One row: share in the right mode, errors' median and nine tenths, seconds, and in how many frames it is worse."""
+def row_of(name: str, level: str, found: Sequence[Outcome], unchanged: Sequence[Outcome]) -> dict[str, Any]:
+    """Return a row: share in the right mode, error percentiles, seconds, and numbers of worse and better frames."""
     tips = np.array([one.tip_mm for one in found])
     axes = [one.error.shaft_deg for one in found if one.error is not None]
-    worse = [one.tip_mm > 1.1 * base.tip_mm for one, base in zip(found, as_it_is, strict=True)]
-    better = [1.1 * one.tip_mm < base.tip_mm for one, base in zip(found, as_it_is, strict=True)]
+    worse = [one.tip_mm > 1.1 * base.tip_mm for one, base in zip(found, unchanged, strict=True)]
+    better = [1.1 * one.tip_mm < base.tip_mm for one, base in zip(found, unchanged, strict=True)]
     return {
         "variant": name,
         "level": level,
@@ -128,18 +128,19 @@ def row_of(name: str, level: str, found: Sequence[Outcome], as_it_is: Sequence[O
 
 
 def _finite(value: float) -> float | None:
+    """Round a number to three decimals; None if it is not finite."""
     return round(float(value), 3) if np.isfinite(value) else None
 
 
 def claims_of(rows: Sequence[dict[str, Any]]) -> list[Claim]:
-    """Compare each part's worth: no variant should be ahead of what the program does."""
+    """Evaluate the claim that no variant is better than the unchanged method."""
     ahead = [f"{r['variant']} ({r['level']}: {r['better']} to {r['worse']})" for r in rows if r["better"] > r["worse"]]
     text = "no variant is better (tips off by a tenth less) in more frames than it is worse in"
     return [Claim(text, not ahead, "ahead: " + ", ".join(ahead) if ahead else "none is ahead")]
 
 
 def as_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Lay the rows out, the levels side by side."""
+    """Return the rows as a Markdown table with the levels side by side."""
     columns = ["variant"]
     for level in LEVELS:
         columns += [f"{level}: right mode", "tips, median / 90 %, mm", "worse / better"]
@@ -157,7 +158,7 @@ def as_table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Draw the tips' median error of each variant, a colour a level, and what is not in the right mode."""
+    """Draw the tips' median error and the share of frames in a wrong mode, by variant and level."""
     names = list(dict.fromkeys(row["variant"] for row in rows))
     figure = new_figure(8.0, 1.0 + 0.26 * len(names))
     left, right = figure.subplots(1, 2, sharey=True)
@@ -179,7 +180,7 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
 
 
 def run(options: Options, size: Size) -> None:
-    """Run the experiment and write what it shows."""
+    """Run the experiment and write its files."""
     body = prepare("lnd")
     sessions = {level: make(body, level, size.frames, 900 + options.seed) for level in LEVELS}
     rows: list[dict[str, Any]] = []

@@ -1,7 +1,7 @@
-"""What all experiments share: their options, what is said of where they ran, and the three files each one writes.
+"""Common parts of the experiments: command line options, description of the run, and the three files written.
 
-An experiment writes OUT/NAME.json (every figure), OUT/NAME.md (a table and its claims) and OUT/NAME.png. Its claims are
-what the paper or we expect of it, each with whether it holds here: a claim that fails is written down like any other.
+An experiment writes OUT/NAME.json (all figures), OUT/NAME.md (a table and the claims) and OUT/NAME.png. The claims are
+results that the paper reports or that we expect; each is written with the information whether it holds in this run.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 ROOT: Final = Path(__file__).resolve().parents[2]
 OUT: Final = ROOT / "data" / "experiments"
 SHARED: Final = ROOT.parent / "shared"
-"""Real frames and scanned meshes, kept beside the checkout; what needs them is left out where they are not there."""
+"""Real frames and scanned meshes beside the checkout; the parts that need them are left out if they are missing."""
 
 Z_95: Final = 1.959964
 
 
 @dataclass(frozen=True)
 class Options:
-    """How an experiment is run."""
+    """Options of a run; ``started`` is its start on the monotonic clock, s."""
 
     out: Path
     quick: bool
@@ -48,7 +48,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Claim:
-    """Something that an experiment should show, whether it does, and the figures that say so."""
+    """An expected result of an experiment, whether it holds, and the figures that show it."""
 
     text: str
     holds: bool
@@ -58,10 +58,20 @@ class Claim:
 def read_options(description: str, arguments: Sequence[str] | None = None) -> Options:
     """Parse an experiment's command line."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write (data/experiments)")
-    parser.add_argument("--quick", action="store_true", help="as little as shows that it runs: under a minute")
-    parser.add_argument("--shared", type=Path, default=SHARED, metavar="DIR", help="real frames and scanned meshes")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers")
+    parser.add_argument(
+        "--out", type=Path, default=OUT, metavar="DIR", help="folder to write (default: data/experiments)"
+    )
+    parser.add_argument("--quick", action="store_true", help="a small run of less than a minute, to test the script")
+    parser.add_argument(
+        "--shared",
+        type=Path,
+        default=SHARED,
+        metavar="DIR",
+        help="folder of real frames and scanned meshes (default: shared, beside the checkout)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of all random numbers (default: %(default)s)"
+    )
     given = parser.parse_args(arguments)
     return Options(out=given.out, quick=given.quick, shared=given.shared, seed=given.seed)
 
@@ -77,7 +87,7 @@ def write_experiment(
     picture: Figure,
     notes: Sequence[str] = (),
 ) -> None:
-    """Write an experiment's JSON, Markdown and picture; say on stderr where."""
+    """Write an experiment's JSON, Markdown and picture, and print their paths on stderr."""
     ran = {
         "date": datetime.date.today().isoformat(),
         "commit": _commit(),
@@ -98,6 +108,7 @@ def write_experiment(
 
 
 def _ran_line(ran: Mapping[str, Any]) -> str:
+    """Describe the run in one line."""
     quick = "A quick run, too small to conclude anything from. " if ran["quick"] else ""
     return (
         f"{quick}{ran['date']}, commit {ran['commit']}, version {ran['version']}, {ran['machine']}, "
@@ -106,20 +117,22 @@ def _ran_line(ran: Mapping[str, Any]) -> str:
 
 
 def _joined(tables: Sequence[str]) -> list[str]:
+    """Return tables as paragraphs of Markdown."""
     return [line for table in tables for line in (table, "")]
 
 
 def _commit() -> str:
-    """Short name of the commit that is checked out, with a plus if what is run differs from it."""
-    what = ("dvrk_cmaes", "scripts", "data/instruments", "pyproject.toml")
+    """Return the short name of the current commit, with a plus if the code or the instruments differ from it."""
+    paths = ("dvrk_cmaes", "scripts", "data/instruments", "pyproject.toml")
     try:
         name = _git("rev-parse", "--short", "HEAD")
-        return name + ("+" if _git("status", "--porcelain", "--", *what) else "")
+        return name + ("+" if _git("status", "--porcelain", "--", *paths) else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 
 
 def _git(*arguments: str) -> str:
+    """Return the output of a git command."""
     done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
     return done.stdout.strip()
 
@@ -135,14 +148,14 @@ def machine_class() -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out a Markdown table."""
+    """Return a Markdown table."""
     cells = [[str(cell) for cell in row] for row in rows]
     lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in cells)])
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Give the 95 % confidence interval of a rate (Wilson's score interval)."""
+    """Return the 95 % confidence interval of a rate (Wilson's score interval)."""
     if trials == 0:
         return 0.0, 1.0
     rate, z2 = successes / trials, Z_95**2
@@ -152,7 +165,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def progress(label: str, done: int, total: int) -> None:
-    """Say on stderr how far the work is; now and then, where that is a file."""
+    """Print progress on stderr: on a terminal always in the same line, otherwise a line for every 20th item."""
     if sys.stderr.isatty():
         print(f"\r{label}: {done}/{total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
     elif done == total or done % 20 == 0:

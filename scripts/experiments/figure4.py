@@ -1,12 +1,12 @@
-"""The paper's Figure 4: how good the best of N candidates is, by where they are drawn from.
+"""The paper's Figure 4: loss of the best of N candidates, by the space from which they are drawn.
 
     python scripts/experiments/figure4.py [--quick]
 
-In each made frame of the medium level, candidates are drawn four ways: uniformly in six dimensions; from the LookAt
-space as the paper writes it, the root on the optical axis; from the LookAt space turned towards the mask, as ours is;
-and most of them where the shaft's edges put the axis, as the search draws them. The joints are drawn alike, about the
-readings. All are scored by the same loss, that of the search without the readings' part; the best of the first N is
-what a search would start from.
+In each synthetic frame of the level medium, candidates are drawn in four ways: uniformly in six dimensions; from the
+LookAt space of the paper, with the root on the optical axis; from our LookAt space, which is rotated towards the mask;
+and as in our search, most of them from the axis given by the shaft's edges. The joints are drawn around the readings in
+the same way. All candidates are scored by the loss of the search without its readings term. A search would start from
+the best of the first N candidates.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.pose.search.global_search import image_size
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.pose.search.starts import draw_seeds, sample_joints, sample_lookat, sample_uniform
+from dvrk_cmaes.pose.search.starts import draw_starts, sample_joints, sample_lookat, sample_uniform
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.synth.session import MadeFrame
+from dvrk_cmaes.synth.session import SyntheticFrame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ COUNTS: Final = (25, 50, 100, 200, 300, 500, 700, 1000)
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done: frames, and draws in each of them."""
+    """Size of a run: number of frames, and of draws in each frame."""
 
     frames: int
     draws: int
@@ -53,16 +53,16 @@ QUICK: Final = Size(frames=4, draws=1)
 
 
 def best_of_first(
-    made: Made, frame: MadeFrame, config: EstimateConfig, rng: np.random.Generator, draws: int
+    made: Made, frame: SyntheticFrame, config: EstimateConfig, rng: np.random.Generator, draws: int
 ) -> dict[str, Float64]:
-    """Best loss among the first N candidates, for all N in ``COUNTS``, by space: (K,), mean over the draws."""
+    """Return by space the least loss (K,) of the first N candidates, for the N in ``COUNTS``, mean over the draws."""
     plan = made.plan
     instrument = plan.body.instrument
     evidence = gather_evidence(frame.mask, plan.camera, instrument, ignore=frame.ignore, seed=config.seed)
     low, high = instrument.limits.T
     readings = Readings(
         values=np.array([frame.readings[name] for name in instrument.joint_names]),
-        spread=np.deg2rad([config.readings.of(name) for name in instrument.joint_names]),
+        sigma=np.deg2rad([config.readings.of(name) for name in instrument.joint_names]),
         low=low,
         high=high,
     )
@@ -77,17 +77,17 @@ def best_of_first(
             if space in (UNIFORM, CENTRED):
                 sample = sample_uniform if space == UNIFORM else sample_lookat
                 poses = sample(count, config.lookat, rng, camera=plan.camera)
-                joints = sample_joints(readings.values, readings.spread, readings.low, readings.high, count, rng)
+                joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
             else:
                 search = replace(config.search, samples=count, use_edges=space == EDGES, unread_share=0.0)
-                poses, joints, _ = draw_seeds(evidence, instrument, readings, replace(config, search=search), rng)
+                poses, joints, _ = draw_starts(evidence, instrument, readings, replace(config, search=search), rng)
             losses = objective.terms(poses, joints).total(weights)[rng.permutation(count)]
             best[space].append(np.minimum.accumulate(losses)[np.array(COUNTS) - 1])
     return {space: np.mean(found, axis=0) for space, found in best.items()}
 
 
 def claims_of(curves: dict[str, Float64]) -> list[Claim]:
-    """Compare with what the figure should show: an order at every N, beyond the spread over frames."""
+    """Evaluate the claims: an order of the spaces at every N, in the median and with separate quartiles."""
     claims = []
     for better, worse in ((EDGES, LOOKAT), (LOOKAT, UNIFORM)):
         medians = [np.median(curves[space], axis=0) for space in (better, worse)]
@@ -111,7 +111,7 @@ def claims_of(curves: dict[str, Float64]) -> list[Claim]:
 
 
 def draw(curves: dict[str, Float64]) -> Figure:
-    """Draw medians over frames with their quartiles."""
+    """Draw the medians over frames with their quartiles."""
     figure = new_figure(6.6, 4.6)
     panel = figure.subplots()
     for space, colour in zip(SPACES, ("#8d99ae", "#e9c46a", "#e76f51", "#1d3557"), strict=True):
@@ -130,7 +130,7 @@ def draw(curves: dict[str, Float64]) -> Figure:
 
 
 def run(options: Options, size: Size) -> None:
-    """Run the experiment and write what it shows."""
+    """Run the experiment and write its files."""
     config = EstimateConfig()
     made = make(prepare("lnd"), "medium", size.frames, 400 + options.seed, motion="free")
     rng = np.random.default_rng(options.seed)
@@ -163,6 +163,7 @@ def run(options: Options, size: Size) -> None:
 
 
 def _quartiles(values: Float64) -> str:
+    """Format the median and the quartiles of values."""
     low, middle, high = np.percentile(values, [25, 50, 75])
     return f"{middle:.3f} ({low:.3f} to {high:.3f})"
 

@@ -1,4 +1,4 @@
-"""Made sessions in memory, and every method's results for their frames."""
+"""Synthetic sessions in memory, and the results of each method for their frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dvrk_cmaes.pnp.pnp_frame import pose_from_markers, pose_from_tips
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
-from dvrk_cmaes.synth.session import MadeFrame, Motion, SessionPlan, default_camera, make_frames, make_truths
+from dvrk_cmaes.synth.session import Motion, SessionPlan, SyntheticFrame, default_camera, make_frames, make_truths
 
 OURS: Final = "ours"
 PNP: Final = "PnP, SQPNP"
@@ -32,11 +32,11 @@ RIGHT_MODE_DEG: Final = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A made session in memory; ``camera_from_base`` (4, 4) is the true one, None for free poses."""
+    """A synthetic session in memory; ``camera_from_base`` (4, 4) is the true one, None for independent poses."""
 
     plan: SessionPlan
     camera_from_base: NDArray[np.float64] | None
-    frames: tuple[MadeFrame, ...]
+    frames: tuple[SyntheticFrame, ...]
 
 
 def make(body: Body, level: LevelName, frames: int, seed: int, motion: Motion = "rcm") -> Made:
@@ -48,8 +48,8 @@ def make(body: Body, level: LevelName, frames: int, seed: int, motion: Motion = 
     return Made(plan, camera_from_base, tuple(make_frames(plan, truths)))
 
 
-def by_estimate(made: Made, frame: MadeFrame, config: EstimateConfig) -> Result:
-    """Our result, from mask and readings."""
+def by_estimate(made: Made, frame: SyntheticFrame, config: EstimateConfig) -> Result:
+    """Estimate a frame by our method, from mask and readings."""
     return estimate(
         frame.mask,
         made.plan.camera,
@@ -61,8 +61,8 @@ def by_estimate(made: Made, frame: MadeFrame, config: EstimateConfig) -> Result:
     )
 
 
-def by_points(made: Made, frame: MadeFrame, method: str) -> Result:
-    """Give the result of a PnP method."""
+def by_points(made: Made, frame: SyntheticFrame, method: str) -> Result:
+    """Estimate a frame by a PnP method, from detected markers or from jaw tips and shaft edges."""
     files = FrameFiles(frame.name, None, readings=frame.readings, keypoints=frame.tips)
     plan = made.plan
     if method == PNP_TIPS:
@@ -81,8 +81,8 @@ def by_points(made: Made, frame: MadeFrame, method: str) -> Result:
 def results_by(
     method: str, sessions: Sequence[Made], config: EstimateConfig, label: str = ""
 ) -> list[dict[str, Result]]:
-    """Results of all frames of some sessions by a method, by frame."""
-    solve: Callable[[Made, MadeFrame], Result] = (
+    """Estimate all frames of sessions by a method; return the results of each session by frame."""
+    solve: Callable[[Made, SyntheticFrame], Result] = (
         (lambda made, frame: by_estimate(made, frame, config))
         if method == OURS
         else (lambda made, frame: by_points(made, frame, method))
@@ -99,7 +99,7 @@ def results_by(
 
 
 def result_set(name: str, made: Made, results: Mapping[str, Result]) -> ResultSet:
-    """Poses of one session, as the measures of agreement want them."""
+    """Return the poses of one session as input of the measures of agreement."""
     posed = {n: r.camera_from_root for n, r in results.items() if r.camera_from_root is not None}
     return ResultSet(
         name=name,
@@ -110,8 +110,8 @@ def result_set(name: str, made: Made, results: Mapping[str, Result]) -> ResultSe
     )
 
 
-def error_of(frame: MadeFrame, result: Result) -> PoseError | None:
-    """Error of a result, None without a pose."""
+def error_of(frame: SyntheticFrame, result: Result) -> PoseError | None:
+    """Return the error of a result; None without a pose."""
     if result.camera_from_root is None:
         return None
     truth = frame.truth
@@ -121,6 +121,6 @@ def error_of(frame: MadeFrame, result: Result) -> PoseError | None:
 
 
 def errors_of(sessions: Sequence[Made], results: Sequence[Mapping[str, Result]]) -> list[PoseError | None]:
-    """Errors of all results, session by session."""
+    """Return the errors of all results, session by session."""
     pairs = zip(sessions, results, strict=True)
     return [error_of(frame, found[frame.name]) for made, found in pairs for frame in made.frames]

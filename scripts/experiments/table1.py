@@ -1,9 +1,9 @@
-"""The paper's Table I: how nearly the shafts' axes meet while the arm moves about its remote centre of motion.
+"""The paper's Table I: distances of the shafts' axes from one point while the arm moves about its remote centre.
 
     python scripts/experiments/table1.py [--quick]
 
-On made sessions of three levels by our method and by PnP in three ways, and where they are at hand on the paper's real
-frames by our method and by the authors' own poses. Frames are solved one by one.
+Our method and three variants of PnP are run on synthetic sessions of three levels. If the paper's real frames are
+available, our method is run on them and compared with the authors' published poses. Frames are solved one by one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.agreement import Agreement, measure_agreement
-from dvrk_cmaes.evaluate.consistency import FEWEST
+from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES
 from dvrk_cmaes.evaluate.paper import TABLE_ONE
 from dvrk_cmaes.evaluate.result_set import ResultSet, read_result_set
 from dvrk_cmaes.frames.frame import read_frame
@@ -37,13 +37,13 @@ LEVELS: Final[tuple[LevelName, ...]] = ("easy", "medium", "hard")
 METHODS: Final = (OURS, PNP, PNP_RANSAC, PNP_TIPS)
 MARKER_METHODS: Final = (PNP, PNP_RANSAC)
 LARGEST_SHARE: Final = 0.2
-"""Of PnP's sigma: what ours should stay within."""
+"""Largest ratio of our sigma to that of PnP for which the claim holds."""
 AUTHORS, OURS_REAL = "authors' poses", "ours, real frames"
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done: made sessions a level, their frames, and of the real sets at most so many frames."""
+    """Size of a run: synthetic sessions of a level, their frames, and largest number of real frames (None for all)."""
 
     sessions: int
     frames: int
@@ -51,16 +51,16 @@ class Size:
 
 
 FULL: Final = Size(sessions=4, frames=10, real=None)
-QUICK: Final = Size(sessions=1, frames=FEWEST, real=FEWEST)
+QUICK: Final = Size(sessions=1, frames=LEAST_FRAMES, real=LEAST_FRAMES)
 
 
 def made_rows(level: LevelName, sessions: Sequence[Made], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """One row a method: median and range over the sessions of what the measures say."""
+    """Return one row for each method: medians of the measures of agreement over the sessions."""
     rows = []
     for method in methods:
         results = results_by(method, sessions, EstimateConfig(), f"{level}, {method}")
         sets = [result_set(level, made, found) for made, found in zip(sessions, results, strict=True)]
-        measured = [measure_agreement(one) for one in sets if len(one.frames) >= FEWEST]
+        measured = [measure_agreement(one) for one in sets if len(one.frames) >= LEAST_FRAMES]
         tips = [e.tip_mm for e in errors_of(sessions, results) if e is not None and e.tip_mm is not None]
         rows.append(
             {
@@ -68,15 +68,15 @@ def made_rows(level: LevelName, sessions: Sequence[Made], methods: Sequence[str]
                 "method": method,
                 "sessions": len(measured),
                 "without_pose": sum(len(one.failed) for one in sets),
-                **spreads(measured),
+                **agreement_figures(measured),
                 "tip_mm_median": round(float(np.median(tips)), 3) if tips else None,
             }
         )
     return rows
 
 
-def spreads(measured: Sequence[Agreement]) -> dict[str, Any]:
-    """Medians over sessions, and every session's sigma, m."""
+def agreement_figures(measured: Sequence[Agreement]) -> dict[str, Any]:
+    """Return the medians of the measures over sessions, and the sigma of each session, m."""
     sigmas = [one.axes.sigma for one in measured]
     rcm = [one.rcm.rms for one in measured if one.rcm is not None]
     base = [one.base.median_deg for one in measured if one.base is not None]
@@ -90,13 +90,15 @@ def spreads(measured: Sequence[Agreement]) -> dict[str, Any]:
 
 
 def _median(values: Sequence[float], digits: int) -> float | None:
+    """Return the rounded median; None without values."""
     return round(float(np.median(values)), digits) if len(values) else None
 
 
 def real_rows(shared: Path, frames: int | None) -> list[dict[str, Any]]:
-    """Rows of the paper's real frames, none where they are not at hand.
+    """Return the rows of the paper's real frames; no rows if the frames are not available.
 
-    The authors' poses, and ours with the scanned instrument, of at most so many ``frames``; 0 leaves ours out.
+    There are rows of the authors' poses, and of our poses with the scanned instrument for at most ``frames`` frames; if
+    ``frames`` is 0, our rows are left out.
     """
     rows = []
     urdf = shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"
@@ -113,12 +115,15 @@ def real_rows(shared: Path, frames: int | None) -> list[dict[str, Any]]:
 
 
 def _real_row(level: str, method: str, measured: Agreement) -> dict[str, Any]:
+    """Return a row of one set of real frames."""
     failed = len(measured.results.failed)
-    return {"frames": f"real, {level}", "method": method, "sessions": 1, "without_pose": failed} | spreads([measured])
+    return {"frames": f"real, {level}", "method": method, "sessions": 1, "without_pose": failed} | agreement_figures(
+        [measured]
+    )
 
 
 def _estimated(folder: Path, urdf: str, frames: int | None) -> ResultSet:
-    """Our poses of a session folder's frames, at most so many of them."""
+    """Estimate the first ``frames`` frames of a session folder, or all, by our method."""
     session, body = read_session(folder), prepare(urdf)
     chosen = session.frames if frames is None else session.frames[:frames]
     poses = {}
@@ -137,7 +142,7 @@ def _estimated(folder: Path, urdf: str, frames: int | None) -> ResultSet:
 
 
 def claims_of(rows: Sequence[dict[str, Any]]) -> list[Claim]:
-    """Compare with what the table should show."""
+    """Evaluate the claims about the table."""
     sigma = {(row["frames"], row["method"]): row["sigma_m"] for row in rows}
     claims = []
     published = {level: sigma.get((f"real, {level}", AUTHORS)) for level in ("easy", "medium")}
@@ -162,7 +167,7 @@ def claims_of(rows: Sequence[dict[str, Any]]) -> list[Claim]:
 
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Draw every session's sigma, by level and method, with the paper's figures."""
+    """Draw the sigma of each session by level and method, and the paper's figures."""
     figure = new_figure(9.0, 4.6)
     panel = figure.subplots()
     names = [*(f"made, {level}" for level in TABLE_ONE), "real, easy", "real, medium"]
@@ -189,7 +194,7 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
 
 
 def as_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Lay the rows out, the paper's below."""
+    """Return the rows as a Markdown table, followed by the paper's rows."""
     columns = ("frames", "method", "sigma, m", "rms, mm", "RCM spread, mm", "base, deg", "tips, mm", "without pose")
     cells = [
         (
@@ -210,12 +215,13 @@ def as_table(rows: Sequence[dict[str, Any]]) -> str:
     return table(columns, cells)
 
 
-def _shown(value: float | None, digits: int, times: float = 1.0) -> str:
-    return "" if value is None else f"{value * times:.{digits}f}"
+def _shown(value: float | None, digits: int, factor: float = 1.0) -> str:
+    """Format a number multiplied by a factor; empty for None."""
+    return "" if value is None else f"{value * factor:.{digits}f}"
 
 
 def run(options: Options, size: Size) -> None:
-    """Run the experiment and write what it shows."""
+    """Run the experiment and write its files."""
     body = prepare("lnd")
     rows = []
     for level in LEVELS:

@@ -1,10 +1,10 @@
-"""The paper's Table II, simulated: picking a gauze or a needle after one calibration, by the readings alone.
+"""The paper's Table II, simulated: open-loop picking of a gauze or a needle after a calibration from one frame.
 
     python scripts/experiments/table2.py [--quick]
 
-An arm is seen in one made frame of the medium level and calibrated by our result, by PnP from painted markers, and by
-the true pose and joints. Then it moves 1, 3.5 and 7 cm to an object that it knows exactly, by its readings alone. No
-robot: the model of the readings, the cables and the grasp is stated in picking.py.
+An arm is calibrated from one synthetic frame of the level medium: by our result, by PnP from painted markers, and by
+the true pose and joints. Then it moves by 1, 3.5 and 7 cm to an object at a known position, controlled by its readings
+alone. No robot is used: picking.py states the model of the readings, the cables and the grasp.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evaluate.paper import TABLE_TWO
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.synth.session import MadeFrame
+from dvrk_cmaes.synth.session import SyntheticFrame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,14 +43,14 @@ TRUTH: Final = "truth"
 METHODS: Final = (TRUTH, OURS, PNP)
 DISTANCES: Final = (0.01, 0.035, 0.07)  # m
 OBJECTS: Final = {"gauze": picks_gauze, "needle": picks_needle}
-LARGEST_GAP: Final = 0.05  # between our rate and the truth's
+LARGEST_GAP: Final = 0.05  # between our success rate and that of the true calibration
 _DEPTHS: Final = (0.05, 0.20)  # m, of the grasp in the camera
 _ATTEMPTS: Final = 60
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done: trials in each cell, each from a frame of its own, and frames of a session."""
+    """Size of a run: trials of each cell, each from a different frame, and frames of a session."""
 
     trials: int
     frames: int
@@ -60,14 +60,14 @@ FULL: Final = Size(trials=200, frames=10)
 QUICK: Final = Size(trials=4, frames=4)
 
 
-def start_of(made: Made, frame: MadeFrame) -> Start:
-    """Give the arm as it is in a frame."""
+def start_of(made: Made, frame: SyntheticFrame) -> Start:
+    """Return the arm's state in a frame."""
     assert made.camera_from_base is not None
     return Start(made.camera_from_base, {**frame.truth.outer, **frame.truth.joints}, frame.readings)
 
 
-def calibrations(made: Made, frame: MadeFrame, config: EstimateConfig) -> dict[str, Calibration | None]:
-    """Calibrate by every method from one frame; None where it gives no pose."""
+def calibrations(made: Made, frame: SyntheticFrame, config: EstimateConfig) -> dict[str, Calibration | None]:
+    """Calibrate from one frame by each method; None if a method gives no pose."""
     start = start_of(made, frame)
     found: dict[str, Calibration | None] = {
         TRUTH: Calibration.of(frame.truth.camera_from_root, frame.truth.joints, start)
@@ -79,12 +79,12 @@ def calibrations(made: Made, frame: MadeFrame, config: EstimateConfig) -> dict[s
 
 
 def reachable_goal(gripper: Gripper, start: Start, distance: float, rng: np.random.Generator) -> Float64:
-    """Draw where the jaws should be: a distance away in any direction, turned as at the start, where the arm reaches.
+    """Draw a reachable goal (4, 4) of the jaws, m: at a distance in a random direction, with the same rotation.
 
     Raises
     ------
     RuntimeError
-        No such place is found.
+        No reachable goal was found.
     """
     jaws = camera_from_jaws(gripper, start.camera_from_base, start.true)
     exact = Calibration(start.camera_from_base, {name: start.true[name] - start.read[name] for name in start.true})
@@ -100,7 +100,7 @@ def reachable_goal(gripper: Gripper, start: Start, distance: float, rng: np.rand
 def try_all(
     gripper: Gripper, start: Start, by_method: dict[str, Calibration | None], rng: np.random.Generator
 ) -> dict[tuple[str, float, str], tuple[bool, float]]:
-    """Pick each object at each distance by each method: success, and how far the jaws are from where they should be."""
+    """Simulate each object, distance and method: success, and distance of the jaws from the goal, m."""
     outcomes: dict[tuple[str, float, str], tuple[bool, float]] = {}
     for distance in DISTANCES:
         goal = reachable_goal(gripper, start, distance, rng)
@@ -119,7 +119,7 @@ def try_all(
 
 
 def rows_of(outcomes: list[dict[tuple[str, float, str], tuple[bool, float]]]) -> list[dict[str, Any]]:
-    """One row a cell: successes, trials, rate with its interval, median error."""
+    """Return one row for each cell: successes, trials, rate with its 95 % interval, median error."""
     rows = []
     for name in OBJECTS:
         for distance in DISTANCES:
@@ -143,7 +143,7 @@ def rows_of(outcomes: list[dict[tuple[str, float, str], tuple[bool, float]]]) ->
 
 
 def claims_of(rows: list[dict[str, Any]]) -> list[Claim]:
-    """Compare with what the table should show."""
+    """Evaluate the claims about the table."""
     rate = {(row["object"], row["distance_m"], row["method"]): row["rate"] for row in rows}
     gaps = {
         (name, distance): rate[name, distance, OURS] - rate[name, distance, TRUTH]
@@ -176,7 +176,7 @@ def claims_of(rows: list[dict[str, Any]]) -> list[Claim]:
 
 
 def as_table(rows: list[dict[str, Any]]) -> str:
-    """Lay the cells out, the paper's robot beside them."""
+    """Return the cells as a Markdown table, with the paper's figures on a robot in the last column."""
     columns = ("object", "distance", *METHODS, "paper, on a robot")
     lines = []
     for name in OBJECTS:
@@ -187,12 +187,13 @@ def as_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _cell(row: dict[str, Any]) -> str:
+    """Format a rate with its interval, in percent."""
     low, high = row["interval_95"]
     return f"{100 * row['rate']:.1f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:
-    """Draw rates with their intervals over the distance, an object a panel."""
+    """Draw the rates with their intervals over the distance, one panel for each object."""
     figure = new_figure(9.0, 4.2)
     panels = figure.subplots(1, 2, sharey=True)
     for panel, name in zip(panels, OBJECTS, strict=True):
@@ -215,7 +216,7 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
 
 
 def run(options: Options, size: Size) -> None:
-    """Run the experiment and write what it shows."""
+    """Run the experiment and write its files."""
     body, config = prepare("lnd"), EstimateConfig()
     gripper = Gripper(body.instrument)
     rng = np.random.default_rng([options.seed, 2])
