@@ -1,50 +1,115 @@
-"""Fixtures that several test files use."""
+"""Fixtures that several packages' tests use, and deselection of tests whose requirements are not met."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers.places import SHARED
 from hypothesis import settings
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.files import read_camera
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body
-
-if TYPE_CHECKING:
-    from accuracy_cases import Case
 
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
 
 
+@dataclass(frozen=True)
+class Requirement:
+    """Files or programs outside the project, without which the tests with a mark cannot run."""
+
+    mark: str
+    missing: str
+    """What the tests need and why it is missing; follows "N tests need" in the summary."""
+    is_met: Callable[[], bool]
+
+
+REQUIREMENTS = (
+    Requirement("shared", "../shared (real meshes and frames), which is not beside this checkout", SHARED.is_dir),
+    Requirement(
+        "browser",
+        "chromium and chromedriver (Debian: apt-get install chromium chromium-driver), which are not installed",
+        lambda: None not in map(shutil.which, ("chromium", "chromedriver")),
+    ),
+)
+DESELECTED = pytest.StashKey[dict[str, int]]()
+"""Number of selected tests without what they require, by mark."""
+
+
+def in_ci() -> bool:
+    return os.environ.get("CI") == "true"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[DESELECTED] = {}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
+    """Mark the tests with the fixture ``shared``; after -m and -k, deselect tests whose requirements are not met.
+
+    With ``CI=true`` and any such test, all tests are removed and the run fails.
+    """
+    for item in items:
+        if "shared" in getattr(item, "fixturenames", ()):
+            item.add_marker("shared")
+    yield
+    deselected = config.stash[DESELECTED]
+    for requirement in REQUIREMENTS:
+        unmet = [item for item in items if item.get_closest_marker(requirement.mark)]
+        if not unmet or requirement.is_met():
+            continue
+        deselected[requirement.mark] = len(unmet)
+        items[:] = [item for item in items if not item.get_closest_marker(requirement.mark)]
+        config.hook.pytest_deselected(items=unmet)
+    if deselected and in_ci():
+        items.clear()
+    if hasattr(config, "workeroutput"):  # a worker of pytest-xdist
+        config.workeroutput["deselected"] = deselected
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Copy the counts of a worker of pytest-xdist to the controller; all workers collect the same tests."""
+    node.config.stash[DESELECTED].update(getattr(node, "workeroutput", {}).get("deselected", {}))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if session.config.stash[DESELECTED] and in_ci():
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    for requirement in REQUIREMENTS:
+        if count := config.stash[DESELECTED].get(requirement.mark):
+            effect = "no test was run, because CI=true" if in_ci() else "deselected"
+            terminalreporter.write_line(f"{count} tests need {requirement.missing}: {effect}", red=in_ci(), yellow=True)
+
+
 @pytest.fixture(autouse=True, scope="session")
-def _kept_instruments(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep measured instruments for these tests alone, not among the user's."""
+def _instrument_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Set an instrument cache for the tests, separate from the user's."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DVRK_CMAES_CACHE", str(tmp_path_factory.mktemp("kept")))
+        patch.setenv("DVRK_CMAES_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder of real meshes, frames and files beside the checkout; tests that use it carry the mark ``shared``."""
-    folder = Path(__file__).resolve().parents[2] / "shared"
-    if not folder.is_dir():
-        message = f"needs the folder {folder}, which is kept beside the checkout"
-        if os.environ.get("CI") == "true":
-            pytest.fail(message)
-        pytest.skip(message)
-    return folder
+    """The folder of real meshes, frames and files beside the checkout."""
+    return SHARED
 
 
 @pytest.fixture(scope="session")
@@ -57,20 +122,6 @@ def bundled_body() -> Body:
 def scanned_body(shared: Path) -> Body:
     """The scanned Large Needle Driver; its shaft is open and not manifold."""
     return Body.prepare(load_instrument(shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"))
-
-
-@pytest.fixture
-def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let tests import the scripts' modules."""
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "scripts"))
-
-
-@pytest.fixture
-def cases(scripts_on_path: None) -> list[Case]:
-    """The bundled session's frames as scripts/accuracy.py reads them."""
-    from accuracy_cases import read_cases
-
-    return read_cases([str(bundled_path("demo"))], instrument="lnd", frames=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The demo session and the golden cases: whole, readable, true to the bundled needle driver, and not made in CI."""
+"""The demo session and the golden cases: complete, readable, consistent with the needle driver, and not made in CI."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.places import SCRIPTS
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -22,7 +23,6 @@ from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.joints.reading import OUTER_JOINTS, WRIST_JOINTS, read_joints
 from dvrk_cmaes.silhouette import Body, Renderer
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 DEMO = bundled_path("demo")
 GOLDEN = bundled_path("golden")
 DEMO_TRUTH: dict[str, Any] = json.loads((DEMO / "golden.json").read_text(encoding="utf-8"))
@@ -46,7 +46,7 @@ def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
 
 
 def bend_errors(readings: dict[str, float], truth: dict[str, float]) -> tuple[float, float]:
-    """Distance in deg of the read pitch and yaw from the true ones, and from the mirror twin's."""
+    """Give the distances, deg, of the read wrist pitch and yaw from the true ones and from the mirror twin's."""
     read, true = (np.array([q["wrist_pitch"], q["wrist_yaw"]]) for q in (readings, truth))
     return float(np.rad2deg(np.linalg.norm(read - true))), float(np.rad2deg(np.linalg.norm(read + true)))
 
@@ -58,7 +58,7 @@ def case_camera(case: dict[str, Any]) -> Camera:
 # the demo session
 
 
-def test_the_demo_has_a_mask_an_image_and_readings_of_five_frames() -> None:
+def test_demo_has_five_complete_frames() -> None:
     assert list(FRAMES) == ["0000", "0001", "0002", "0003", "0004"]
     assert sorted(p.name for p in (DEMO / "masks").iterdir()) == [f"{frame}.png" for frame in FRAMES]
     assert sorted(p.name for p in (DEMO / "images").iterdir()) == [f"{frame}.jpg" for frame in FRAMES]
@@ -66,7 +66,7 @@ def test_the_demo_has_a_mask_an_image_and_readings_of_five_frames() -> None:
         assert set(read_joints(DEMO / "joints.csv", frame=frame)) == {*WRIST_JOINTS, *OUTER_JOINTS}
 
 
-def test_the_demo_s_images_and_masks_have_the_camera_s_size() -> None:
+def test_demo_images_and_masks_have_camera_size() -> None:
     camera = read_camera(DEMO / "camera.yaml")
     assert (camera.width, camera.height, camera.is_pinhole) == (640, 480, True)
     for frame in FRAMES:
@@ -75,14 +75,14 @@ def test_the_demo_s_images_and_masks_have_the_camera_s_size() -> None:
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_the_true_pose_covers_the_demo_s_mask_but_for_a_segmenter_s_mistakes(body: Body, frame: str) -> None:
+def test_demo_masks_agree_with_true_poses(body: Body, frame: str) -> None:
     truth = FRAMES[frame]
     silhouette = rendered(body, read_camera(DEMO / "camera.yaml"), truth["T_camera_roll_link"], truth["joints"])
     assert 0.9 < overlap(silhouette, read_mask(DEMO / "masks" / f"{frame}.png")) < 0.99
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_the_instrument_is_darker_or_greyer_than_the_tissue_where_the_mask_is(frame: str) -> None:
+def test_demo_instrument_is_greyer_than_tissue(frame: str) -> None:
     image = read_image(DEMO / "images" / f"{frame}.jpg").astype(float)
     redness = image[..., 2] - image[..., :2].mean(axis=2)
     mask = read_mask(DEMO / "masks" / f"{frame}.png")
@@ -90,26 +90,26 @@ def test_the_instrument_is_darker_or_greyer_than_the_tissue_where_the_mask_is(fr
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_the_demo_s_readings_are_nearer_to_the_truth_than_to_its_mirror_twin(frame: str) -> None:
+def test_demo_readings_are_nearer_to_truth_than_to_twin(frame: str) -> None:
     to_truth, to_twin = bend_errors(read_joints(DEMO / "joints.csv", frame=frame), FRAMES[frame]["joints"])
     assert to_truth < 0.5 * to_twin
     assert to_twin > 30
 
 
 @pytest.mark.parametrize(("joint", "rms"), [("wrist_pitch", 5.0), ("wrist_yaw", 5.0), ("jaw", 7.5)])
-def test_the_demo_s_readings_are_wrong_by_some_degrees(joint: str, rms: float) -> None:
+def test_demo_readings_have_stated_errors(joint: str, rms: float) -> None:
     errors = [read_joints(DEMO / "joints.csv", frame=f)[joint] - truth["joints"][joint] for f, truth in FRAMES.items()]
     assert np.rad2deg(np.sqrt(np.mean(np.square(errors)))) == pytest.approx(rms, rel=0.25)
 
 
-def test_one_base_carries_the_arm_to_the_true_pose_of_every_frame() -> None:
+def test_demo_poses_share_one_base() -> None:
     for truth in FRAMES.values():
         pose = np.array(DEMO_TRUTH["camera_from_base"]) @ base_from_root(truth["joints"])
         np.testing.assert_allclose(pose, truth["T_camera_roll_link"], atol=1e-7)
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_the_demo_s_true_tips_are_in_the_image_and_follow_from_pose_and_joints(body: Body, frame: str) -> None:
+def test_demo_tips_follow_from_pose_and_are_visible(body: Body, frame: str) -> None:
     truth = FRAMES[frame]
     tips, pose = np.array(truth["tips_camera_m"]), np.array(truth["T_camera_roll_link"])
     in_root = body.instrument.tips([truth["joints"][name] for name in body.instrument.joint_names])
@@ -121,13 +121,13 @@ def test_the_demo_s_true_tips_are_in_the_image_and_follow_from_pose_and_joints(b
 # the golden cases
 
 
-def test_the_golden_cases_are_the_files_beside_them() -> None:
+def test_golden_cases_match_files() -> None:
     assert {p.stem for p in (GOLDEN / "masks").iterdir()} == set(CASES)
     assert {f"ignore/{p.name}" for p in (GOLDEN / "ignore").iterdir()} == {c["ignore"] for c in CASES.values()} - {None}
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_true_pose_covers_the_golden_mask_outside_the_ignored_pixels(body: Body, name: str) -> None:
+def test_golden_masks_agree_with_true_poses(body: Body, name: str) -> None:
     case = CASES[name]
     mask = read_mask(GOLDEN / case["mask"])
     silhouette = rendered(body, case_camera(case), case["truth"]["camera_from_root"], case["truth"]["joints"])
@@ -138,20 +138,20 @@ def test_the_true_pose_covers_the_golden_mask_outside_the_ignored_pixels(body: B
 
 
 @pytest.mark.parametrize("name", READ_CASES)
-def test_the_golden_readings_are_nearer_to_the_truth_than_to_its_mirror_twin(name: str) -> None:
+def test_golden_readings_are_nearer_to_truth_than_to_twin(name: str) -> None:
     to_truth, to_twin = bend_errors(CASES[name]["readings"], CASES[name]["truth"]["joints"])
     assert to_truth < 0.5 * to_twin
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_case_that_may_be_doubtful_says_for_what_reason(name: str) -> None:
+def test_doubtful_cases_state_reason(name: str) -> None:
     case = CASES[name]
     assert case["outcome"] in ("ok", "ok-or-doubtful", "doubtful")
     assert (case["reason"] is not None) == (case["outcome"] != "ok")
     assert all(value > 0 for value in case["tolerance"].values())
 
 
-def test_the_awkward_cases_are_what_they_are_called(body: Body) -> None:
+def test_golden_cases_have_named_properties(body: Body) -> None:
     truth = {name: case["truth"] for name, case in CASES.items()}
     tips = {name: case_camera(CASES[name]).project(t["tips_camera_m"]) for name, t in truth.items()}
     pose = {name: np.array(t["camera_from_root"]) for name, t in truth.items()}
@@ -177,10 +177,10 @@ def test_the_awkward_cases_are_what_they_are_called(body: Body) -> None:
     assert not case_camera(CASES["distorted_lens"]).is_pinhole
 
 
-# how they are made
+# size and origin
 
 
-def test_what_is_bundled_is_less_than_a_megabyte() -> None:
+def test_bundled_data_is_below_one_megabyte() -> None:
     assert sum(p.stat().st_size for p in bundled_path().rglob("*") if p.is_file()) < 1_000_000
 
 

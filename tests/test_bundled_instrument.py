@@ -1,4 +1,4 @@
-"""The bundled Large Needle Driver: closed meshes of the right size, the dVRK's kinematics, and made by its script."""
+"""The bundled Large Needle Driver: closed meshes of the right size, the dVRK's kinematics, and its script."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.places import SCRIPTS
 
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body, Renderer
 
 FOLDER = bundled_path("instruments", "lnd")
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "make_instrument.py"
+SCRIPT = SCRIPTS / "make_instrument.py"
 LINKS = ["roll_link", "wrist_pitch_link", "jaw_1_link", "jaw_2_link"]
 
 
@@ -33,7 +34,7 @@ def joints() -> dict[str, ET.Element]:
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_each_mesh_is_one_closed_solid_with_its_faces_outwards(link: str) -> None:
+def test_meshes_are_closed_solids_with_outward_faces(link: str) -> None:
     solid = mesh(link)
     assert solid.is_watertight
     assert solid.is_winding_consistent
@@ -41,17 +42,17 @@ def test_each_mesh_is_one_closed_solid_with_its_faces_outwards(link: str) -> Non
     assert solid.body_count == 1
 
 
-def test_no_two_vertices_coincide() -> None:
+def test_vertices_are_distinct() -> None:
     for link in LINKS:
         points = mesh(link).vertices
         assert len(np.unique(points.round(8), axis=0)) == len(points), link
 
 
-def test_all_meshes_together_have_at_most_20000_triangles() -> None:
+def test_number_of_triangles_is_at_most_20000() -> None:
     assert sum(len(mesh(link).faces) for link in LINKS) <= 20_000
 
 
-def test_the_shaft_is_a_round_straight_bar_of_0_3_m() -> None:
+def test_shaft_is_straight_cylinder_of_0_3_m() -> None:
     points = mesh("roll_link").vertices
     far_end = points[points[:, 2] < -0.3]
     rim = far_end[np.hypot(far_end[:, 0], far_end[:, 1]) > 0.004]
@@ -61,7 +62,7 @@ def test_the_shaft_is_a_round_straight_bar_of_0_3_m() -> None:
     assert start_of_end_piece - rim[:, 2].max() >= 0.3
 
 
-def test_the_jaws_end_9_6_mm_from_the_yaw_axis_half_a_millimetre_aside() -> None:
+def test_jaws_end_9_6_mm_from_yaw_axis() -> None:
     for link, side in (("jaw_1_link", -1), ("jaw_2_link", 1)):
         points = mesh(link).vertices
         tip = points[points[:, 1] > points[:, 1].max() - 1e-4]
@@ -69,13 +70,13 @@ def test_the_jaws_end_9_6_mm_from_the_yaw_axis_half_a_millimetre_aside() -> None
         assert (tip[:, 0].min() + tip[:, 0].max()) / 2 == pytest.approx(side * 0.0005, abs=2e-4)
 
 
-def test_closed_jaws_touch_and_do_not_cross() -> None:
+def test_closed_jaws_touch_without_overlap() -> None:
     blade_1, blade_2 = (mesh(link).vertices for link in ("jaw_1_link", "jaw_2_link"))
     assert blade_1[blade_1[:, 1] > 0.005][:, 0].max() == pytest.approx(0.0, abs=1e-7)
     assert blade_2[blade_2[:, 1] > 0.005][:, 0].min() == pytest.approx(0.0, abs=1e-7)
 
 
-def test_jaw_2_is_jaw_1_turned_half_round_about_y() -> None:
+def test_jaw_2_is_jaw_1_rotated_by_180_deg_about_y() -> None:
     turned = mesh("jaw_1_link").vertices * [-1, 1, -1]
     assert {tuple(p) for p in turned.round(8) + 0.0} == {tuple(p) for p in mesh("jaw_2_link").vertices.round(8) + 0.0}
 
@@ -90,9 +91,7 @@ def test_jaw_2_is_jaw_1_turned_half_round_about_y() -> None:
         ("jaw_2", "wrist_yaw_link", "jaw_2_link", -1.5707, 1.5707),
     ],
 )
-def test_a_joint_has_the_dvrk_s_links_and_limits(
-    name: str, parent: str, child: str, lower: float, upper: float
-) -> None:
+def test_joints_have_dvrk_links_and_limits(name: str, parent: str, child: str, lower: float, upper: float) -> None:
     joint = joints()[name]
     assert joint.attrib["type"] == "revolute"
     assert joint.find("parent").attrib["link"] == parent
@@ -102,17 +101,17 @@ def test_a_joint_has_the_dvrk_s_links_and_limits(
     assert (float(limit["lower"]), float(limit["upper"])) == (lower, upper)
 
 
-def test_the_tool_tip_frame_is_fixed_10_2_mm_from_the_yaw_axis() -> None:
+def test_tool_tip_frame_is_10_2_mm_from_yaw_axis() -> None:
     joint = joints()["tool_tip"]
     assert joint.attrib["type"] == "fixed"
     assert joint.find("origin").attrib["xyz"].split() == ["0", "0.0102", "0"]
 
 
-def test_the_yaw_axis_is_9_1_mm_from_the_pitch_axis() -> None:
+def test_yaw_axis_is_9_1_mm_from_pitch_axis() -> None:
     assert [float(x) for x in joints()["wrist_yaw"].find("origin").attrib["xyz"].split()] == [0.0091, 0.0, 0.0]
 
 
-def test_each_jaw_follows_half_the_jaw_angle_one_to_each_side() -> None:
+def test_jaws_mimic_half_of_jaw_angle() -> None:
     mimics = {name: joint.find("mimic") for name, joint in joints().items()}
     assert {name: float(m.attrib["multiplier"]) for name, m in mimics.items() if m is not None} == {
         "jaw_1": 0.5,
@@ -121,18 +120,18 @@ def test_each_jaw_follows_half_the_jaw_angle_one_to_each_side() -> None:
     assert {m.attrib["joint"] for m in mimics.values() if m is not None} == {"jaw"}
 
 
-def test_every_mesh_of_the_urdf_is_there_and_no_other() -> None:
+def test_urdf_names_all_meshes() -> None:
     named = {e.attrib["filename"] for e in ET.parse(FOLDER / "lnd.urdf").getroot().iter("mesh")}
     assert named == {f"meshes/{link}.ply" for link in LINKS}
     assert {f"meshes/{p.name}" for p in (FOLDER / "meshes").iterdir()} == named
 
 
-def test_the_committed_files_are_what_the_script_makes() -> None:
+def test_script_reproduces_bundled_files() -> None:
     done = run("--check")
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_check_names_a_file_that_was_changed_one_that_is_missing_and_one_too_many(tmp_path: Path) -> None:
+def test_check_names_changed_missing_and_extra_files(tmp_path: Path) -> None:
     copy = tmp_path / "lnd"
     shutil.copytree(FOLDER, copy)
     (copy / "lnd.urdf").write_text("<robot/>")
@@ -147,15 +146,14 @@ def test_the_check_names_a_file_that_was_changed_one_that_is_missing_and_one_too
     ]
 
 
-def test_the_script_writes_the_same_bytes_again_and_leaves_nothing_beside_them(tmp_path: Path) -> None:
+def test_script_output_is_reproducible(tmp_path: Path) -> None:
     assert run("--out", tmp_path).returncode == 0
     made = {p.relative_to(tmp_path): p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     assert made == {p: (FOLDER / p).read_bytes() for p in made}
     assert {p.as_posix() for p in made} == {"lnd.urdf", *(f"meshes/{link}.ply" for link in LINKS)}
 
 
-@pytest.mark.shared
-def test_it_looks_like_the_scanned_needle_driver(bundled_body: Body, scanned_body: Body, clean_frames) -> None:
+def test_silhouette_agrees_with_scanned_needle_driver(bundled_body: Body, scanned_body: Body, clean_frames) -> None:
     poses, joints = clean_frames.camera_from_root, clean_frames.joints
     made, real = (Renderer(body, clean_frames.camera).masks(poses, joints) for body in (bundled_body, scanned_body))
     overlap = (made & real).sum(axis=(1, 2)) / (made | real).sum(axis=(1, 2))

@@ -1,4 +1,4 @@
-"""`estimate` as a library: arrays in, a result out; the same answer however it is run; evidence honoured."""
+"""``estimate`` as a library function: the result, its reproducibility, the use of evidence, and refused input."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def quick_result(bundled_body: Body, frame: FrameData, readings: dict[str, float
 
 
 def answer(result: Result) -> str:
-    """Everything in a result but how long it took, and on how many threads."""
+    """Give a result as text, without its seconds and number of threads."""
     document = json.loads(json.dumps(result.to_dict()))
     del document["seconds"], document["config"]["threads"]
     return json.dumps(document)
@@ -56,7 +56,7 @@ def answer(result: Result) -> str:
 # the result
 
 
-def test_the_result_is_a_pose_with_all_that_is_needed_to_trust_it(quick_result: Result, bundled_body: Body) -> None:
+def test_result_has_pose_quality_and_covariance(quick_result: Result, bundled_body: Body) -> None:
     result = quick_result
     pose, base = result.camera_from_root, result.camera_from_base
     assert pose is not None
@@ -76,9 +76,7 @@ def test_the_result_is_a_pose_with_all_that_is_needed_to_trust_it(quick_result: 
     assert result.rays >= 0
 
 
-def test_the_overlap_is_that_of_the_pose_s_silhouette(
-    quick_result: Result, bundled_body: Body, frame: FrameData
-) -> None:
+def test_overlap_is_that_of_silhouette(quick_result: Result, bundled_body: Body, frame: FrameData) -> None:
     assert quick_result.camera_from_root is not None
     assert quick_result.quality is not None
     joints = np.array([list(quick_result.joints.values())])
@@ -86,12 +84,12 @@ def test_the_overlap_is_that_of_the_pose_s_silhouette(
     assert quick_result.quality.iou == pytest.approx((found & frame.mask).sum() / (found | frame.mask).sum(), abs=1e-9)
 
 
-def test_the_result_survives_json(quick_result: Result) -> None:
+def test_result_is_valid_json(quick_result: Result) -> None:
     document = quick_result.to_dict()
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_the_twin_is_an_alternative_farther_from_the_readings(quick_result: Result, bundled_body: Body) -> None:
+def test_mirror_twin_is_alternative_farther_from_readings(quick_result: Result, bundled_body: Body) -> None:
     twins = [other for other in quick_result.alternatives if other.relation == "mirror twin"]
     assert len(twins) == 1
     assert quick_result.camera_from_root is not None
@@ -101,7 +99,7 @@ def test_the_twin_is_an_alternative_farther_from_the_readings(quick_result: Resu
     assert twins[0].reading_distance_deg > 30
 
 
-def test_the_base_is_reached_from_the_root_by_the_outer_readings_alone(
+def test_base_follows_from_pose_and_outer_readings(
     quick_result: Result, bundled_body: Body, frame: FrameData, readings: dict[str, float]
 ) -> None:
     from dvrk_cmaes.instrument.arm import base_from_root
@@ -113,17 +111,17 @@ def test_the_base_is_reached_from_the_root_by_the_outer_readings_alone(
     assert estimate(frame.mask, frame.camera, some, bundled_body, config=QUICK).camera_from_base is None
 
 
-# the same answer
+# reproducibility
 
 
-def test_threads_do_not_change_the_answer(
+def test_result_does_not_depend_on_threads(
     bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
 ) -> None:
     one = estimate(frame.mask, frame.camera, readings, bundled_body, config=replace(QUICK, threads=1))
     assert answer(one) == answer(quick_result)
 
 
-def test_several_callers_at_once_get_what_each_gets_alone(bundled_body: Body, session: Session) -> None:
+def test_concurrent_calls_give_same_results(bundled_body: Body, session: Session) -> None:
     frames = [(read_frame(files, session.camera), files.readings) for files in session.frames[:3]]
 
     def run(job: tuple[FrameData, Any]) -> str:
@@ -135,7 +133,7 @@ def test_several_callers_at_once_get_what_each_gets_alone(bundled_body: Body, se
         assert list(pool.map(run, frames)) == alone
 
 
-def test_another_seed_finds_the_same_pose(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
+def test_other_seed_finds_same_pose(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
     found = [
         estimate(frame.mask, frame.camera, readings, bundled_body, config=EstimateConfig(seed=seed)) for seed in (1, 2)
     ]
@@ -147,7 +145,7 @@ def test_another_seed_finds_the_same_pose(bundled_body: Body, frame: FrameData, 
     assert np.rad2deg(rotation_angle(a, b)) < 1
 
 
-def test_no_file_is_touched(
+def test_no_file_is_opened(
     bundled_body: Body,
     frame: FrameData,
     readings: dict[str, float],
@@ -161,7 +159,7 @@ def test_no_file_is_touched(
     assert answer(estimate(frame.mask, frame.camera, readings, bundled_body, config=QUICK)) == answer(quick_result)
 
 
-def test_what_is_given_is_left_as_it_was(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
+def test_arguments_are_not_modified(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
     mask, given = frame.mask.copy(), dict(readings)
     ignore = np.zeros_like(mask)
     tips = np.array([[100.0, 200.0], [110.0, 190.0]])
@@ -176,9 +174,7 @@ def test_what_is_given_is_left_as_it_was(bundled_body: Body, frame: FrameData, r
 # evidence
 
 
-def test_without_readings_the_pose_is_doubtful_for_it_and_the_twin_is_there(
-    bundled_body: Body, frame: FrameData
-) -> None:
+def test_pose_without_readings_is_doubtful(bundled_body: Body, frame: FrameData) -> None:
     result = estimate(frame.mask, frame.camera, None, bundled_body, config=QUICK)
     assert result.status == "doubtful"
     assert any("no readings" in reason for reason in result.reasons)
@@ -189,16 +185,14 @@ def test_without_readings_the_pose_is_doubtful_for_it_and_the_twin_is_there(
     ]
 
 
-def test_one_reading_is_enough_to_be_told_apart_from_none(
-    bundled_body: Body, frame: FrameData, readings: dict[str, float]
-) -> None:
+def test_single_reading_counts_as_readings(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
     some = {name: readings[name] for name in ("wrist_pitch",)}
     result = estimate(frame.mask, frame.camera, some, bundled_body, config=QUICK)
     assert not any("no readings" in reason for reason in result.reasons)
     assert result.readings == some
 
 
-def test_given_tips_are_used_and_pull_the_projected_ones(
+def test_given_tips_attract_projected_tips(
     bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
 ) -> None:
     def tips(result: Result) -> np.ndarray:
@@ -216,11 +210,11 @@ def test_given_tips_are_used_and_pull_the_projected_ones(
     assert not any("jaw tips" in text for text in given.unused)
 
 
-def test_ignored_pixels_count_neither_way(
+def test_ignored_pixels_have_no_effect(
     bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
 ) -> None:
     ignore = np.zeros_like(frame.mask)
-    ignore[330:, :] = True  # nothing of the instrument, which the clean estimate shows below
+    ignore[330:, :] = True  # no part of the instrument, as the estimate without added pixels shows
     soiled = frame.mask.copy()
     soiled[340:470, 200:600] = True
     assert quick_result.camera_from_root is not None
@@ -233,7 +227,7 @@ def test_ignored_pixels_count_neither_way(
     assert believed.quality.iou < clean.quality.iou - 0.1
 
 
-def test_warnings_and_the_frame_s_name_are_handed_on(bundled_body: Body, frame: FrameData) -> None:
+def test_warnings_and_frame_name_are_passed_on(bundled_body: Body, frame: FrameData) -> None:
     wide = {"wrist_pitch": 2.0, "wrist_yaw": -0.5, "jaw": 0.9}
     result = estimate(frame.mask, frame.camera, wide, bundled_body, frame="0026", warnings=["rescaled"], config=QUICK)
     assert result.frame == "0026"
@@ -246,7 +240,7 @@ def test_warnings_and_the_frame_s_name_are_handed_on(bundled_body: Body, frame: 
 
 
 @pytest.mark.parametrize("method", SEARCHES)
-def test_every_search_runs_within_its_budget(
+def test_every_search_method_runs(
     bundled_body: Body, frame: FrameData, readings: dict[str, float], method: str
 ) -> None:
     config = replace(QUICK, search=replace(QUICK.search, method=method))
@@ -257,7 +251,9 @@ def test_every_search_runs_within_its_budget(
 
 
 @pytest.mark.parametrize("method", REFINEMENTS)
-def test_every_refinement_runs(bundled_body: Body, frame: FrameData, readings: dict[str, float], method: str) -> None:
+def test_every_refinement_method_runs(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], method: str
+) -> None:
     config = replace(QUICK, refine=replace(QUICK.refine, method=method, evaluations=120))
     result = estimate(frame.mask, frame.camera, readings, bundled_body, config=config)
     assert result.config["refine"]["method"] == method
@@ -266,7 +262,7 @@ def test_every_refinement_runs(bundled_body: Body, frame: FrameData, readings: d
 
 
 @pytest.mark.parametrize("field", ["fmm", "exact", "chamfer"])
-def test_every_distance_field_runs(
+def test_every_distance_field_method_runs(
     bundled_body: Body, frame: FrameData, readings: dict[str, float], field: str
 ) -> None:
     result = estimate(frame.mask, frame.camera, readings, bundled_body, config=replace(QUICK, distance_field=field))
@@ -274,8 +270,7 @@ def test_every_distance_field_runs(
     assert result.quality.iou > 0.93
 
 
-@pytest.mark.shared
-def test_a_hook_without_jaws_is_found_too(shared: Any) -> None:
+def test_hook_without_jaws_is_estimated(shared: Any) -> None:
     hook = Body.prepare(load_instrument(shared / "instruments" / "dvrk_model" / "urdf" / "instrument_400183.urdf"))
     instrument = hook.instrument
     camera = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)
@@ -293,7 +288,7 @@ def test_a_hook_without_jaws_is_found_too(shared: Any) -> None:
     assert np.isfinite(result.covariance).all()
 
 
-# what is refused
+# refused input
 
 
 @pytest.mark.parametrize(
@@ -309,7 +304,7 @@ def test_a_hook_without_jaws_is_found_too(shared: Any) -> None:
         ({"instrument": "lndd"}, "lndd: no such URDF"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(
+def test_invalid_arguments_are_refused(
     bundled_body: Body, frame: FrameData, changes: dict[str, Any], expected: str
 ) -> None:
     given: dict[str, Any] = {"mask": frame.mask, "camera": frame.camera, "joints": {}, "instrument": bundled_body}
@@ -327,7 +322,7 @@ def test_what_makes_no_sense_is_refused_by_name(
         ({"arm": "sii", "joints": {"yaw": 0.1, "pitch": 0.1, "insertion": 0.1, "roll": 0.1}}, "arm: expected si"),
     ],
 )
-def test_wrong_options_are_refused_by_name(
+def test_invalid_options_are_refused(
     bundled_body: Body, frame: FrameData, changes: dict[str, Any], expected: str
 ) -> None:
     given: dict[str, Any] = {"mask": frame.mask, "camera": frame.camera, "instrument": bundled_body, "config": QUICK}

@@ -1,8 +1,8 @@
-"""The golden cases: what `estimate` finds is within each case's stated tolerances of the truth, or says why not.
+"""The golden cases: the estimate is within each case's tolerances of the truth, or doubtful for the stated reason.
 
-``ok``: must be trusted and within tolerance. ``ok-or-doubtful``: within tolerance, or doubtful. ``doubtful``: must be
-flagged, for the reason that the case names, and be within tolerance all the same. ``either_twin``: the mirror twin of
-the truth will do, since nothing in the case tells them apart.
+``ok``: the status is ok and the pose within tolerance. ``ok-or-doubtful``: the pose is within tolerance, or the status
+doubtful. ``doubtful``: the status is doubtful for the reason of the case, and the pose within tolerance.
+``either_twin``: the mirror twin of the truth is accepted too, since the case cannot distinguish them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dvrk_cmaes.silhouette import Body
 GOLDEN = bundled_path("golden")
 CASES: dict[str, Any] = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))["cases"]
 MOST_EVALUATIONS = 3000
-"""Silhouettes that a case may cost: a budget in work, not in seconds."""
+"""Largest number of silhouettes that a case may render."""
 
 
 def run_case(body: Body, case: dict[str, Any]) -> Result:
@@ -34,7 +34,7 @@ def run_case(body: Body, case: dict[str, Any]) -> Result:
 
 
 def error_of(body: Body, case: dict[str, Any], result: Result) -> PoseError:
-    """Error against the truth, or against its mirror twin where that is nearer and the case allows it."""
+    """Give the error from the truth, or from its mirror twin if that is nearer and the case accepts it."""
     instrument = body.instrument
     assert result.camera_from_root is not None
     true_pose = np.array(case["truth"]["camera_from_root"])
@@ -48,7 +48,7 @@ def error_of(body: Body, case: dict[str, Any], result: Result) -> PoseError:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_golden_case_comes_out_within_its_tolerances(bundled_body: Body, name: str) -> None:
+def test_golden_case_is_within_tolerances(bundled_body: Body, name: str) -> None:
     case = CASES[name]
     result = run_case(bundled_body, case)
     error = error_of(bundled_body, case, result)

@@ -1,4 +1,4 @@
-"""Rigid transforms form a group, and their exponential, changes and angles agree with SciPy's rotations."""
+"""Rigid transforms: group properties, and exponential, changes and angles compared with SciPy's rotations."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.geometry import (
+    adjoint,
+    apply,
     change_between,
     exp_rotation,
     frame_along,
@@ -18,7 +20,6 @@ from dvrk_cmaes.geometry import (
     moved,
     rotation_about_z,
     rotation_angle,
-    shift_of_change,
     transform,
 )
 
@@ -31,32 +32,32 @@ poses = st.builds(lambda turn, shift: transform(exp_rotation(turn), shift), vect
 
 
 @given(poses)
-def test_a_pose_is_a_rotation_and_a_translation(pose: np.ndarray) -> None:
+def test_transform_is_rotation_and_translation(pose: np.ndarray) -> None:
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1, abs=1e-12)
     np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
 
 
 @given(poses, poses, poses)
-def test_products_are_poses_again_and_associate(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+def test_products_are_associative(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     np.testing.assert_allclose((a @ b) @ c, a @ (b @ c), atol=1e-12)
     np.testing.assert_allclose(inverse(a @ b), inverse(b) @ inverse(a), atol=1e-12)
 
 
 @given(poses)
-def test_the_inverse_undoes_a_pose_from_both_sides(pose: np.ndarray) -> None:
+def test_inverse_is_two_sided(pose: np.ndarray) -> None:
     np.testing.assert_allclose(pose @ inverse(pose), np.eye(4), atol=1e-12)
     np.testing.assert_allclose(inverse(pose) @ pose, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(inverse(pose), np.linalg.inv(pose), atol=1e-12)
 
 
 @given(vectors(7))
-def test_the_exponential_of_a_rotation_vector_is_scipy_s(rotvec: np.ndarray) -> None:
+def test_exponential_agrees_with_scipy(rotvec: np.ndarray) -> None:
     np.testing.assert_allclose(exp_rotation(rotvec), Rotation.from_rotvec(rotvec).as_matrix(), atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 0.9e-6, 1.1e-6, 1e-3])
-def test_the_exponential_keeps_the_smallest_angles(angle: float) -> None:
+def test_exponential_is_accurate_for_small_angles(angle: float) -> None:
     axis = np.array([2.0, -1.0, 2.0]) / 3
     turned = exp_rotation(angle * axis)
     np.testing.assert_allclose(turned, Rotation.from_rotvec(angle * axis).as_matrix(), atol=1e-16)
@@ -66,7 +67,7 @@ def test_the_exponential_keeps_the_smallest_angles(angle: float) -> None:
 
 
 @given(poses, vectors(0.5, 6))
-def test_a_change_happens_in_the_body_s_own_axes(pose: np.ndarray, change: np.ndarray) -> None:
+def test_change_is_applied_in_body_axes(pose: np.ndarray, change: np.ndarray) -> None:
     turn = Rotation.from_rotvec(change[3:]).as_matrix()
     after = moved(pose, change)
     np.testing.assert_allclose(after[:3, :3], pose[:3, :3] @ turn, atol=1e-12)
@@ -74,21 +75,19 @@ def test_a_change_happens_in_the_body_s_own_axes(pose: np.ndarray, change: np.nd
 
 
 @given(poses)
-def test_no_change_moves_nothing(pose: np.ndarray) -> None:
+def test_zero_change_is_identity(pose: np.ndarray) -> None:
     np.testing.assert_array_equal(moved(pose, np.zeros(6)), pose)
 
 
 @given(poses, st.floats(0, np.pi), vectors(1).filter(lambda v: np.linalg.norm(v) > 0.1), vectors(1))
-def test_the_angle_between_poses_is_that_of_the_turn_between_them(
-    pose: np.ndarray, angle: float, axis: np.ndarray, shift: np.ndarray
-) -> None:
+def test_rotation_angle_between_poses(pose: np.ndarray, angle: float, axis: np.ndarray, shift: np.ndarray) -> None:
     other = moved(pose, np.r_[shift, angle * axis / np.linalg.norm(axis)])
     assert rotation_angle(pose, other) == pytest.approx(angle, abs=1e-7)
     assert rotation_angle(other[:3, :3], pose[:3, :3]) == pytest.approx(angle, abs=1e-7)
 
 
 @given(vectors(1).filter(lambda v: np.linalg.norm(v) > 0.1))
-def test_a_frame_along_a_direction_is_a_rotation_with_it_as_z(direction: np.ndarray) -> None:
+def test_frame_along_has_direction_as_z(direction: np.ndarray) -> None:
     z = direction / np.linalg.norm(direction)
     frame = frame_along(z)
     np.testing.assert_allclose(frame[:, 2], z, atol=1e-15)
@@ -97,11 +96,11 @@ def test_a_frame_along_a_direction_is_a_rotation_with_it_as_z(direction: np.ndar
 
 
 @given(st.floats(-7, 7))
-def test_a_rotation_about_z_is_scipy_s(angle: float) -> None:
+def test_rotation_about_z_agrees_with_scipy(angle: float) -> None:
     np.testing.assert_allclose(rotation_about_z(angle), Rotation.from_rotvec([0, 0, angle]).as_matrix(), atol=1e-12)
 
 
-def test_batches_give_what_each_one_gives() -> None:
+def test_batches_agree_with_single_values() -> None:
     rng = np.random.default_rng(5)
     turns, shifts = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))
     batch = transform(exp_rotation(turns), shifts)
@@ -120,29 +119,39 @@ def test_batches_give_what_each_one_gives() -> None:
 
 
 @given(arrays(np.float64, 3, elements=st.floats(-1.8, 1.8)))
-def test_the_logarithm_undoes_the_exponential(rotvec: np.ndarray) -> None:
+def test_logarithm_inverts_exponential(rotvec: np.ndarray) -> None:
     assert np.linalg.norm(rotvec) < np.pi
     np.testing.assert_allclose(log_rotation(exp_rotation(rotvec)), rotvec, atol=1e-9)
 
 
 @pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3), np.full((1, 3), 1 / np.sqrt(3))]))
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1.0, np.pi - 1e-9])
-def test_the_logarithm_is_scipy_s_near_no_turn_and_half_a_turn(axis: np.ndarray, angle: float) -> None:
+def test_logarithm_agrees_with_scipy_near_0_and_180_deg(axis: np.ndarray, angle: float) -> None:
     rotation = Rotation.from_rotvec(angle * axis).as_matrix()
     np.testing.assert_allclose(log_rotation(rotation), angle * axis, atol=1e-7)
 
 
-def test_a_change_between_poses_leads_from_one_to_the_other() -> None:
+def test_change_between_inverts_moved() -> None:
     rng = np.random.default_rng(0)
     first = transform(exp_rotation(rng.normal(size=(20, 3))), rng.normal(size=(20, 3)))
     change = rng.uniform(-1, 1, size=(20, 6))
     np.testing.assert_allclose(change_between(first, moved(first, change)), change, atol=1e-9)
 
 
-def test_a_shift_of_change_writes_a_change_in_the_other_frame_s_axes() -> None:
+def test_adjoint_transforms_change_between_frames() -> None:
     rng = np.random.default_rng(1)
     a_from_b = transform(exp_rotation(rng.normal(size=3)), rng.normal(size=3))
     change = 1e-5 * rng.normal(size=6)
     small = transform(exp_rotation(change[3:]), change[:3])
     carried = a_from_b @ small @ inverse(a_from_b)
-    np.testing.assert_allclose(change_between(np.eye(4), carried), shift_of_change(a_from_b) @ change, atol=1e-9)
+    np.testing.assert_allclose(change_between(np.eye(4), carried), adjoint(a_from_b) @ change, atol=1e-9)
+
+
+def test_apply_maps_single_points_lists_and_batches() -> None:
+    rng = np.random.default_rng(0)
+    poses = moved(np.eye(4), 0.3 * rng.standard_normal((5, 6)))
+    points = rng.standard_normal((5, 7, 3))
+    expected = np.einsum("nij,nkj->nki", poses[:, :3, :3], points) + poses[:, None, :3, 3]
+    np.testing.assert_allclose(apply(poses, points), expected, atol=1e-14)
+    np.testing.assert_allclose(apply(poses[0], points[0]), expected[0], atol=1e-14)
+    np.testing.assert_allclose(apply(poses[0], points[0, 0]), expected[0, 0], atol=1e-14)

@@ -1,13 +1,12 @@
-"""`assert_pose_close`: quiet where a pose is right, and a table of what is off where it is not."""
+"""``assert_pose_close``: passes within tolerance, and otherwise fails with a table of the deviations."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from canned_results import canned, failed
+from helpers.canned_results import canned, failed
 
 from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import moved
@@ -44,13 +43,13 @@ def complaint(result: Result, instrument: Instrument, **options: float) -> str:
     return str(caught.value)
 
 
-def test_what_is_within_tolerance_passes(instrument: Instrument) -> None:
+def test_pose_within_tolerance_passes(instrument: Instrument) -> None:
     result = moved_by(0.0002, 0.0, 0.0003, 0.001, 0.0, 0.02, jaw=0.74)
     assert_pose_close(result, TRUTH, instrument=instrument)
     assert_pose_close(result, GOLDEN, instrument="lnd")
 
 
-def test_the_tolerances_are_in_millimetres_and_degrees(instrument: Instrument) -> None:
+def test_tolerances_are_in_mm_and_deg(instrument: Instrument) -> None:
     assert_pose_close(moved_by(0.0, 0.0, 0.002, 0, 0, 0), TRUTH, instrument=instrument, root_mm=2.1, tip_mm=2.1)
     complaint(moved_by(0.0, 0.0, 0.002, 0, 0, 0), instrument, root_mm=1.9, tip_mm=2.1)
     complaint(moved_by(0.0, 0.0, 0.002, 0, 0, 0), instrument, root_mm=2.1, tip_mm=1.9)
@@ -66,7 +65,7 @@ def test_the_tolerances_are_in_millimetres_and_degrees(instrument: Instrument) -
     complaint(bent, instrument, pitch_yaw_deg=4.1, jaw_deg=4.9, tip_mm=5)
 
 
-def test_the_message_is_a_table_of_what_is_off(instrument: Instrument) -> None:
+def test_message_is_table_of_deviations(instrument: Instrument) -> None:
     heading, columns, *rows = complaint(moved_by(0.003, 0, 0.004, 0, 0, 0, jaw=0.8), instrument).splitlines()
     assert heading == "frame 0026 is not as expected"
     assert columns.split() == ["found", "expected", "error", "at", "most"]
@@ -77,7 +76,7 @@ def test_the_message_is_a_table_of_what_is_off(instrument: Instrument) -> None:
     assert table["jaw"].split() == ["jaw,", "deg", "45.84", "40.11", "5.73", "3", "<-", "off"]
 
 
-def test_the_twin_is_right_only_if_asked_for(instrument: Instrument) -> None:
+def test_twin_passes_only_on_request(instrument: Instrument) -> None:
     twin = twin_of(GOLDEN, instrument)
     text = complaint(twin, instrument)
     assert text.endswith("the mirror twin of the golden pose would be within tolerance (modulo_twin)")
@@ -85,30 +84,28 @@ def test_the_twin_is_right_only_if_asked_for(instrument: Instrument) -> None:
     assert_pose_close(GOLDEN, TRUTH, instrument=instrument, modulo_twin=True)
 
 
-def test_beside_the_twin_the_table_is_against_the_twin(instrument: Instrument) -> None:
+def test_table_near_twin_refers_to_twin(instrument: Instrument) -> None:
     beside = twin_of(moved_by(0.003, 0, 0, 0, 0, 0), instrument)
     text = complaint(beside, instrument, modulo_twin=True)
     assert text.endswith("expected is the mirror twin of the golden pose")
     assert text.count("<- off") == 2
 
 
-def test_a_failed_frame_and_another_instrument_are_said_to_be(instrument: Instrument) -> None:
+def test_failed_frame_and_other_instrument_are_reported(instrument: Instrument) -> None:
     assert complaint(failed("0026"), instrument) == "frame 0026 is not as expected\nno pose: mask: empty"
     other = replace(GOLDEN, joints={"wrist_pitch": 0.3, "wrist_yaw": -0.2})
     assert complaint(other, instrument).endswith("no joint jaw in the result; is it another instrument's?")
 
 
-def test_a_golden_result_must_have_a_pose(instrument: Instrument) -> None:
+def test_golden_result_must_have_pose(instrument: Instrument) -> None:
     with pytest.raises(ValueError, match="golden: expected a pose, got frame 0001, which failed"):
         assert_pose_close(GOLDEN, failed("0001"), instrument=instrument)
 
 
-def test_in_a_users_pytest_the_table_is_shown_at_their_line(pytester: pytest.Pytester) -> None:
-    source = Path(__file__).with_name("canned_results.py")
-    pytester.makepyfile(canned_results=source.read_text())
+def test_traceback_ends_at_callers_line(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
-        from canned_results import canned
+        from helpers.canned_results import canned
         from dvrk_cmaes.testing import assert_pose_close
 
         def test_pose():

@@ -1,0 +1,312 @@
+"""Calibration of a session from its frames' masks: base, offsets, covariances, frames left out and refused sessions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.session_worlds import in_other_mode, make_frames_in_memory, with_result
+from scipy.stats import chi2
+
+from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import change_between, rotation_angle
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.truth import Truth
+
+ROUGH = EstimateConfig(session=SessionConfig(rounds=1))
+"""Settings for tests of the checks before the frames' outlines are used: a single alternation."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """A synthetic session with its truth and its calibration."""
+
+    body: Body
+    base: np.ndarray
+    truths: list[Truth]
+    frames: list[SessionFrame]
+    solved: SolvedSession
+    stages: list[tuple[str, int]]
+
+    def tip_mm(self, result: Result, index: int) -> float:
+        assert result.camera_from_root is not None
+        truth = (self.truths[index].camera_from_root, self.truths[index].joints)
+        tip = compare_poses(self.body.instrument, (result.camera_from_root, result.joints), truth).tip_mm
+        assert tip is not None
+        return tip
+
+
+def stray_of(frames: list[SessionFrame], index: int, other: SessionFrame) -> None:
+    """Replace a frame's mask and estimate by those of another session's frame; its readings stay."""
+    mine = frames[index]
+    assert mine.name != other.name or mine is not other
+    result = replace(other.result, frame=mine.name, readings=mine.result.readings)
+    frames[index] = replace(mine, data=other.data, result=result)
+
+
+@pytest.fixture(scope="module")
+def made(bundled_body: Body) -> Made:
+    """Eight frames: two estimated in the mirror twin's mode, one with mask and result of another session."""
+    base, truths, frames = make_frames_in_memory(bundled_body, 8, level="clean")
+    others = make_frames_in_memory(bundled_body, 8, level="clean", seed=11)[2]
+    for i in (1, 4):
+        frames[i] = in_other_mode(frames[i])
+    stray_of(frames, 6, others[6])
+    stages: list[tuple[str, int]] = []
+    solved = calibrate_session(
+        frames,
+        bundled_body,
+        config=EstimateConfig(session=SessionConfig(rounds=2)),
+        progress=lambda stage, count: stages.append((stage, count)),
+    )
+    return Made(bundled_body, base, truths, frames, solved, stages)
+
+
+# the calibration
+
+
+def test_base_lies_within_its_confidence_region(made: Made) -> None:
+    calibration = made.solved.calibration
+    off = change_between(calibration.camera_from_base, made.base)
+    spread = calibration.covariance[:6, :6]
+    assert off @ np.linalg.solve(spread, off) < chi2.ppf(0.999, 6)
+    assert np.degrees(rotation_angle(calibration.camera_from_base, made.base)) < 1.0
+    assert 1e3 * np.linalg.norm(calibration.rcm - made.base[:3, 3]) < 1.5
+
+
+def test_offsets_agree_with_mean_reading_errors(made: Made) -> None:
+    calibration = made.solved.calibration
+    std = dict(zip(calibration.offsets, np.sqrt(np.diag(calibration.covariance))[6:], strict=True))
+    for name, offset in calibration.offsets.items():
+        true = [
+            {**truth.outer, **truth.joints}[name] - frame.result.readings[name]
+            for i, (truth, frame) in enumerate(zip(made.truths, made.frames, strict=True))
+            if i != 6
+        ]
+        assert abs(offset - np.mean(true)) < 3.5 * std[name]
+
+
+def test_only_frame_of_another_session_is_left_out(made: Made) -> None:
+    calibration = made.solved.calibration
+    assert list(calibration.left_out) == ["0006"]
+    reason = calibration.left_out["0006"]
+    assert reason.startswith(
+        "disagrees with the session: what it expects does not explain the mask (IoU 0.00, by itself "
+    )
+    assert calibration.frames == ("0000", "0001", "0002", "0003", "0004", "0005", "0007")
+    assert list(calibration.leave_one_out) == list(calibration.frames)
+
+
+def test_left_out_frame_keeps_its_pose_and_is_doubtful(made: Made) -> None:
+    before, after = made.frames[6].result, made.solved.results["0006"]
+    assert after.status == "doubtful"
+    assert after.reasons[-1] == made.solved.calibration.left_out["0006"]
+    assert (after.source, after.change) == ("frame", None)
+    assert after.camera_from_root is before.camera_from_root
+
+
+def test_leave_one_out_predictions_cover_masks(made: Made) -> None:
+    found = np.array(list(made.solved.calibration.leave_one_out.values()))
+    assert found[:, 0].mean() > 0.85
+    assert np.median(found[:, 1]) < 3
+    assert (found[:, 0] < 0.999).all()
+
+
+def test_progress_reports_stages_and_frame_counts(made: Made) -> None:
+    assert made.stages == [
+        ("gathering evidence", 8),
+        ("round 1 of 2", 8),
+        ("round 2 of 2", 8),
+        ("leaving one out", 8),
+    ]
+
+
+# the frames
+
+
+def test_calibrated_frames_are_in_the_true_mode(made: Made) -> None:
+    for i, (truth, result) in enumerate(zip(made.truths, made.solved.results.values(), strict=True)):
+        if i == 6:
+            continue
+        assert result.source == "session"
+        assert result.camera_from_root is not None
+        assert np.degrees(rotation_angle(result.camera_from_root, truth.camera_from_root)) < 15
+        assert made.tip_mm(result, i) < 1.0
+
+
+def test_result_states_change_made_by_session(made: Made) -> None:
+    for name in ("0001", "0004"):
+        change = made.solved.results[name].change
+        assert change is not None
+        assert change["rotation_deg"] > 90
+        assert set(change["joints_deg"]) == {"wrist_pitch", "wrist_yaw", "jaw"}
+    small = made.solved.results["0000"].change
+    assert small is not None
+    assert 0 < small["translation_mm"] < 5
+
+
+def test_replaced_mode_is_an_alternative(made: Made) -> None:
+    own = made.frames[1].result
+    assert own.camera_from_root is not None
+    others = made.solved.results["0001"].alternatives
+    assert any(np.array_equal(one.camera_from_root, own.camera_from_root) for one in others)
+    turned = made.solved.results["0000"]
+    assert turned.camera_from_root is not None
+    for one in turned.alternatives:
+        assert rotation_angle(one.camera_from_root, turned.camera_from_root) > np.deg2rad(15)
+
+
+def test_frame_covariance_region_contains_truth(made: Made) -> None:
+    names = made.body.instrument.joint_names
+    for i, result in enumerate(made.solved.results.values()):
+        if i == 6:
+            continue
+        assert result.camera_from_root is not None
+        assert result.covariance is not None
+        change = change_between(result.camera_from_root, made.truths[i].camera_from_root)
+        bent = made.truths[i].values - [result.joints[name] for name in names]
+        off = np.concatenate([change, bent])
+        assert off @ np.linalg.solve(result.covariance, off) < chi2.ppf(0.9999, 9)
+
+
+def test_base_of_frame_is_corrected_for_offsets(made: Made) -> None:
+    result = made.solved.results["0002"]
+    assert result.camera_from_base is not None
+    off = change_between(made.solved.calibration.camera_from_base, result.camera_from_base)
+    assert 1e3 * np.linalg.norm(off[:3]) < 3
+    assert np.degrees(np.linalg.norm(off[3:])) < 5
+
+
+# faulty sessions, found before outlines are used
+
+
+def rough(body: Body, frames: list[SessionFrame], **options: Any) -> SolvedSession:
+    return calibrate_session(frames, body, config=ROUGH, **options)
+
+
+def refusal(body: Body, frames: list[SessionFrame], **options: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        rough(body, frames, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def without_readings(frame: SessionFrame, *names: str) -> SessionFrame:
+    kept = {name: value for name, value in frame.result.readings.items() if name not in names}
+    return with_result(frame, readings=kept)
+
+
+def failed(frame: SessionFrame) -> SessionFrame:
+    reasons = ("mask: empty",)
+    return with_result(frame, status="failed", reasons=reasons, camera_from_root=None, joints={}, covariance=None)
+
+
+def test_fewer_than_three_usable_frames_are_refused(made: Made) -> None:
+    assert refusal(made.body, made.frames[:2]) == (
+        "session: expected at least 3 usable frames, got 2 (no more were given)"
+    )
+    two_left = [failed(made.frames[0]), without_readings(made.frames[2], "yaw"), *made.frames[3:5]]
+    assert refusal(made.body, two_left) == (
+        "session: expected at least 3 usable frames, got 2 "
+        "(no pose: mask: empty; no readings of all outer joints (yaw, pitch, insertion, roll))"
+    )
+
+
+def test_frames_without_outer_readings_or_pose_are_left_out(made: Made) -> None:
+    frames = [*made.frames[:4], without_readings(made.frames[5], "insertion", "roll"), failed(made.frames[7])]
+    solved = rough(made.body, frames)
+    assert solved.calibration.left_out == {
+        "0005": "no readings of all outer joints (yaw, pitch, insertion, roll)",
+        "0007": "no pose: mask: empty",
+    }
+    assert solved.results["0005"] is frames[4].result
+    assert solved.results["0007"] is frames[5].result
+
+
+def test_frames_without_common_base_are_refused(bundled_body: Body) -> None:
+    frames = [make_frames_in_memory(bundled_body, 1, level="clean", seed=seed)[2][0] for seed in range(20, 24)]
+    frames = [replace(one, name=f"{k}") for k, one in enumerate(frames)]
+    text = refusal(bundled_body, frames)
+    assert text.startswith("session: expected at least 3 frames that agree on where the arm's base is, got ")
+
+
+def test_base_supported_by_minority_gives_warning(bundled_body: Body, made: Made) -> None:
+    strange = [make_frames_in_memory(bundled_body, 1, level="clean", seed=seed)[2][0] for seed in range(20, 24)]
+    frames = [*(made.frames[i] for i in (0, 2, 3)), *(replace(one, name=f"x{k}") for k, one in enumerate(strange))]
+    solved = rough(bundled_body, frames)
+    assert solved.calibration.warnings == (
+        "only 3 of 7 frames agree on where the arm's base is: "
+        "the others' masks or the readings are wrong, or these few are",
+    )
+    assert solved.calibration.status == "doubtful"
+    assert solved.calibration.frames == ("0000", "0002", "0003")
+
+
+def test_readings_without_motion_are_refused(made: Made) -> None:
+    still = {name: made.frames[0].result.readings[name] for name in ("yaw", "pitch", "insertion", "roll")}
+    frames = [with_result(one, readings={**one.result.readings, **still}) for one in made.frames]
+    assert refusal(made.body, frames) == (
+        "session: yaw, pitch, insertion, roll: expected readings of an arm that moves, got the same in all frames"
+    )
+
+
+def test_wrong_arm_is_refused_by_length(made: Made) -> None:
+    assert refusal(made.body, made.frames, arm="si") == (
+        "session: the readings fit an arm or tool 51 mm longer: "
+        "expected --arm, or the tool's own roll joint (--tool), to be the recorded one's"
+    )
+
+
+def test_moved_base_gives_warning_and_larger_part_is_calibrated(bundled_body: Body, made: Made) -> None:
+    _, _, others = make_frames_in_memory(bundled_body, 5, level="clean", seed=11)
+    before = [one for i, one in enumerate(made.frames) if i != 6]
+    after = [replace(one, name=f"1{one.name}") for one in others[:4]]
+    solved = rough(bundled_body, before + after)
+    text = "the arm's base or the camera moved between frames 0007 and 10000"
+    assert solved.calibration.warnings == (f"{text}: calibrated for the first of them",)
+    assert solved.calibration.status == "doubtful"
+    assert set(solved.calibration.left_out) == {one.name for one in after}
+    assert set(solved.calibration.left_out.values()) == {text}
+    off = np.linalg.norm(solved.calibration.rcm - made.base[:3, 3])
+    assert 1e3 * off < 4
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_lag_of_readings_is_corrected_and_reported(made: Made, timed: bool) -> None:
+    right = [one for i, one in enumerate(made.frames) if i != 6]
+    late = [with_result(one, readings=right[i - 1].result.readings) for i, one in enumerate(right)][1:]
+    late = [replace(one, time=i / 30 if timed else None) for i, one in enumerate(late)]
+    solved = rough(made.body, late)
+    told = " (0.033333 s)" if timed else ""
+    assert solved.calibration.warnings == (f"readings come 1 frames late{told}: taken out",)
+    assert solved.calibration.lag == ({"frames": 1.0, "seconds": 0.033333} if timed else {"frames": 1.0})
+    assert solved.calibration.left_out["0007"] == "no readings once the lag is taken out"
+    assert solved.results["0002"].readings["yaw"] == right[2].result.readings["yaw"]
+
+
+def test_roll_offset_is_undetermined_without_rotation(bundled_body: Body) -> None:
+    _, truths, frames = make_frames_in_memory(bundled_body, 4, level="clean")
+    # the arm only moves along the insertion axis, in the readings and in the poses
+    first = truths[0]
+    slid = []
+    for k, one in enumerate(frames):
+        assert isinstance(one.data, FrameData)
+        reading = {**frames[0].result.readings}
+        reading["insertion"] += 0.002 * k
+        pose = first.camera_from_root.copy()
+        pose[:3, 3] += 0.002 * k * pose[:3, 2]
+        joints = dict(first.joints)
+        slid.append(with_result(one, readings=reading, camera_from_root=pose, joints=joints, alternatives=()))
+        slid[-1] = replace(slid[-1], data=frames[0].data)
+    solved = rough(bundled_body, slid)
+    assert any(text.startswith("rotation of the base: standard deviation") for text in solved.calibration.untold)
+    assert any("cannot be told from the offset of roll" in text for text in solved.calibration.untold)
+    assert abs(np.degrees(solved.calibration.offsets["roll"])) < 20

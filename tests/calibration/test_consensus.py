@@ -1,0 +1,80 @@
+"""The base on which most frames agree, with up to a third of the frames in a wrong mode, on another base or noisy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, make_world
+
+from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
+from dvrk_cmaes.geometry import exp_rotation, moved, rotation_angle
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.silhouette import Body
+
+COVARIANCE = np.diag(SEEN**2)
+
+
+def with_twin(instrument: Instrument, mode: Mode) -> list[Mode]:
+    pose, joints = instrument.twin(mode.camera_from_root, mode.joints)
+    return [mode, Mode(pose, joints, COVARIANCE)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_true_modes_are_chosen(seed: int, bundled_body: Body) -> None:
+    world = make_world(9, seed)
+    modes = [with_twin(bundled_body.instrument, own[0]) for own in world.modes(np.random.default_rng(seed))]
+    for i in (0, 3, 6):
+        modes[i].reverse()
+    found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    assert found.agree.all()
+    assert found.chosen.tolist() == [1, 0, 0, 1, 0, 0, 1, 0, 0]
+    chosen, _ = choose_modes(world.model, modes, found.calibration)
+    assert [own.index(mode) for own, mode in zip(modes, chosen, strict=True)] == found.chosen.tolist()
+
+
+@pytest.mark.parametrize("wrong", ["anywhere", "all on another base", "turned about their shafts"])
+def test_frames_on_another_base_disagree(wrong: str) -> None:
+    world, rng = make_world(12, seed=8), np.random.default_rng(1)
+    modes = world.modes(rng)
+    bad = [2, 5, 6, 11]
+    for k, i in enumerate(bad):
+        pose = modes[i][0].camera_from_root
+        if wrong == "anywhere":
+            change = np.concatenate([rng.uniform(0.02, 0.05, 3), rng.uniform(0.5, 2, 3)])
+            pose = moved(pose, change)
+        elif wrong == "all on another base":
+            shift = np.eye(4)
+            shift[:3, :3], shift[:3, 3] = exp_rotation([0.2, 0.4, 0.1]), [0.02, 0.03, -0.02]
+            pose = shift @ pose
+        else:
+            pose = moved(pose, np.array([0, 0, 0, 0, 0, (2.4, -2.5, 2.8, -3.0)[k]]))
+        modes[i] = [Mode(pose, modes[i][0].joints, COVARIANCE)]
+    found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    assert np.flatnonzero(~found.agree).tolist() == bad
+
+
+def test_base_of_single_frame_is_near_truth() -> None:
+    world = make_world(10, seed=3)
+    found = find_consensus(world.model, world.modes(np.random.default_rng(0)), EXPECTED_OFFSETS)
+    # includes roll's offset of 6 deg and the frame's error about its shaft
+    base, true = found.calibration.camera_from_base, world.truth.camera_from_base
+    assert np.degrees(rotation_angle(base, true)) < 20
+    assert 1e3 * np.linalg.norm(base[:3, 3] - true[:3, 3]) < 3
+
+
+def test_frame_without_wrist_readings_agrees_by_pose() -> None:
+    world = make_world(6)
+    modes = world.modes(np.random.default_rng(0))
+    joints = world.model.joints.copy()
+    joints[2:4] = np.nan
+    found = find_consensus(world.model.of_readings(world.model.outer, joints), modes, EXPECTED_OFFSETS)
+    assert found.agree.all()
+    assert np.isfinite(found.calibration.offsets).all()
+
+
+def test_numbers_of_modes_may_differ(bundled_body: Body) -> None:
+    world = make_world(5, seed=1)
+    own = world.modes(np.random.default_rng(0))
+    modes = [with_twin(bundled_body.instrument, one[0]) if i % 2 else one for i, one in enumerate(own)]
+    found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    assert found.chosen.tolist() == [0] * 5

@@ -1,0 +1,166 @@
+"""Faults of a whole session: lag of the readings, a moved base, a wrong arm or tool, an arm without motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, World, make_world
+
+from dvrk_cmaes.calibration.consensus import Mode, find_consensus
+from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_lag, find_move, shift_readings
+from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import exp_rotation, transform
+
+
+def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:
+    return world.modes(np.random.default_rng(seed))
+
+
+def on_another_base(modes: list[list[Mode]], *, turned: float = 0.2, by: float = 0.02) -> list[list[Mode]]:
+    shift = transform(exp_rotation([turned, -turned / 2, turned / 3]), [by, -by, by / 2])
+    return [[Mode(shift @ mode.camera_from_root, mode.joints, np.diag(SEEN**2)) for mode in own] for own in modes]
+
+
+# lag of the readings
+
+
+@pytest.mark.parametrize("lag", [-2, -1, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_constant_lag_is_found(lag: int, seed: int) -> None:
+    world = make_world(14, seed)
+    # A frame's own reading is that of the frame ``lag`` places before it.
+    model, kept = shift_readings(world.model, -lag)
+    modes = [modes_of(world)[i] for i in kept]
+    assert find_lag(model, modes, EXPECTED_OFFSETS) == lag
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lag_is_found_with_half_of_frames_wrong(seed: int) -> None:
+    world = make_world(10, seed)
+    model, kept = shift_readings(world.model, -2)
+    modes = [modes_of(world)[i] for i in kept]
+    strange = modes_of(make_world(10, seed + 50))
+    for i in (2, 4, 5, 7):
+        modes[i] = strange[i]
+    assert find_lag(model, modes, EXPECTED_OFFSETS) == 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_synchronous_readings_have_no_lag(seed: int) -> None:
+    world = make_world(10, seed)
+    assert find_lag(world.model, modes_of(world, seed), EXPECTED_OFFSETS) == 0
+
+
+def test_wrong_frames_are_not_taken_for_lag() -> None:
+    world = make_world(12, seed=5)
+    modes = modes_of(world)
+    others = modes_of(make_world(12, seed=6))
+    for i in (0, 4, 8, 9):
+        modes[i] = others[i]
+    assert find_lag(world.model, modes, EXPECTED_OFFSETS) == 0
+
+
+def test_few_frames_are_not_searched_for_lag() -> None:
+    model, kept = shift_readings(make_world(5).model, 1)
+    modes = [modes_of(make_world(5))[i] for i in kept]
+    assert find_lag(model, modes, EXPECTED_OFFSETS) == 0
+
+
+def test_shift_drops_frames_without_readings() -> None:
+    world = make_world(6)
+    late, kept = shift_readings(world.model, 2)
+    assert kept == [0, 1, 2, 3]
+    np.testing.assert_array_equal(late.outer, world.model.outer[2:])
+    early, kept = shift_readings(world.model, -2)
+    assert kept == [2, 3, 4, 5]
+    np.testing.assert_array_equal(early.outer, world.model.outer[:4])
+
+
+# a base or camera that moved
+
+
+@pytest.mark.parametrize(("frames", "at"), [(12, 7), (12, 4), (20, 10)])
+def test_moved_base_is_located_between_frames(frames: int, at: int) -> None:
+    world = make_world(frames, seed=1)
+    modes = modes_of(world)
+    modes[at:] = on_another_base(modes[at:])
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    move = find_move(world.model, modes, EXPECTED_OFFSETS, consensus)
+    assert move is not None
+    assert move.between == (at - 1, at)
+    assert move.side == ("first" if at >= frames / 2 and consensus.agree[0] else "last")
+    kept = range(at) if move.side == "first" else range(at, frames)
+    assert set(move.others) == set(range(frames)) - set(kept)
+
+
+def test_base_moved_by_6_mm_is_found() -> None:
+    world = make_world(14, seed=3)
+    modes = modes_of(world)
+    modes[8:] = on_another_base(modes[8:], turned=0.0, by=0.006)
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    move = find_move(world.model, modes, EXPECTED_OFFSETS, consensus)
+    assert move is not None
+    assert move.between == (7, 8)
+
+
+def test_scattered_frames_of_another_base_are_no_move() -> None:
+    world = make_world(12, seed=2)
+    modes = modes_of(world)
+    there = on_another_base(modes)
+    for i in (1, 5, 9):
+        modes[i] = there[i]
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    assert find_move(world.model, modes, EXPECTED_OFFSETS, consensus) is None
+
+
+def test_inconsistent_frames_at_end_are_no_move() -> None:
+    world = make_world(12, seed=2)
+    modes = modes_of(world)
+    modes[8:] = modes_of(make_world(12, seed=9))[8:]
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    assert find_move(world.model, modes, EXPECTED_OFFSETS, consensus) is None
+
+
+def test_session_with_fixed_base_has_no_move() -> None:
+    world = make_world(12)
+    modes = modes_of(world)
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    assert find_move(world.model, modes, EXPECTED_OFFSETS, consensus) is None
+
+
+# a wrong arm or tool, an arm without motion
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"arm": "si"}, "51 mm longer"),
+        ({"roll_offset": 0.467}, "51 mm shorter"),
+    ],
+)
+def test_wrong_arm_or_tool_is_found_by_length(wrong: dict[str, object], message: str) -> None:
+    world = make_world(10, seed=1)
+    model = SessionModel(world.model.outer, world.model.joints, world.model.names, world.model.deviations, **wrong)  # type: ignore[arg-type]
+    modes = modes_of(world)
+    consensus = find_consensus(model, modes, EXPECTED_OFFSETS)
+    with pytest.raises(InputError, match=r"--arm, or the tool's own roll joint \(--tool\)") as caught:
+        check_arm(model, modes, EXPECTED_OFFSETS, consensus)
+    assert message in str(caught.value)
+
+
+def test_right_arm_passes() -> None:
+    world = make_world(10, seed=1)
+    modes = modes_of(world)
+    check_arm(world.model, modes, EXPECTED_OFFSETS, find_consensus(world.model, modes, EXPECTED_OFFSETS))
+
+
+def test_readings_without_motion_are_refused() -> None:
+    world = make_world(6)
+    still = world.model.of_readings(np.tile(world.model.outer[:1], (6, 1)), world.model.joints)
+    with pytest.raises(InputError) as caught:
+        check_motion(still)
+    assert str(caught.value) == (
+        "session: yaw, pitch, insertion, roll: expected readings of an arm that moves, got the same in all frames"
+    )
+    check_motion(world.model)

@@ -1,0 +1,136 @@
+"""Prediction of a frame's pose and joints from base, offsets and readings, with its covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.instrument.arm import base_from_root
+
+
+def test_prediction_follows_from_base_readings_and_offsets() -> None:
+    world = make_world(1)
+    yaw, pitch, insertion, roll = world.model.outer[0]
+    poses, joints = world.model.predict(world.truth)
+    true = {"yaw": yaw, "pitch": pitch, "insertion": insertion + 0.3e-3, "roll": roll + np.deg2rad(6)}
+    np.testing.assert_allclose(poses[0], BASE @ base_from_root(true), atol=1e-12)
+    np.testing.assert_allclose(joints[0], world.model.joints[0] + OFFSETS[2:])
+
+
+def test_exact_readings_predict_truth() -> None:
+    world = make_world(noise=0)
+    poses, joints = world.model.predict(world.truth)
+    np.testing.assert_allclose(poses, world.poses, atol=1e-12)
+    np.testing.assert_allclose(joints, world.joints, atol=1e-12)
+
+
+@given(st.integers(0, 10_000))
+def test_jacobian_agrees_with_finite_differences(seed: int) -> None:
+    world = make_world(3, seed)
+    rate, step = world.model.jacobian(world.truth), 1e-6
+    poses, joints = world.model.predict(world.truth)
+    assert rate.shape == (3, 9, len(world.model.axes))
+    for k in range(len(world.model.axes)):
+        change = np.zeros(len(world.model.axes))
+        change[k] = step
+        there, bent = world.model.predict(world.truth.changed(change))
+        moved_by = np.concatenate([change_between(poses, there), bent - joints], axis=1) / step
+        np.testing.assert_allclose(rate[:, :, k], moved_by, atol=1e-5)
+
+
+def test_covariance_agrees_with_simulation() -> None:
+    rng = np.random.default_rng(0)
+    one = make_world(1)
+    count = 20_000
+    spreads = one.model.deviations
+    outer = one.model.outer + rng.standard_normal((count, 4)) * spreads.outer
+    joints = one.model.joints + rng.standard_normal((count, 3)) * spreads.joints
+    poses, bent = one.model.of_readings(outer, joints).predict(one.truth)
+    expected, straight = one.model.predict(one.truth)
+    off = np.concatenate([change_between(expected, poses), bent - straight], axis=1)
+    stated = one.model.covariance(one.truth)[0]
+    slack = np.diag([*spreads.slack**2, 0, 0, 0])
+    scale = np.sqrt(np.diag(stated))
+    seen = (off.T @ off / count + slack) / np.outer(scale, scale)
+    np.testing.assert_allclose(seen, stated / np.outer(scale, scale), atol=0.03)
+
+
+def test_joint_without_reading_has_wide_variance() -> None:
+    world = make_world(2)
+    joints = world.model.joints.copy()
+    joints[1, 2] = np.nan
+    model = world.model.of_readings(world.model.outer, joints)
+    _, expected = model.predict(world.truth)
+    assert expected[1, 2] == pytest.approx(OFFSETS[4])
+    spread = np.sqrt(model.covariance(world.truth)[:, 8, 8])
+    assert spread[0] == pytest.approx(np.deg2rad(SessionConfig().jaw_deg))
+    assert spread[1] > 3
+
+
+def test_roll_offset_rotates_about_shaft_only() -> None:
+    world = make_world(4)
+    turned = Calibration(BASE, OFFSETS + np.array([0, 0.1, 0, 0, 0]))
+    change = change_between(world.model.predict(world.truth)[0], world.model.predict(turned)[0])
+    np.testing.assert_allclose(change, np.tile([0, 0, 0, 0, 0, 0.1], (4, 1)), atol=1e-9)
+
+
+def test_roll_offset_and_base_are_confounded_without_rotation() -> None:
+    def told(turning: float) -> float:
+        rate = make_world(8, turning=turning).model.jacobian(make_world(8).truth)[:, :6, :8]
+        scale = np.array([1e-3] * 3 + [0.01] * 3 + [1e-3, 0.01])
+        return float(np.linalg.svd((rate * scale).reshape(-1, 8))[1][-1])
+
+    assert told(0.0) < 1e-9
+    assert told(0.02) < 0.3 * told(0.25)
+
+
+def test_scaled_prior_is_wider_by_given_factor() -> None:
+    world = make_world(2)
+    tight, loose = (world.model.priors(world.truth, scale=times) for times in (1.0, 4.0))
+    for one, other in zip(tight, loose, strict=True):
+        np.testing.assert_allclose(one.information, 16 * other.information)
+        np.testing.assert_array_equal(one.camera_from_root, other.camera_from_root)
+
+
+def test_inflation_widens_covariance_of_its_frame_only() -> None:
+    world = make_world(2)
+    inflation = np.ones((2, 4))
+    inflation[1] = [10, 1, 2, 1]
+    plain, wide = (m.covariance(world.truth) for m in (world.model, world.model.with_inflation(inflation)))
+    np.testing.assert_array_equal(plain[0], wide[0])
+    spreads = world.model.deviations
+    assert wide[1, 5, 5] - plain[1, 5, 5] == pytest.approx(99 * spreads.outer[3] ** 2)
+    assert wide[1, 7, 7] == pytest.approx(4 * plain[1, 7, 7])
+
+
+def test_subset_predicts_same_poses() -> None:
+    world = make_world(5)
+    some = world.model.with_inflation(np.full((5, 4), 1.5)).subset([1, 3])
+    np.testing.assert_array_equal(some.predict(world.truth)[0], world.model.predict(world.truth)[0][[1, 3]])
+    np.testing.assert_array_equal(some.inflation, np.full((2, 4), 1.5))
+
+
+def test_missing_outer_reading_is_nan() -> None:
+    found = outer_readings([{"yaw": 0.1, "pitch": 0.2, "insertion": 0.1, "roll": 0.0}, {"yaw": 0.1}])
+    assert np.isnan(found).tolist() == [[False] * 4, [False, True, True, True]]
+    assert outer_readings([]).shape == (0, 4)
+
+
+def test_initial_standard_deviations_are_configured() -> None:
+    spreads = Deviations.of(SessionConfig(arm_deg=0.2, insertion_mm=0.5, wrist_deg=3, jaw_deg=6), NAMES)
+    np.testing.assert_allclose(np.degrees(spreads.outer[[0, 1]]), 0.2)
+    assert spreads.outer[2] == pytest.approx(0.5e-3)
+    np.testing.assert_allclose(np.degrees(spreads.joints), [3, 3, 6])
+
+
+def test_si_arm_wrist_lies_50_8_mm_farther() -> None:
+    classic = make_world(1).model
+    si = SessionModel(classic.outer, classic.joints, NAMES, classic.deviations, arm="si")
+    apart = change_between(classic.base_from_root(OFFSETS), si.base_from_root(OFFSETS))
+    assert np.abs(apart[0, 2]) == pytest.approx(0.0508, abs=1e-6)

@@ -1,0 +1,136 @@
+"""Estimation of a frame of a calibrated session: the prediction is refined; where that fails, the frame is searched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK_CONFIG
+from helpers.session_worlds import make_frames_in_memory, true_calibration
+
+from dvrk_cmaes import estimate
+from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import change_between, moved
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.truth import Truth
+
+
+class Known:
+    """A session whose calibration is known, and a frame of it."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        base, self.truths, self.frames = make_frames_in_memory(body, 4, level="clean")
+        self.session: SessionCalibration = true_calibration(body, base, self.truths, self.frames)
+
+    @property
+    def frame(self) -> SessionFrame:
+        return self.frames[1]
+
+    @property
+    def truth(self) -> Truth:
+        return self.truths[1]
+
+    def estimate(self, session: SessionCalibration | None, readings: dict[str, float] | None = None) -> Result:
+        data = self.frame.data
+        assert isinstance(data, FrameData)
+        given = self.frame.result.readings if readings is None else readings
+        return estimate(data.mask, data.camera, given, self.body, session=session, config=QUICK_CONFIG)
+
+    def tip_mm(self, result: Result) -> float:
+        assert result.camera_from_root is not None
+        truth = (self.truth.camera_from_root, self.truth.joints)
+        tip = compare_poses(self.body.instrument, (result.camera_from_root, result.joints), truth).tip_mm
+        assert tip is not None
+        return tip
+
+
+@pytest.fixture(scope="module")
+def known(bundled_body: Body) -> Known:
+    return Known(bundled_body)
+
+
+@pytest.fixture(scope="module")
+def explained(known: Known) -> Result:
+    return known.estimate(known.session)
+
+
+def test_predicted_frame_is_not_searched(known: Known, explained: Result) -> None:
+    assert explained.source == "session"
+    assert explained.status == "ok"
+    assert known.tip_mm(explained) < 0.5
+    assert explained.alternatives == ()
+    assert not any("session" in warning for warning in explained.warnings)
+    assert 0 < explained.evaluations < 600  # a search takes thousands
+
+
+def test_base_of_frame_is_near_base_of_session(known: Known, explained: Result) -> None:
+    assert explained.camera_from_base is not None
+    off = change_between(known.session.camera_from_base, explained.camera_from_base)
+    assert 1e3 * np.linalg.norm(off[:3]) < 3
+    # the rotation about the shaft follows from the noisy reading of roll
+    assert np.degrees(np.linalg.norm(off[3:])) < 6
+
+
+def test_covariance_region_contains_truth_and_is_positive(known: Known, explained: Result) -> None:
+    assert explained.camera_from_root is not None
+    assert explained.covariance is not None
+    bent = np.array([explained.joints[name] for name in known.body.instrument.joint_names])
+    change = change_between(explained.camera_from_root, known.truth.camera_from_root)
+    off = np.concatenate([change, known.truth.values - bent])
+    assert off @ np.linalg.solve(explained.covariance, off) < 27.9  # 99.9 % of chi-squared, 9
+    assert (np.sqrt(np.diag(explained.covariance)) > [1e-5] * 3 + [1e-4] * 6).all()
+
+
+def test_repeated_estimate_is_identical(known: Known, explained: Result) -> None:
+    again = known.estimate(known.session)
+    assert replace(again, seconds=0).to_dict() == replace(explained, seconds=0).to_dict()
+
+
+@pytest.mark.parametrize(
+    "change", [[0.005, 0.005, 0, 0.1, 0.1, 0.5], [0.02, 0.02, 0, 0.3, 0.3, 0.5]], ids=["beside", "out of view"]
+)
+def test_unexplained_frame_is_searched_with_warning(known: Known, change: list[float]) -> None:
+    away = replace(known.session, camera_from_base=moved(known.session.camera_from_base, change))
+    found, alone = known.estimate(away), known.estimate(None)
+    assert found.source == "frame"
+    (said,) = set(found.warnings) - set(alone.warnings)
+    assert said.startswith("session: ")
+    assert said.endswith(": searched anew")
+    assert found.camera_from_root is not None
+    np.testing.assert_array_equal(found.camera_from_root, alone.camera_from_root)
+
+
+def test_mask_explained_far_from_prediction_is_searched(known: Known) -> None:
+    # an error of the reading that the outline contradicts: the outer joints are never off by 8 deg
+    readings = {**known.frame.result.readings}
+    readings["yaw"] += np.deg2rad(8)
+    found = known.estimate(known.session, readings)
+    assert found.source == "frame"
+    assert any(w.startswith("session: ") and w.endswith("searched anew") for w in found.warnings)
+
+
+@pytest.mark.parametrize("missing", [("roll",), ("yaw", "pitch", "insertion", "roll")])
+def test_frame_without_outer_readings_is_searched_with_warning(known: Known, missing: tuple[str, ...]) -> None:
+    readings = {name: value for name, value in known.frame.result.readings.items() if name not in missing}
+    found = known.estimate(known.session, readings)
+    assert found.source == "frame"
+    assert f"session: no reading of {', '.join(missing)}: searched without it" in found.warnings
+
+
+def test_wrist_reading_may_be_missing(known: Known) -> None:
+    readings = {name: value for name, value in known.frame.result.readings.items() if name != "jaw"}
+    found = known.estimate(known.session, readings)
+    assert found.source == "session"
+    assert known.tip_mm(found) < 1.0
+
+
+def test_session_of_other_instrument_is_refused(known: Known) -> None:
+    offsets = {name: value for name, value in known.session.offsets.items() if name != "jaw"}
+    with pytest.raises(InputError, match=r"^session: offsets: expected those of insertion, roll, wrist_pitch, "):
+        known.estimate(replace(known.session, offsets=offsets))

@@ -1,0 +1,279 @@
+"""Camera files of OpenCV, kalibr and plain YAML: the format is recognised by content, and assumptions are noted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera.files import Side, read_camera, read_camera_file, read_intrinsics
+from dvrk_cmaes.errors import InputError
+
+LEFT = np.array([[800.5, 0, 320.25], [0, 810, 240], [0, 0, 1]])
+RIGHT = np.array([[801.5, 0, 168.25], [0, 811, 241], [0, 0, 1]])
+BENT = np.array([-0.25, 0.27, 0.001, -0.003, 0.0])
+P2 = np.array([[700, 0, 330, -4000], [0, 701, 250, 0], [0, 0, 1, 0.0]])
+CAMCHAIN = """\
+cam0:
+  camera_model: pinhole
+  intrinsics: [800.5, 810, 320.25, 240]
+  distortion_model: radtan
+  distortion_coeffs: [-0.25, 0.27, 0.001, -0.003]
+  resolution: [640, 480]
+  rostopic: /endoscope/a/image_raw
+cam1:
+  T_cn_cnm1: [[1, 0, 0, -0.005], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  camera_model: pinhole
+  intrinsics: [801.5, 811, 168.25, 241]
+  distortion_model: equidistant
+  distortion_coeffs: [-0.02, 0.003, -0.001, 0.0001]
+  resolution: [640, 480]
+  rostopic: /endoscope/b/image_raw
+"""
+PLAIN = "intrinsic: [[828, 0., 399.5], [0., 902, 244.1], [0., 0., 1.]]\ndistortion: [-0.35, 0.7, 0.0044, -8.0e-04, 0]\n"
+
+
+def storage(path: Path, **fields: object) -> Path:
+    """Write fields with OpenCV's FileStorage."""
+    file = cv2.FileStorage(str(path), cv2.FileStorage_WRITE)
+    for name, value in fields.items():
+        file.write(name, value)
+    file.release()
+    return path
+
+
+def written(folder: Path, text: str, name: str = "camera.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def message(path: Path, *, rectified: bool = False, side: Side = "left", size: tuple[int, int] | None = None) -> str:
+    with pytest.raises(InputError) as caught:
+        read_camera_file(path, rectified=rectified, side=side, size=size)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+def focal(path: Path, *, rectified: bool = False, side: Side = "left") -> tuple[float, ...]:
+    found = read_intrinsics(path, rectified=rectified, side=side)
+    return found.fx, found.fy, found.cx, found.cy
+
+
+# OpenCV
+
+
+@pytest.mark.parametrize("name", ["stereo.yaml", "stereo.yml", "stereo.xml", "stereo.json"])
+@pytest.mark.parametrize("letter", ["K", "M"])
+def test_opencv_stereo_file_holds_both_cameras(tmp_path: Path, name: str, letter: str) -> None:
+    fields = {f"{letter}1": LEFT, f"{letter}2": RIGHT, "D1": BENT, "D2": BENT[:, None] * 0, "T": np.ones((3, 1)) * 5.7}
+    path = storage(tmp_path / name, **fields)
+    left, right = (read_camera_file(path, side=side, size=(640, 480)) for side in ("left", "right"))
+    assert (left.camera.fx, left.camera.fy, left.camera.cx, left.camera.cy) == (800.5, 810, 320.25, 240)
+    assert left.camera.distortion == (-0.25, 0.27, 0.001, -0.003, 0)
+    assert (right.camera.fx, right.camera.cx, right.camera.is_pinhole) == (801.5, 168.25, True)
+    assert left.kind == f"OpenCV FileStorage, stereo, left camera, raw images ({letter}1 and D1)"
+    assert left.notes == ("the camera file states no image size: taken to be 640 x 480, that of the frames",)
+
+
+def test_opencv_yaml_without_document_marker_is_read(tmp_path: Path) -> None:
+    text = storage(tmp_path / "new.yaml", K1=LEFT, D1=BENT).read_text().split("---\n")[1]
+    assert text.startswith("K1: !!opencv-matrix")
+    text = "%YAML:1.0\n" + text
+    assert focal(written(tmp_path, text)) == (800.5, 810, 320.25, 240)
+
+
+def test_file_of_opencv_calibration_sample_is_read(tmp_path: Path) -> None:
+    fields = {"image_width": 640, "image_height": 480, "camera_matrix": LEFT, "distortion_coefficients": BENT}
+    for case in (lambda name: name, str.title):
+        found = read_camera_file(storage(tmp_path / "mono.xml", **{case(name): v for name, v in fields.items()}))
+        assert (found.camera.width, found.camera.height, found.camera.fy) == (640, 480, 810)
+        assert (found.camera.model, found.notes) == ("plumb_bob", ())
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "model", "count"),
+    [
+        ([], "plumb_bob", 0),
+        ([-0.2, 0.1, 0, 0, 0.1], "plumb_bob", 5),
+        ([0.5, 0.2, 0.001, 0.001, 0.05, 0.7, 0.3, 0.05], "rational_polynomial", 8),
+        ([0.5, 0.2, 0.001, 0.001, 0.05, 0.7, 0.3, 0.05, 0, 0, 0, 0], "rational_polynomial", 8),
+        ([0.5, 0.2, 0.001, 0.001, 0.05, 0.7, 0.3, 0.05, 0, 0, 0, 0, 0, 0], "rational_polynomial", 8),
+    ],
+)
+def test_number_of_coefficients_determines_model(
+    tmp_path: Path, coefficients: list[float], model: str, count: int
+) -> None:
+    found = read_intrinsics(written(tmp_path, PLAIN.split("distortion")[0] + f"distortion: {coefficients}\n"))
+    assert (found.model, len(found.distortion), found.notes) == (model, count, ())
+
+
+def test_four_coefficients_are_plumb_bob_unless_fisheye_is_stated(tmp_path: Path) -> None:
+    fields = {"image_width": 640, "image_height": 480, "camera_matrix": LEFT}
+    four = np.array([-0.02, 0.003, -0.001, 0.0001])
+    usual = read_camera_file(storage(tmp_path / "usual.yml", **fields, distortion_coefficients=four))
+    assert usual.camera.model == "plumb_bob"
+    assert usual.notes == ("distortion_coefficients has four coefficients: taken as k1 k2 p1 p2, not as a fisheye's",)
+    fisheye = storage(tmp_path / "fisheye.yml", **fields, distortion_coefficients=four, fisheye_model=1)
+    assert (read_camera(fisheye).model, read_camera_file(fisheye).notes) == ("equidistant", ())
+
+
+def test_rectified_stereo_requires_projection_matrices(tmp_path: Path) -> None:
+    path = storage(tmp_path / "stereo.yml", K1=LEFT, D1=BENT, K2=RIGHT, D2=BENT, P2=P2)
+    right = read_intrinsics(path, rectified=True, side="right")
+    assert (right.fx, right.cx, right.distortion) == (700, 330, ())
+    assert right.kind == "OpenCV FileStorage, stereo, right camera, rectified images (P2)"
+    assert message(path, rectified=True) == (
+        "--rectified: expected a projection matrix (ROS camera_info, or OpenCV with P1 and P2), "
+        "got none in this OpenCV file"
+    )
+    straight = storage(tmp_path / "straight.yml", K1=LEFT, D1=BENT * 0)
+    assert focal(straight, rectified=True) == (800.5, 810, 320.25, 240)
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"K1": LEFT}, "D1: missing (expected D1 or distcoeffs1 or leftdistortioncoefficients)"),
+        ({"K2": LEFT, "D2": BENT}, "K1: missing (expected K1 or M1 or cameramatrix1 or leftcameramatrix)"),
+        ({"K1": LEFT.T, "D1": BENT}, "K1: expected rows fx 0 cx, 0 fy cy, 0 0 1 (no skew), got "),
+        ({"K1": P2, "D1": BENT}, "K1: expected 3 rows and 3 cols, got 3 and 4"),
+        ({"K1": LEFT, "D1": BENT[:3]}, "D1: expected 0, 4, 5, 8, 12 or 14 coefficients, got 3"),
+        (
+            {"K1": LEFT, "D1": np.full(12, 0.01)},
+            "D1: expected no thin prism or tilt (coefficients 9 on), got [0.01, 0.01, 0.01, 0.01]",
+        ),
+        ({"K1": LEFT * np.nan, "D1": BENT}, "K1.data: expected finite numbers, got"),
+        ({"K1": LEFT, "D1": BENT, "image_size": np.array([640.5, 480])}, "image_size: expected a positive whole "),
+    ],
+)
+@pytest.mark.parametrize("kind", ["yml", "xml"])
+def test_unusable_opencv_field_is_named(tmp_path: Path, fields: dict[str, object], expected: str, kind: str) -> None:
+    found = message(storage(tmp_path / f"camera.{kind}", **fields))
+    assert found.replace("'", "").lower().startswith(expected.lower())
+
+
+def test_real_stereo_file_is_read(shared: Path) -> None:
+    path = shared / "formats" / "camera" / "opencv_stereo.xml"
+    left, right = read_camera(path), read_camera(path, side="right")
+    assert (left.width, left.height, left.fx, left.fy) == (720, 576, 858.8774, 934.9256)
+    assert (right.fx, right.fy, right.cx) == (872.6555, 954.86, 327.5912)
+    assert left.distortion == (-0.2484, 0.2681, 0.0048, -0.0033, 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("<robot/>", "expected OpenCV's XML, whose root element is <opencv_storage>, got <robot>"),
+        ("<opencv_storage>", "not well-formed XML: no element found: line 1, column 16"),
+        (
+            '<!DOCTYPE a [<!ENTITY b "cc">]><a>&b;</a>',
+            "a document type (<!DOCTYPE ...>) is refused; expected plain XML",
+        ),
+        ("<opencv_storage/>", "expected a camera file: ROS camera_info "),
+        ("<opencv_storage><K1 type_id='opencv-matrix'/></opencv_storage>", "K1: expected 3 rows and 3 cols, got None"),
+        ("<opencv_storage><K1>1</K1></opencv_storage>", "K1: expected 9 numbers, got '1'"),
+        (
+            "<opencv_storage>" + "<a>" * 50_000 + "</a>" * 50_000 + "</opencv_storage>",
+            "expected XML of a robot, mesh or camera, ",
+        ),
+        (
+            "%YAML:1.0\n---\nK1: !!opencv-sparse-matrix\n   a: 3\n",
+            "expected a camera file (YAML or XML), got no valid ",
+        ),
+        (
+            "%YAML:1.0\n---\nK1: !!opencv-matrix [1]\n",
+            "expected a camera file (YAML or XML), got no valid YAML (line 3",
+        ),
+        ("%YAML:1.0\n---\nK1: &a !!opencv-matrix\n   data: *a\n", "expected plain values, got a YAML alias ('a')"),
+        ("%YAML:1.0\n", "expected a camera file (YAML or XML), got no mapping of names to values"),
+    ],
+)
+def test_hostile_or_broken_file_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+    assert message(written(tmp_path, text)).startswith(expected)
+
+
+# kalibr
+
+
+def test_kalibr_models_map_to_opencv_models(tmp_path: Path) -> None:
+    path = written(tmp_path, CAMCHAIN)
+    left, right = read_camera_file(path), read_camera_file(path, side="right")
+    assert (left.camera.model, left.camera.distortion) == ("plumb_bob", (-0.25, 0.27, 0.001, -0.003))
+    assert (right.camera.model, right.camera.distortion) == ("equidistant", (-0.02, 0.003, -0.001, 0.0001))
+    assert (right.camera.width, right.camera.height, right.camera.fx, right.camera.cx) == (640, 480, 801.5, 168.25)
+    assert left.kind == "kalibr camchain, cam0 of 2, raw images (intrinsics and radtan distortion)"
+    none = CAMCHAIN.replace("radtan", "none").replace("[-0.25, 0.27, 0.001, -0.003]", "[]")
+    assert read_camera(written(tmp_path, none), rectified=True).is_pinhole
+
+
+def test_kalibr_topics_determine_side_and_default_is_noted(tmp_path: Path) -> None:
+    note = "the topics do not say which camera is the left one: cam0 is, so {} is taken"
+    path = written(tmp_path, CAMCHAIN)
+    assert read_camera_file(path).notes == (note.format("cam0"),)
+    assert read_camera_file(path, side="right").notes == (note.format("cam1"),)
+    path = written(tmp_path, CAMCHAIN.replace("/a/", "/right/").replace("/b/", "/left/"))
+    assert read_camera_file(path).notes == ()
+    assert focal(path)[0] == 801.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("pinhole", "omni", "cam0: camera_model: expected pinhole, got 'omni', which cannot be rendered"),
+        ("pinhole", "ds", "cam0: camera_model: expected pinhole, got 'ds', which cannot be rendered"),
+        ("radtan", "fov", "cam0: distortion_model: expected one of none, radtan, equidistant, equi, got 'fov'"),
+        ("[800.5, 810, 320.25, 240]", "[0.8, 800.5, 810, 320.25, 240]", "cam0: intrinsics: expected 4 numbers, got 5"),
+        ("[800.5,", "[-800.5,", "cam0: intrinsics: expected positive focal lengths in pixels, got fx -800.5, fy 810"),
+        (", -0.003]", "]", "cam0: distortion_coeffs: expected 4 numbers, got 3"),
+        ("  distortion_model: radtan\n", "", "cam0: distortion_model: missing (expected distortion_model)"),
+        ("cam1:", "cam7:", "--side left: expected cam0 and cam1, or topics that say left and right, got {'cam0': "),
+    ],
+)
+def test_unusable_kalibr_field_is_named(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    assert message(written(tmp_path, CAMCHAIN.replace(old, new, 1))).startswith(expected)
+
+
+# plain
+
+
+def test_plain_yaml_takes_size_of_frames_with_note(tmp_path: Path) -> None:
+    path = written(tmp_path, PLAIN)
+    found = read_camera_file(path, size=(720, 480))
+    assert (found.camera.width, found.camera.height, found.camera.fx, found.camera.fy) == (720, 480, 828, 902)
+    assert found.notes == ("the camera file states no image size: taken to be 720 x 480, that of the frames",)
+    assert message(path) == "image size: not stated in the file; expected it to be given, in pixels"
+    assert message(path, size=(360, 240)) == (
+        "principal point: expected one within images of 360 x 240, got 399.5, 244.1: "
+        "the calibration is of another size, which the file does not state"
+    )
+
+
+def test_real_plain_file_is_read(shared: Path) -> None:
+    camera = read_camera(shared / "formats" / "camera" / "plain_intrinsic_distortion.yaml", size=(720, 576))
+    assert (camera.fx, camera.fy, camera.cx) == pytest.approx((827.8918, 901.8823, 399.4858), abs=1e-4)
+    assert len(camera.distortion) == 5
+
+
+# the side of a file of one camera
+
+
+def test_single_camera_is_right_unless_stated_left(tmp_path: Path) -> None:
+    note = ("the file holds one camera: it is taken for the right one",)
+    assert read_intrinsics(written(tmp_path, PLAIN), side="right").notes == note
+    single = CAMCHAIN.split("cam1")[0]
+    assert read_intrinsics(written(tmp_path, single), side="right").notes == note
+    path = written(tmp_path, single.replace("/a/", "/left/"))
+    assert message(path, side="right") == "--side right: expected the right camera, got '/endoscope/left/image_raw'"
+
+
+def test_real_left_camera_is_refused_as_right(shared: Path) -> None:
+    folder = shared / "formats" / "camera"
+    assert read_camera(folder / "ros_camera_info_right.yaml", side="right").cx == pytest.approx(728.018, abs=1e-3)
+    assert message(folder / "ros_camera_info_left.yaml", side="right") == (
+        "--side right: expected the right camera, got 'left'"
+    )

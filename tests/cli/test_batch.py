@@ -1,0 +1,158 @@
+"""``dvrk-cmaes batch``: printed output, exit codes and messages."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK, make_session
+
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.cli.batch_progress import progress
+from dvrk_cmaes.frames.images import read_mask
+from dvrk_cmaes.runs.batch import BatchProgress
+from dvrk_cmaes.runs.worker import FrameOutcome
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """Run a batch command in an empty folder; gives exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quick.toml").write_text(QUICK)
+
+    def go(*arguments: object) -> tuple[int, str, str]:
+        code = main(["batch", *map(str, arguments)])
+        return code, *capsys.readouterr()
+
+    return go
+
+
+QUICKLY = ("--config", "quick.toml", "--workers", "1")
+
+
+def test_default_output_folder_and_summary(run: Run, tmp_path: Path) -> None:
+    make_session(tmp_path / "session", ["0001", "0002"])
+    Path("session/masks/0002.png").write_bytes(b"nonsense")
+    code, out, said = run("session", *QUICKLY)
+    assert (code, said) == (3, "")
+    lines = out.splitlines()
+    assert (
+        lines[0] == "0002: failed: masks/0002.png: expected a mask (PNG or JPEG), got something else or a damaged file"
+    )
+    assert lines[1] == "2 frames: 1 ok, 1 failed"
+    assert lines[-1] == (
+        "results: session/results/frames   overlays: session/results/overlays   "
+        "table: session/results/poses.csv   page: session/results/report.html"
+    )
+    assert (tmp_path / "session" / "results" / "report.html").is_file()
+
+    code, out, said = run("session", *QUICKLY, "--json")
+    assert (code, said) == (3, "dvrk-cmaes: results are there of 2 frames, 0 are to be done\n")
+    assert json.loads(out) == json.loads((tmp_path / "session" / "results" / "summary.json").read_text())
+
+    assert run("session", "--config", "quick.toml", "--seed", "4") == (
+        2,
+        "",
+        "dvrk-cmaes: session/results: its results were made otherwise (config.seed: 0 -> 4): "
+        "choose another --out, or begin anew with --overwrite\n",
+    )
+    code, out, said = run("session", *QUICKLY, "--seed", "4", "--overwrite", "--frames", "*1")
+    assert (code, out.splitlines()[0], said) == (0, "1 frame: 1 ok", "")
+
+
+def test_shards_are_merged(run: Run, tmp_path: Path) -> None:
+    make_session(tmp_path / "session", ["a", "b"])
+    code, out, _ = run("session", "--out", "out", *QUICKLY, "--shard", "1/2")
+    assert code == 0
+    assert out.splitlines()[-1].endswith("then, with all shards: dvrk-cmaes batch --merge out")
+    code, out, said = run("--merge", "out")
+    assert (code, said) == (1, "dvrk-cmaes: out: 1 of 2 frames are still to be done by their shards\n")
+    assert out.splitlines()[0] == "2 frames: 1 ok, 1 missing"
+    run("session", "--out", "out", *QUICKLY, "--shard", "2/2")
+    code, out, said = run("--merge", "out", "--json")
+    assert (code, said, json.loads(out)["counts"]["ok"]) == (0, "", 2)
+
+
+def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
+    session = make_session(tmp_path / "session", ["a"])
+    path = session / "masks" / "a.png"
+    plain = run("session", "--out", "plain", *QUICKLY, "--json")
+    import cv2
+
+    labels = np.where(read_mask(path), 3, 200).astype(np.uint8)
+    path.write_bytes(cv2.imencode(".png", labels)[1].tobytes())
+    for name in ("camera.yaml", "joints.csv"):
+        shutil.move(session / name, tmp_path / name)
+    options = ("--label", "3", "--camera", "camera.yaml", "--joints", "joints.csv")
+    moved = run("session", "--out", "moved", *QUICKLY, "--json", *options)
+    assert plain[0] == moved[0] == 0
+    assert json.loads(plain[1])["medians"] == json.loads(moved[1])["medians"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((), "SESSION: expected a session folder (or --merge RESULTS), got none"),
+        (("nowhere",), "nowhere: no such folder; expected a session with camera.yaml, joints.csv and masks"),
+        (("--merge", "nowhere"), "nowhere: no such folder; expected results of dvrk-cmaes batch --shard"),
+        (("s", "--merge", "out"), "--merge: expected results alone, got a session, --out or --shard too"),
+        (("s", "--workers", "0"), "--workers: expected a whole number of at least 1, and no --scheduler, got 0"),
+        (
+            ("s", "--workers", "2", "--scheduler", "tcp://x"),
+            "--workers: expected a whole number of at least 1, and no --scheduler, got --scheduler too",
+        ),
+        (("s", "--shard", "3/2"), "--shard: expected I/N with I from 1 to N, e.g. 2/8, got '3/2'"),
+        (("s", "--time-limit", "0"), "--time-limit: expected seconds above 0, got 0"),
+        (("s", "--label", "300"), "--label: expected a value of an 8-bit mask, 0 to 255, got 300"),
+        (("s", "--threads", "0"), "--threads: expected a whole number of at least 1, got 0"),
+    ],
+)
+def test_wrong_usage_is_refused(run: Run, arguments: tuple[str, ...], complaint: str) -> None:
+    assert run(*arguments) == (2, "", f"dvrk-cmaes: {complaint}\n")
+
+
+def test_missing_scheduler_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dvrk_cmaes.runs.cluster._TIMEOUT", 0.3)
+    make_session(tmp_path / "session", ["a"])
+    code, out, said = run("session", "--scheduler", "tcp://127.0.0.1:9")
+    assert (code, out) == (2, "")
+    assert said.startswith("dvrk-cmaes: --scheduler: expected a Dask scheduler's address, got 'tcp://127.0.0.1:9': ")
+    assert said.count("\n") == 1
+
+
+def outcome(status: str) -> FrameOutcome:
+    return FrameOutcome("a", status, (), 1.0, b"", None)  # type: ignore[arg-type]
+
+
+def follow(reporter: BatchProgress) -> None:
+    reporter.on_start(4, ["ok"])
+    for status in ("ok", "doubtful", "failed"):
+        reporter.on_frame(outcome(status))
+
+
+def test_progress_in_log_is_written_as_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seconds = iter(range(0, 1000, 20))
+    monkeypatch.setattr("time.monotonic", lambda: next(seconds))
+    with progress() as reporter:
+        follow(reporter)
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first == "dvrk-cmaes: results are there of 1 frame, 4 are to be done"
+    assert lines[-1] == "dvrk-cmaes: 3 of 4 frames, 0.02 a second, 0:00:47 left, 1 doubtful, 1 failed"
+
+
+def test_progress_on_terminal_is_a_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    with progress() as reporter:
+        follow(reporter)
+    said = capsys.readouterr().err
+    assert "3/4" in said
+    assert "a second, 1 doubtful, 1 failed" in said

@@ -1,0 +1,234 @@
+"""``dvrk-cmaes calibrate``: from a folder to session.json, and its use by other commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK
+from helpers.commands import Ran, run_command
+from helpers.session_worlds import SMALL, make_frames_in_memory
+
+from dvrk_cmaes.calibration import SessionFrame
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.files import write_camera_info
+
+Command = Callable[..., Ran]
+
+COLUMNS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw")
+SETTINGS = QUICK + "[session]\nrounds = 1\n"
+
+
+def write_folder(folder: Path, frames: list[SessionFrame]) -> None:
+    """Write frames as a session folder, and their results as a batch does, into ``results`` beside it."""
+    (folder / "masks").mkdir(parents=True)
+    lines = [",".join(("frame", *COLUMNS))]
+    for one in frames:
+        assert isinstance(one.data, FrameData)
+        image = one.data.mask.astype(np.uint8) * 255
+        (folder / "masks" / f"{one.name}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        lines.append(",".join((one.name, *(f"{one.result.readings[name]:.6f}" for name in COLUMNS))))
+        write_json(folder.parent / "results" / "frames" / f"{one.name}.json", one.result.to_dict())
+    write_camera_info(folder / "camera.yaml", SMALL, "synth")
+    (folder / "joints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def place(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a folder with a session, the results of its frames, and settings for tests."""
+    place = tmp_path_factory.mktemp("calibrate")
+    write_folder(place / "session", make_frames_in_memory(bundled_body, 5, level="clean")[2])
+    (place / "settings.toml").write_text(SETTINGS, encoding="utf-8")
+    return place
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, place: Path) -> Command:
+    """Run a command in the folder."""
+    monkeypatch.chdir(place)
+    return lambda *arguments: run_command(capsys, *arguments)
+
+
+QUICKLY = ("--config", "settings.toml", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def calibrated(place: Path) -> Path:
+    """Calibrate once for the tests that only read the output; gives the output folder."""
+    from dvrk_cmaes.cli import main
+
+    before = {path: path.read_bytes() for path in (place / "results").rglob("*") if path.is_file()}
+    options = ["--results", place / "results", "--out", place / "calibrated", "--config", place / "settings.toml"]
+    assert main([str(one) for one in ("calibrate", place / "session", "--workers", "1", *options)]) == 0
+    assert {path: path.read_bytes() for path in (place / "results").rglob("*") if path.is_file()} == before
+    return place / "calibrated"
+
+
+def test_output_folder_has_all_files(calibrated: Path) -> None:
+    written = {path.name for path in calibrated.iterdir()}
+    assert {"session.json", "frames", "overlays", "poses.csv", "summary.json", "report.html"} <= written
+    results = [json.loads(path.read_text()) for path in sorted((calibrated / "frames").iterdir())]
+    assert [one["frame"] for one in results] == [f"000{k}" for k in range(5)]
+    assert {one["source"] for one in results} == {"session"}
+    assert all(one["change"]["translation_mm"] >= 0 for one in results)
+    assert len(list((calibrated / "overlays").iterdir())) == 5
+
+
+def test_session_json_holds_true_base(calibrated: Path, bundled_body: Body) -> None:
+    base = make_frames_in_memory(bundled_body, 5, level="clean")[0]
+    found = read_calibration(calibrated / "session.json")
+    assert found.frames == tuple(f"000{k}" for k in range(5))
+    assert (found.left_out, found.warnings, found.lag) == ({}, (), None)
+    off = change_between(found.camera_from_base, base)
+    assert 1e3 * np.linalg.norm(off[:3]) < 2
+    assert np.degrees(np.linalg.norm(off[3:])) < 2
+
+
+def test_json_output_is_session_json_and_reproducible(command: Command, calibrated: Path) -> None:
+    ran = command("calibrate", "session", "--results", "results", "--out", "again", *QUICKLY, "--json")
+    assert ran.code == 0
+    assert ran.result == json.loads(Path("again/session.json").read_text())
+    once = json.loads((calibrated / "session.json").read_text())
+    assert {**ran.result, "seconds": 0} == {**once, "seconds": 0}
+    assert ran.err.splitlines() == [
+        "dvrk-cmaes: gathering evidence: 5 frames",
+        "dvrk-cmaes: round 1 of 1: 5 frames",
+        "dvrk-cmaes: leaving one out: 5 frames",
+        "dvrk-cmaes: drawing: 5 frames",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("format_", "expected"),
+    [("dvrk", "PSM1-registration-open-cv.json"), ("easy-handeye", ".calib"), ("tf", "static_transform_publisher")],
+)
+def test_export_from_folder_and_session_json_agree(
+    command: Command, calibrated: Path, format_: str, expected: str
+) -> None:
+    told = []
+    for k, source in enumerate((calibrated, calibrated / "session.json")):
+        ran = command("export", source, "--to", format_, "--out", f"{format_}{k}")
+        assert ran.code == 0
+        out = Path(f"{format_}{k}")
+        files = [out] if out.is_file() else sorted(out.iterdir())
+        told.append({path.name.replace(f"{format_}{k}", ""): path.read_text() for path in files})
+    assert told[0] == told[1]
+    assert any(expected in name or expected in text for name, text in told[0].items())
+
+
+def test_estimate_and_batch_use_calibration(command: Command, calibrated: Path) -> None:
+    ran = command("batch", "session", "--session", calibrated / "session.json", "--out", "batch", *QUICKLY, "--json")
+    assert ran.code in (0, 3)
+    results = [json.loads(path.read_text()) for path in sorted(Path("batch/frames").iterdir())]
+    assert {one["source"] for one in results} == {"session"}
+    with Path("session/joints.csv").open(encoding="utf-8") as file:
+        names, first = (line.strip().split(",") for line in list(file)[:2])
+    joints = ",".join(f"{name}={value}" for name, value in zip(names[1:], first[1:], strict=True))
+    options = ("--camera", "session/camera.yaml", "--joints", joints, "--session", calibrated / "session.json")
+    ran = command("estimate", "--mask", "session/masks/0000.png", *options, "--config", "settings.toml", "--json")
+    found = ran.result
+    assert found["source"] == "session"
+    keys = ("camera_from_root", "joints", "camera_from_base")
+    np.testing.assert_equal([found[key] for key in keys], [results[0][key] for key in keys])
+
+
+def test_frames_are_estimated_first_without_results(command: Command, place: Path) -> None:
+    ran = command("calibrate", "session", "--out", "whole", *QUICKLY)
+    assert ran.code in (0, 3)
+    alone = [json.loads(path.read_text()) for path in (place / "whole" / "alone" / "frames").iterdir()]
+    assert [one["source"] for one in alone] == ["frame"] * 5
+    lines = ran.out.splitlines()
+    assert lines[0] == (
+        "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion"
+    )
+    assert [line.split()[0] for line in lines[4:9]] == ["insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw"]
+    assert any(" frames; each predicted by the others, without its image: mean IoU 0." in line for line in lines)
+    assert lines[-1] == "written: whole/session.json   frames: whole/frames   page: whole/report.html"
+
+
+def test_left_out_frame_is_reported_with_exit_code_3(
+    command: Command, bundled_body: Body, place: Path, tmp_path: Path
+) -> None:
+    frames = make_frames_in_memory(bundled_body, 6, level="clean")[2]
+    other = make_frames_in_memory(bundled_body, 6, level="clean", seed=11)[2][3]
+    frames[3] = replace(
+        frames[3], data=other.data, result=replace(other.result, frame="0003", readings=frames[3].result.readings)
+    )
+    write_folder(tmp_path / "session", frames)
+    ran = command(
+        "calibrate", tmp_path / "session", "--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY
+    )
+    assert ran.code == 3
+    (line,) = (line for line in ran.out.splitlines() if line.startswith("left out: "))
+    assert line.startswith("left out: 0003: disagrees with the session: ")
+    assert json.loads((tmp_path / "out" / "session.json").read_text())["left_out"][0]["frame"] == "0003"
+    assert json.loads((tmp_path / "out" / "frames" / "0003.json").read_text())["status"] == "doubtful"
+
+
+# refused input: one line, and nothing written
+
+
+def refusal(command: Command, *arguments: Any) -> str:
+    ran = command("calibrate", *arguments)
+    assert ran.code == 2
+    return ran.err.splitlines()[-1].removeprefix("dvrk-cmaes: ")
+
+
+def test_input_results_are_not_overwritten(command: Command) -> None:
+    assert refusal(command, "session", "--results", "results", "--out", "results") == (
+        "--out: expected another folder than --results, whose frames stay as they are, got results"
+    )
+
+
+def test_too_few_frames_are_refused(command: Command, bundled_body: Body, tmp_path: Path) -> None:
+    write_folder(tmp_path / "session", make_frames_in_memory(bundled_body, 2, level="clean")[2])
+    options = ("--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY)
+    assert refusal(command, tmp_path / "session", *options) == (
+        "session: expected at least 3 usable frames, got 2 (no more were given)"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_arm_is_refused(command: Command, place: Path) -> None:
+    options = ("--results", "results", "--out", "wrong", "--arm", "si", *QUICKLY)
+    assert "51 mm longer: expected --arm" in refusal(command, "session", *options)
+    assert not (place / "wrong").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nowhere",), "nowhere: "),
+        (("session", "--results", "nowhere"), "nowhere: "),
+        (("session", "--workers", "0"), "--workers: expected a whole number of at least 1, got 0"),
+    ],
+)
+def test_missing_input_is_named(command: Command, arguments: tuple[str, ...], message: str) -> None:
+    assert refusal(command, *arguments).startswith(message)
+
+
+def test_results_of_other_instrument_are_refused(command: Command, place: Path, tmp_path: Path) -> None:
+    for path in (place / "results" / "frames").iterdir():
+        document = json.loads(path.read_text())
+        write_json(tmp_path / "frames" / path.name, {**document, "instrument": "hook"})
+    options = ("--results", tmp_path, "--out", tmp_path / "out", *QUICKLY)
+    assert refusal(command, "session", *options) == "frame 0000: instrument: expected lnd, got a result of hook"
+
+
+def test_damaged_session_json_is_refused(command: Command, calibrated: Path, tmp_path: Path) -> None:
+    document = json.loads((calibrated / "session.json").read_text())
+    del document["offsets"]
+    path = tmp_path / "session.json"
+    write_json(path, document)
+    ran = command("batch", "session", "--session", path, "--out", tmp_path / "out", *QUICKLY)
+    assert ran.refusal == f"{path}: offsets: expected an object, got nothing"

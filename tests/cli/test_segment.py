@@ -1,0 +1,169 @@
+"""``dvrk-cmaes segment``, and ``estimate`` and ``batch`` without masks."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK
+from helpers.commands import Ran, run_command
+from helpers.drawn_tools import draw_tool
+
+from dvrk_cmaes.frames.images import read_image, read_mask
+from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes.io.bundled import bundled_path
+
+DEMO = bundled_path("demo")
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    write_image(tmp_path / "a.png", draw_tool().image)
+    return tmp_path / "a.png"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, shadow in (("0001", 0.0), ("0002", 0.5)):
+        write_image(tmp_path / "session" / "images" / f"{name}.png", draw_tool(shadow=shadow).image)
+    return tmp_path / "session"
+
+
+def test_image_gives_mask_score_and_overlay(capsys: pytest.CaptureFixture[str], image: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    ran = run_command(capsys, "segment", image, "--box", "0,85,270,160", "--point", "30,110", "--out", out)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out.startswith("a: confidence ")
+    mask = read_mask(out / "masks" / "a.png")
+    assert draw_tool().overlap(mask) >= 0.9
+    score = cv2.imread(str(out / "scores" / "a.png"), cv2.IMREAD_UNCHANGED)
+    assert score.shape == mask.shape
+    assert ((score > 127) == mask).mean() > 0.97
+    assert read_image(out / "overlays" / "a.jpg").shape[1] >= 960
+
+
+def test_json_output(capsys: pytest.CaptureFixture[str], image: Path, tmp_path: Path) -> None:
+    ran = run_command(capsys, "segment", image, "--out", tmp_path / "out", "--json")
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.result["model"] == "classic"
+    found = ran.result["frames"]["a"]
+    assert set(found) == {"status", "confidence", "share", "notes", "mask", "overlay", "score", "seconds"}
+    assert found["status"] == "ok"
+    assert Path(found["mask"]).is_file()
+
+
+def test_folder_is_segmented_despite_failing_images(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    write_image(folder / "images" / "0003.png", np.full((120, 160, 3), 90, np.uint8))
+    (folder / "images" / "0004.png").write_bytes(b"no picture")
+    ran = run_command(capsys, "segment", folder, "--out", tmp_path / "out", "--json")
+    assert ran.code == 3
+    frames = ran.result["frames"]
+    assert [frames[name]["status"] for name in sorted(frames)] == ["ok", "ok", "failed", "failed"]
+    assert frames["0003"]["reason"].endswith(
+        "0003.png: no instrument found; a box or a point on the instrument would help"
+    )
+    assert sorted(path.name for path in (tmp_path / "out" / "masks").iterdir()) == ["0001.png", "0002.png"]
+
+
+def test_masks_of_session_are_never_replaced(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    assert run_command(capsys, "segment", folder, "--out", folder).code == 0
+    before = (folder / "masks" / "0001.png").read_bytes()
+    again = run_command(capsys, "segment", folder, "--out", folder, "--point", "30,110")
+    assert again.refusal.startswith("--out: expected another folder than the session's, which has ")
+    assert (folder / "masks" / "0001.png").read_bytes() == before
+
+
+def test_guess_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    picture = np.full((240, 320, 3), (70, 75, 165), np.uint8)
+    cv2.circle(picture, (160, 120), 40, (140, 140, 140), -1)
+    write_image(tmp_path / "a.png", picture)
+    ran = run_command(capsys, "segment", tmp_path / "a.png", "--out", tmp_path / "out")
+    assert ran.code == 3
+    assert ran.out.startswith("a: a guess, confidence 0.4")
+    assert "  the mask does not come in from the image's border, as instruments do\n" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--box", "1,2,3"], "--box: expected x0,y0,x1,y1 in pixels, got '1,2,3'"),
+        (["--point", "here"], "--point: expected a pixel u,v, got 'here'"),
+        (["--point", "-9,5"], "point: expected a pixel of the 320 x 240 image, got -9,5"),
+        (["--model", "sam2"], "--weights: --model sam2 needs the folder of an exported checkpoint, got none"),
+        (["--weights", "x"], "--weights: --model classic has none; expected them only with --model sam2"),
+        (["--threads", "0"], "--threads: expected a whole number of at least 1, got 0"),
+    ],
+)
+def test_invalid_options_are_refused(
+    capsys: pytest.CaptureFixture[str], image: Path, tmp_path: Path, arguments: list[str], expected: str
+) -> None:
+    assert run_command(capsys, "segment", image, *arguments, "--out", tmp_path / "out").refusal == expected
+    assert not (tmp_path / "out").exists()
+
+
+def test_place_without_images_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run_command(capsys, "segment", tmp_path).refusal == f"{tmp_path}: expected images (PNG or JPEG), got none"
+    missing = tmp_path / "a.png"
+    assert run_command(capsys, "segment", missing).refusal.startswith(f"{missing}: no such file; expected an image")
+
+
+def estimated(capsys: pytest.CaptureFixture[str], tmp_path: Path, *arguments: object) -> Ran:
+    (tmp_path / "quick.toml").write_text(QUICK, encoding="utf-8")
+    settings = ("--camera", DEMO / "camera.yaml", "--joints", DEMO / "joints.csv", "--config", tmp_path / "quick.toml")
+    return run_command(capsys, "estimate", *settings, *arguments)
+
+
+def test_estimate_without_mask(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    ran = estimated(capsys, tmp_path, "--image", DEMO / "images" / "0000.jpg", "--out", out)
+    assert ran.code in (0, 3)
+    assert "dvrk-cmaes: warning: mask found in the image by the classic model, confidence 0.9" in ran.err
+    result = json.loads((out / "frames" / "0000.json").read_text(encoding="utf-8"))
+    assert result["quality"]["iou"] > 0.85
+    given = read_mask(DEMO / "masks" / "0000.png")
+    found = read_mask(out / "masks" / "0000.png")
+    assert (given & found).sum() / (given | found).sum() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "--mask: expected a mask, or an image to find it in (--image FILE), got neither"),
+        (
+            ["--image", DEMO / "images" / "0000.jpg", "--label", "1"],
+            "--label, --pick: expected a mask with them (--mask FILE), got none",
+        ),
+        (
+            ["--mask", DEMO / "masks" / "0000.png", "--box", "1,2,3,4"],
+            "--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too",
+        ),
+    ],
+)
+def test_mask_excludes_segmentation_options(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[object], expected: str
+) -> None:
+    assert estimated(capsys, tmp_path, *arguments).refusal == expected
+
+
+def test_batch_without_masks(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    session, out = tmp_path / "session", tmp_path / "out"
+    (session / "images").mkdir(parents=True)
+    for name in ("camera.yaml", "joints.csv", "images/0000.jpg"):
+        shutil.copy(DEMO / name, session / name)
+    (tmp_path / "quick.toml").write_text(QUICK, encoding="utf-8")
+    command = ("batch", session, "--out", out, "--workers", 1, "--config", tmp_path / "quick.toml", "--json")
+    ran = run_command(capsys, *command)
+    assert ran.code in (0, 3)
+    assert ran.result["counts"]["failed"] == 0
+    assert [path.name for path in (out / "masks").iterdir()] == ["0000.png"]
+    ran = run_command(capsys, *command, "--model", "sam2", "--weights", tmp_path)
+    assert "its results were made otherwise (segment.model: classic -> sam2" in ran.refusal
+    assert run_command(capsys, *command[:2], "--out", session).refusal == (
+        f"{session}: expected another folder than the session's, for the masks found in its images"
+    )

@@ -1,0 +1,201 @@
+"""The overlay of a result: which parts are drawn, where, and on images and masks of which sizes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
+from dvrk_cmaes.draw.overlay import draw_overlay
+from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.results.result import Quality, Result
+from dvrk_cmaes.silhouette import Body, Renderer
+
+PINHOLE = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)
+LENS = Camera(640, 480, 600.0, 600.0, 318.2, 243.7, (-0.28, 0.09, 0.0, 0.0))
+POSE = np.array(
+    [
+        [-0.63976787, -0.40559978, -0.65282914, -0.00839115],
+        [0.06232529, -0.87399117, 0.48192841, -0.01286997],
+        [-0.76603696, 0.26763454, 0.58443060, 0.12449826],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+JOINTS = {"wrist_pitch": 0.81, "wrist_yaw": -0.47, "jaw": 0.8}
+
+
+def result(pose: np.ndarray | None = POSE, **changes: object) -> Result:
+    one = Result(
+        frame="0026",
+        status="ok",
+        reasons=(),
+        instrument="lnd",
+        root_link="roll_link",
+        camera_from_root=pose,
+        joints=JOINTS,
+        readings={"wrist_pitch": 0.9, "wrist_yaw": -0.4},
+        quality=Quality(0.96, 0.3, {}, 0.6, 2.1),
+        covariance=np.eye(9) * 1e-6,
+    )
+    return replace(one, **changes)  # type: ignore[arg-type]
+
+
+def true_mask(body: Body, camera: Camera, pose: np.ndarray = POSE) -> np.ndarray:
+    return Renderer(body, camera, threads=1).masks(pose[None], np.array([list(JOINTS.values())]))[0]
+
+
+def count(image: np.ndarray, colour: tuple[int, int, int]) -> int:
+    """Count the pixels close to a colour."""
+    return int((np.abs(image.astype(int) - colour).max(axis=2) < 12).sum())
+
+
+def picture_of(overlay: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Crop the frame between the strips of text, for a result without reasons."""
+    unit = overlay.shape[1] / 1280
+    top = header(result(), overlay.shape[1], unit).shape[0]
+    return overlay[top : top + round(overlay.shape[1] * shape[0] / shape[1])]
+
+
+@pytest.mark.parametrize(
+    ("camera", "width"),
+    [
+        (PINHOLE, 1280),
+        (LENS, 1280),
+        (PINHOLE.scaled(320, 240), 1280),
+        (PINHOLE.scaled(1300, 975), 1300),
+        (PINHOLE.scaled(2560, 1920), 2000),
+    ],
+)
+def test_all_parts_are_drawn(bundled_body: Body, camera: Camera, width: int) -> None:
+    mask = true_mask(bundled_body, camera)
+    drawn = draw_overlay(result(), mask, camera, bundled_body)
+    assert drawn.dtype == np.uint8
+    assert drawn.shape[1:] == (width, 3)
+    frame = picture_of(drawn, mask.shape)
+    for colour in (SKY_BLUE, ORANGE, PURPLE, WHITE, VERMILLION, GREEN):
+        assert count(frame, colour) > 30, colour
+
+
+def test_tints_show_mask_and_silhouette_differences(bundled_body: Body) -> None:
+    mask = true_mask(bundled_body, PINHOLE)
+    off = moved(POSE, [0.002, 0.002, 0.0, 0.0, 0.0, 0.1])
+
+    def areas(pose: np.ndarray) -> tuple[float, float]:
+        """Give the share of the mask that each tint covers."""
+        frame = picture_of(draw_overlay(result(pose), mask, PINHOLE, bundled_body), mask.shape).astype(int)
+        ground, inside = np.array(DARK), np.array([56, 56, 56])
+        half = [(inside + YELLOW) // 2, (ground + SKY_BLUE) // 2]
+        mask_only, silhouette_only = ((np.abs(frame - tint).max(axis=2) < 4).sum() for tint in half)
+        return mask_only / (4 * mask.sum()), silhouette_only / (4 * mask.sum())
+
+    assert max(areas(POSE)) < 0.002
+    assert min(areas(off)) > 0.02
+
+
+def test_image_of_other_size_is_shown(bundled_body: Body) -> None:
+    mask = true_mask(bundled_body, PINHOLE)
+    image = np.full((960, 1280, 3), (40, 60, 160), dtype=np.uint8)
+    frame = picture_of(draw_overlay(result(), mask, PINHOLE, bundled_body, image=image), mask.shape)
+    assert (frame[20, 20] == [40, 60, 160]).all()
+    assert count(frame, (40, 60, 160)) > 0.8 * 960 * 1280
+
+
+def test_ignored_pixels_are_hatched(bundled_body: Body) -> None:
+    mask = true_mask(bundled_body, PINHOLE)
+    ignore = np.zeros_like(mask)
+    ignore[300:400, 300:400] = True
+    frame = picture_of(draw_overlay(result(), mask, PINHOLE, bundled_body, ignore=ignore), mask.shape)
+    corner, elsewhere = frame[620:780, 620:780], frame[620:780, 20:180]
+    assert 0.05 < (corner.max(axis=2) > 100).mean() < 0.5
+    assert (elsewhere.max(axis=2) < 100).all()
+
+
+def test_given_tips_are_marked(bundled_body: Body) -> None:
+    mask = true_mask(bundled_body, PINHOLE)
+    tips = np.array([[500.0, 400.0], [560.0, 420.0]])
+    frame = picture_of(draw_overlay(result(), mask, PINHOLE, bundled_body, keypoints=tips), mask.shape)
+    for u, v in (2 * tips + 0.5).astype(int):
+        assert count(frame[v - 8 : v + 9, u - 8 : u + 9], ORANGE) > 20
+
+
+def test_failed_frame_shows_mask_and_reasons(bundled_body: Body) -> None:
+    mask = true_mask(bundled_body, PINHOLE)
+    failed = result(None, status="failed", reasons=("nothing was found",), joints={}, quality=None, covariance=None)
+    drawn = draw_overlay(failed, mask, PINHOLE, bundled_body)
+    assert count(drawn, VERMILLION) > 500
+    assert count(drawn, YELLOW) > 500
+
+
+def test_instrument_through_camera_plane_is_clipped(bundled_body: Body) -> None:
+    through = POSE.copy()
+    through[:3, 3] = [0.0, 0.0, 0.02]  # most of the shaft lies behind the camera
+    mask = true_mask(bundled_body, PINHOLE, through)
+    assert draw_overlay(result(through), mask, PINHOLE, bundled_body).shape[1] == 1280
+    assert np.isnan(project_visible(PINHOLE, np.array([[0.0, 0.0, -0.1], [0.0, 0.0, 0.004]]))).all()
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, LENS])
+def test_projected_edges_lie_on_outline(bundled_body: Body, camera: Camera) -> None:
+    mask = true_mask(bundled_body, camera)
+    for edge in projected_edges(bundled_body.instrument, POSE, camera):
+        inside = edge[((edge > 3) & (edge < [636, 476])).all(axis=1)]
+        assert len(inside) > 8
+        for u, v in inside.round().astype(int):
+            around = mask[v - 2 : v + 3, u - 2 : u + 3]
+            assert around.any()
+            assert not around.all()
+
+
+def test_detected_edges_lie_on_projected_edges(bundled_body: Body) -> None:
+    from dvrk_cmaes.evidence.gather import gather_evidence
+
+    evidence = gather_evidence(true_mask(bundled_body, LENS), LENS, bundled_body.instrument)
+    projected = projected_edges(bundled_body.instrument, POSE, LENS)
+    for edge in found_edges(evidence.shaft_edges[0], LENS):
+        gaps = [np.nanmin(np.linalg.norm(edge[:, None] - other[None], axis=2), axis=1) for other in projected]
+        # Points on the projected edge are up to 5 px apart.
+        assert min(np.median(gap) for gap in gaps) < 2.5
+
+
+def test_skeleton_ends_at_projected_tips(bundled_body: Body) -> None:
+    joints = np.array(list(JOINTS.values()))
+    line, tips = skeleton_lines(bundled_body.instrument, POSE, joints, PINHOLE)
+    expected = PINHOLE.project(bundled_body.instrument.tips(joints) @ POSE[:3, :3].T + POSE[:3, 3])
+    np.testing.assert_allclose(tips, expected)
+    np.testing.assert_allclose(line[-2], PINHOLE.project(POSE[:3, 3]), atol=0.5)  # the wrist's pitch axis
+
+
+def test_strips_grow_with_text_up_to_limit() -> None:
+    none, few = header(result(), 1280, 1.0), header(result(reasons=("one", "two")), 1280, 1.0)
+    many = header(result(reasons=tuple("word " * 60 for _ in range(9))), 1280, 1.0)
+    assert none.shape[0] < few.shape[0] < many.shape[0] < 200
+    legend = (("mask", YELLOW, "line"), ("area", YELLOW, "area"))
+    assert footer(result(), legend, 300, 1.0).shape[0] > footer(result(), legend, 1280, 1.0).shape[0]
+
+
+def test_long_name_does_not_cover_figures() -> None:
+    long, short = (header(result(frame=name), 1280, 1.0) for name in ("x" * 300, "0026"))
+    np.testing.assert_array_equal(long[:, 900:], short[:, 900:])
+
+
+def test_lines_outside_or_not_finite_are_skipped() -> None:
+    canvas = Canvas(np.zeros((100, 100, 3), dtype=np.uint8), 1.0)
+    canvas.line(np.array([[50.0, 50.0], [np.nan, 0.0], [1e12, 1e12], [20.0, 20.0], [20.0, 80.0]]), WHITE, width=1.0)
+    canvas.cross(np.array([np.nan, 5.0]), WHITE)
+    assert canvas.image[50, 20].min() > 200
+    assert canvas.image[50, 50].max() == 0
+
+
+def test_dashes_of_opposite_phase_do_not_overlap() -> None:
+    lines = []
+    for phase in (0.0, 10.0):
+        canvas = Canvas(np.zeros((20, 200, 3), dtype=np.uint8), 1.0)
+        canvas.line(np.array([[0.0, 10.0], [199.0, 10.0]]), WHITE, width=1.0, dash=(6, 14), phase=phase, rim=False)
+        lines.append(canvas.image[10, :, 0] > 128)
+    assert 40 < lines[0].sum() < 90
+    assert not (lines[0] & lines[1]).any()

@@ -1,0 +1,257 @@
+"""Agreement of the frames of a session: the published figures, the measures themselves and the command."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.agreement import measure_agreement
+from dvrk_cmaes.evaluate.consistency import base_spread, converge, converge_shafts, rcm_spread
+from dvrk_cmaes.evaluate.result_set import read_result_set
+from dvrk_cmaes.frames.published_poses import read_published_poses
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
+from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.io.bundled import bundled_path
+
+DEMO = bundled_path("demo")
+HEADER = "frame,rx,ry,rz,tx,ty,tz,wrist_pitch,wrist_yaw,jaw_2,jaw_1"
+
+
+@pytest.fixture
+def true_results(tmp_path: Path) -> Path:
+    """Write the demo session's true poses as results with three fields a frame; returns the folder."""
+    folder = tmp_path / "true"
+    (folder / "frames").mkdir(parents=True)
+    for name, truth in read_session(DEMO).truth.frames.items():
+        document = {"camera_from_root": truth.camera_from_root.tolist(), "joints": dict(truth.joints), "seconds": 1.0}
+        (folder / "frames" / f"{name}.json").write_text(json.dumps(document))
+    return folder
+
+
+def change(folder: Path, frame: str, **fields: Any) -> None:
+    path = folder / "frames" / f"{frame}.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **fields}))
+
+
+def truth_as_session(tmp_path: Path) -> Path:
+    """Write a joints.csv for the demo session whose readings are the true joint positions."""
+    names = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw")
+    rows = [
+        ",".join([frame, *(f"{truth.joints[name]:.12f}" for name in names)])
+        for frame, truth in read_session(DEMO).truth.frames.items()
+    ]
+    path = tmp_path / "joints.csv"
+    path.write_text("\n".join([",".join(["frame", *names]), *rows]) + "\n")
+    return path
+
+
+# the measures
+
+
+@pytest.mark.parametrize(
+    ("level", "sigma", "rms", "rcm_mm", "base_deg"),
+    [("easy", 0.00046, 0.00117, 6.9, 10), ("medium", 0.00243, 0.00474, 11.4, 23)],
+)
+def test_published_poses_give_published_figures(
+    shared: Path, level: str, sigma: float, rms: float, rcm_mm: float, base_deg: float
+) -> None:
+    found = measure_agreement(read_result_set(shared / "frames" / "real" / level / "published.csv"))
+    assert (round(found.axes.sigma, 5), round(found.axes.rms, 5)) == (sigma, rms)
+    assert found.rcm is not None
+    assert found.base is not None
+    assert 1e3 * found.rcm.rms == pytest.approx(rcm_mm, abs=0.05)
+    assert found.base.median_deg == pytest.approx(base_deg, abs=0.5)
+
+
+def test_axes_through_point_converge_there() -> None:
+    rng = np.random.default_rng(1)
+    directions = rng.standard_normal((8, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    meeting = np.array([0.01, -0.02, 0.13])
+    found = converge(meeting + rng.uniform(-0.1, 0.1, (8, 1)) * directions, directions)
+    np.testing.assert_allclose(found.point, meeting, atol=1e-12)
+    assert found.rms < 1e-12
+
+
+def test_constant_distance_counts_in_rms_but_not_in_sigma() -> None:
+    turn = np.arange(12) * np.pi / 6
+    lean = np.deg2rad(20)
+    directions = np.stack([np.sin(lean) * np.cos(turn), np.sin(lean) * np.sin(turn), np.full(12, np.cos(lean))], axis=1)
+    aside = np.stack([-np.sin(turn), np.cos(turn), np.zeros(12)], axis=1)
+    found = converge(0.003 * aside, directions)
+    assert found.rms == pytest.approx(0.003)
+    assert found.sigma < 1e-9
+    assert np.degrees(found.turn) == pytest.approx(20)
+
+
+def test_poses_of_one_arm_share_rcm_and_base() -> None:
+    rng = np.random.default_rng(2)
+    outer = np.c_[rng.uniform(-0.4, 0.4, (6, 2)), rng.uniform(0.1, 0.18, 6), rng.uniform(-2, 2, 6)]
+    camera_from_base = transform(frame_along([0.0, 0.6, -0.8]) @ rotation_about_z(0.7), [0.02, -0.05, 0.06])
+    poses = camera_from_base @ base_from_root(outer)
+    rcm, base = rcm_spread(poses, outer[:, 2]), base_spread(poses, outer)
+    np.testing.assert_allclose(rcm.centre, camera_from_base[:3, 3], atol=1e-12)
+    assert rcm.rms < 1e-12
+    np.testing.assert_allclose(base.camera_from_base, np.broadcast_to(camera_from_base, (6, 4, 4)), atol=1e-12)
+    np.testing.assert_allclose(converge_shafts(poses).point, camera_from_base[:3, 3], atol=1e-9)
+    turned = outer + [0, 0, 0, np.deg2rad(9)] * (np.arange(6) == 3)[:, None]
+    angles = base_spread(poses, turned).angles_deg
+    np.testing.assert_allclose(angles, 9 * (np.arange(6) == 3), atol=1e-5)
+
+
+def test_parallel_or_too_few_axes_are_refused() -> None:
+    with pytest.raises(InputError, match="parallel axes"):
+        converge(np.eye(3), np.tile([0.0, 0.0, 1.0], (3, 1)))
+    with pytest.raises(InputError, match="at least 3 frames, got 2"):
+        converge(np.eye(3)[:2], np.eye(3)[:2])
+
+
+# sets of results
+
+
+def test_results_with_three_fields_are_read(true_results: Path) -> None:
+    found = measure_agreement(read_result_set(true_results))
+    assert found.axes.rms < 1e-8
+    assert (found.results.solved, found.rcm, found.base) == ("one by one", None, None)
+
+
+def test_readings_are_taken_from_given_session(true_results: Path, tmp_path: Path) -> None:
+    by_truth = measure_agreement(read_result_set(true_results, truth_as_session(tmp_path)))
+    by_readings = measure_agreement(read_result_set(true_results, DEMO))
+    assert by_truth.rcm is not None
+    assert by_truth.base is not None
+    assert by_readings.base is not None
+    assert by_truth.rcm.rms < 1e-8
+    assert by_truth.base.largest_deg < 1e-5
+    assert by_readings.base.largest_deg > 1
+
+
+def test_kinematics_are_those_of_results_unless_given(true_results: Path, tmp_path: Path) -> None:
+    for k in range(5):
+        change(true_results, f"000{k}", config={"instrument": {"arm": "si", "roll_offset": 0.467}})
+    found = read_result_set(true_results, truth_as_session(tmp_path))
+    assert (found.arm, found.roll_offset) == ("si", 0.467)
+    same_reach = measure_agreement(found)
+    exact = measure_agreement(found, arm="classic", roll_offset=0.4162)
+    assert exact.rcm is not None
+    assert same_reach.rcm is not None
+    assert exact.rcm.rms < 1e-8
+    assert np.linalg.norm(same_reach.rcm.centre - exact.rcm.centre) < 1e-3
+
+
+def test_frames_without_pose_are_listed_as_failed(true_results: Path) -> None:
+    change(true_results, "0001", status="failed", camera_from_root=None)
+    change(true_results, "0003", status="doubtful")
+    found = read_result_set(true_results)
+    assert (found.frames, found.failed, found.doubtful) == (("0000", "0002", "0003", "0004"), ("0001",), ("0003",))
+
+
+# the command
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    code = main(["consistency", *map(str, arguments)])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_table_holds_sets_and_published_figures(shared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [shared / "frames" / "real" / level / "published.csv" for level in ("easy", "medium")]
+    code, out, err = run(capsys, *paths)
+    rows = [line for line in out.splitlines() if "one by one" in line]
+    assert (code, err) == (0, "")
+    assert [line.split("one by one")[1].split()[0] for line in rows] == [
+        *("0.00046", "0.00243"),
+        *("0.00046", "0.05456", "0.00243", "0.06173", "0.00253", "0.06761"),
+    ]
+
+
+def test_jointly_calibrated_frames_give_warning(true_results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for frame in ("0000", "0001"):
+        change(true_results, frame, source="session")
+    code, out, err = run(capsys, true_results)
+    assert code == 0
+    assert "2 of 5 together" in out
+    text = (
+        f"dvrk-cmaes: warning: {true_results}: solved 2 of 5 together: such frames agree by construction, which says "
+    )
+    assert err == f"{text}nothing about accuracy; no comparison with the paper's\n"
+
+
+def test_joint_set_refers_to_single_frame_set(true_results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(true_results / "frames", true_results / "alone" / "frames")
+    change(true_results, "0000", source="session")
+    code, out, err = run(capsys, true_results, true_results / "alone", "--json")
+    together, alone = json.loads(out)["sets"]
+    assert code == 0
+    assert (together["agree_by_construction"], together["alone"]) == (True, str(true_results / "alone"))
+    assert (alone["agree_by_construction"], alone["solved"], alone["alone"]) == (False, "one by one", None)
+    assert err.endswith(f"; one by one: {true_results / 'alone'}\n")
+    assert err.count("\n") == 1
+
+
+def test_json_output_and_picture(true_results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, true_results, "--session", DEMO, "--json", "--picture", tmp_path / "p" / "axes.png")
+    (found,) = json.loads(out)["sets"]
+    assert code == 0
+    assert set(found["distances_m"]) == set(found["base"]["rotation_deg"]) == {f"000{k}" for k in range(5)}
+    assert json.loads(out)["paper"]["hard"] == {"sigma_m": 0.00253, "pnp_sigma_m": 0.06761}
+    assert (tmp_path / "p" / "axes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_wrong_input_is_refused_without_output(
+    true_results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = shutil.copytree(true_results, tmp_path / "few")
+    for frame in ("0002", "0003", "0004"):
+        (few / "frames" / f"{frame}.json").unlink()
+    picture = tmp_path / "axes.png"
+    for arguments, expected in (
+        ((), "RESULTS: expected at least one folder of results, got none"),
+        ((few, "--picture", picture), f"{few}: axes: expected those of at least 3 frames, got 2"),
+        ((tmp_path / "no",), f"{tmp_path / 'no'}: no such folder; expected results, with frames/FRAME.json"),
+        (
+            (few, "--picture", "axes.bmp"),
+            "axes.bmp: expected a picture's name to end in .png, .pdf, .svg, .jpg, got '.bmp'",
+        ),
+        ((few, few, few, *["--session", DEMO] * 2), "--session: expected one, or one for each of the 3 results, got 2"),
+    ):
+        code, out, err = run(capsys, *arguments)
+        assert (code, out, err) == (2, "", f"dvrk-cmaes: {expected}\n")
+    assert not picture.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "frame,rx\n",
+            "header: expected frame,rx,ry,rz,tx,ty,tz,wrist_pitch,wrist_yaw,jaw_2,jaw_1, got no ry, rz, tx, ty, ",
+        ),
+        (f"{HEADER}\n", "expected a row for each frame, got a header only"),
+        (f"{HEADER}\na,0,0,0,0,0,x,0,0,0,0\n", "line 2: tz: expected a finite number, got 'x'"),
+        (f"{HEADER}\na,0,0,0,0,0,0\n", "line 2: expected 11 cells as in the header, got 7"),
+        (f"{HEADER}\n" + "a,0,0,0,0,0,1,0,0,0,0\n" * 2, "line 3: frame: expected a name, each once, got 'a'"),
+    ],
+)
+def test_damaged_pose_table_is_refused_with_line(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "published.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_published_poses(path)
+    assert str(caught.value).startswith(f"{path}: {expected}")
+
+
+def test_published_jaw_angles_are_converted(tmp_path: Path) -> None:
+    path = tmp_path / "published.csv"
+    path.write_text(f"{HEADER}\n26,0,0,0,1,2,3,0.1,0.2,0.5,0.8\n")
+    joints = read_published_poses(path)["26"].joints
+    assert joints == pytest.approx({"wrist_pitch": 0.1, "wrist_yaw": 0.35, "jaw": 1.3})

@@ -1,0 +1,95 @@
+"""Evidence from a mask: shaft edges, jaw tips, contour and distance field, and the messages for missing evidence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.cylinder_view import project_cylinder
+from dvrk_cmaes.evidence.distance_field import FIELDS, distance_field
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.shaft_edges import axis_tilt_error, find_contour, shaft_axis
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.silhouette import Body, Renderer
+
+CAMERAS = {
+    "pinhole": Camera(640, 480, 880, 880, 330, 250),
+    "lens": Camera(640, 480, 860, 930, 330, 250, (-0.25, 0.2, 0.004, -0.003, 0.0)),
+}
+POSE = lookat_pose(0.5, 1.0, 0.7, 0.11)
+JOINTS = np.array([0.4, -0.3, 0.8])
+
+
+def drawn(body: Body, camera: Camera) -> np.ndarray:
+    return Renderer(body, camera).masks(POSE[None], JOINTS[None])[0]
+
+
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS.keys())
+def test_shaft_edges_agree_with_projected_cylinder(bundled_body: Body, camera: Camera) -> None:
+    shaft = bundled_body.instrument.shaft
+    assert shaft is not None
+    mask = drawn(bundled_body, camera)
+    evidence = gather_evidence(mask, camera, bundled_body.instrument)
+    planes = evidence.shaft_edges[0].planes
+    expected = project_cylinder(POSE[:3, 3], POSE[:3, 2], shaft.radius)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    likeness = np.abs(planes @ expected.T).max(axis=1)
+    assert (np.degrees(np.arccos(np.minimum(likeness, 1))) < 0.25).all()
+    direction, _ = shaft_axis(planes, shaft.radius)
+    off = np.arccos(min(1.0, abs(float(direction @ POSE[:3, 2]))))
+    assert off < 4 * axis_tilt_error(evidence.shaft_edges[0], camera, shaft.radius)
+
+
+def test_holes_and_blobs_do_not_move_shaft_edges(bundled_body: Body) -> None:
+    camera = CAMERAS["pinhole"]
+    mask = drawn(bundled_body, camera)
+    straight = gather_evidence(mask, camera, bundled_body.instrument).shaft_edges[0]
+    v, u = np.mgrid[:480, :640]
+    middle = straight.ends.mean(axis=(0, 1))
+    mask &= np.hypot(u - middle[0], v - middle[1]) > 6
+    mask |= np.hypot(u - straight.ends[0, 0, 0], v - straight.ends[0, 0, 1]) < 7
+    rough = gather_evidence(mask, camera, bundled_body.instrument).shaft_edges[0]
+    assert (np.abs(rough.planes @ straight.planes.T).max(axis=1) > np.cos(np.deg2rad(0.3))).all()
+
+
+def test_jaw_tips_agree_with_projected_tips(bundled_body: Body) -> None:
+    camera = CAMERAS["pinhole"]
+    tips = gather_evidence(drawn(bundled_body, camera), camera, bundled_body.instrument).tips
+    assert tips is not None
+    points = bundled_body.instrument.tips(JOINTS) @ POSE[:3, :3].T + POSE[:3, 3]
+    expected = camera.project(points)
+    gap = np.linalg.norm(tips[:, None] - expected[None], axis=2)
+    assert min(gap[0, 0] + gap[1, 1], gap[0, 1] + gap[1, 0]) < 16
+
+
+def test_round_mask_has_no_shaft_edges(bundled_body: Body) -> None:
+    v, u = np.mgrid[:480, :640]
+    evidence = gather_evidence(np.hypot(u - 300, v - 200) < 60, CAMERAS["pinhole"], bundled_body.instrument)
+    assert evidence.shaft_edges == ()
+    assert any(line.startswith("shaft edges: ") for line in evidence.unused)
+
+
+def test_contour_is_subpixel_with_outward_normals() -> None:
+    v, u = np.mgrid[:480, :640]
+    contour = find_contour(np.hypot(u - 300.4, v - 200.3) < 80, CAMERAS["pinhole"])
+    way = contour.pixels - [300.4, 200.3]
+    radius = np.linalg.norm(way, axis=1)
+    assert abs(radius.mean() - 80) < 0.1
+    assert radius.std() < 0.25
+    assert ((way / radius[:, None] * contour.normals).sum(axis=1) > 0.97).all()
+
+
+@pytest.mark.parametrize("method", FIELDS)
+def test_distance_field_is_zero_inside_mask(method: str) -> None:
+    v, u = np.mgrid[:90, :120]
+    mask = np.hypot(u - 60, v - 40) < 20
+    field = distance_field(mask, method)
+    assert (field[mask] == 0).all()
+    np.testing.assert_allclose(field, np.maximum(np.hypot(u - 60, v - 40) - 20, 0), rtol=0.03, atol=0.8)
+
+
+def test_unknown_distance_field_is_refused() -> None:
+    with pytest.raises(InputError, match="distance field: expected one of"):
+        distance_field(np.eye(4, dtype=np.bool_), "euclid")

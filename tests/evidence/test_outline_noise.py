@@ -1,0 +1,59 @@
+"""Estimation of the noise of a mask's outline, and bilinear sampling of images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.distance_field import distance_within
+from dvrk_cmaes.evidence.outline_noise import measure_noise, sampled, signed_distance
+from dvrk_cmaes.evidence.shaft_edges import find_contour
+
+CAMERA = Camera(320, 240, 400, 400, 160, 120)
+
+
+def disc(radius: float) -> np.ndarray:
+    v, u = np.mgrid[:240, :320]
+    return np.hypot(u - 150.3, v - 119.6) < radius
+
+
+@pytest.mark.parametrize("count", [0, 1, 511, 512, 513, 40000])
+def test_bilinear_sampling_of_any_number_of_points(count: int) -> None:
+    v, u = np.mgrid[:240, :320]
+    image = (2 * u + 3 * v).astype(np.float32)
+    points = np.random.default_rng(0).uniform([0, 0], [319, 239], (count, 2))
+    np.testing.assert_allclose(sampled(image, points), points @ [2, 3], atol=0.2)
+
+
+def test_signed_distance_of_disc() -> None:
+    distance = signed_distance(disc(60))
+    v, u = np.mgrid[:240, :320]
+    np.testing.assert_allclose(distance, np.hypot(u - 150.3, v - 119.6) - 60, atol=1.0)
+
+
+def test_exact_mask_has_pixel_grid_noise() -> None:
+    noise = measure_noise(find_contour(disc(60), CAMERA), disc(60))
+    assert noise.sigma == 0.25
+    assert noise.length < 8
+
+
+def test_noise_of_wavy_mask_is_measured() -> None:
+    v, u = np.mgrid[:240, :320]
+    angle = np.arctan2(v - 119.6, u - 150.3)
+    wavy = np.hypot(u - 150.3, v - 119.6) < 60 + 2 * np.sin(12 * angle)
+    noise = measure_noise(find_contour(wavy, CAMERA), disc(60))
+    assert noise.sigma == pytest.approx(2 / np.sqrt(2), rel=0.15)
+    assert noise.length > 5
+
+
+def test_empty_silhouette_gives_large_noise() -> None:
+    noise = measure_noise(find_contour(disc(60), CAMERA), np.zeros((240, 320), dtype=np.bool_))
+    assert noise.sigma >= 2
+
+
+def test_distances_within_mask_are_exact() -> None:
+    mask = disc(100) & ~disc(5)
+    squared = np.rint(distance_transform_edt(mask) ** 2).astype(np.float32)
+    np.testing.assert_array_equal(distance_within(mask), np.sqrt(squared))

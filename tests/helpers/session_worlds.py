@@ -1,0 +1,183 @@
+"""Sessions in memory with known truth, for tests of calibration: with outlines as Gaussian fits or as masks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
+from dvrk_cmaes.calibration.consensus import Mode
+from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.results.result import Alternative, Quality, Result
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.levels import LEVELS, LevelName
+from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
+from dvrk_cmaes.synth.truth import Truth
+
+NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
+BASE = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])
+OFFSETS = np.array([0.3e-3, *np.deg2rad([6.0, -9.0, 4.0, 12.0])])
+"""True offsets of insertion, roll, wrist pitch, wrist yaw and jaw."""
+
+EXPECTED_OFFSETS = np.array([0.5e-3, *np.deg2rad([20.0, 20.0, 20.0, 30.0])])
+"""Standard deviations of the offsets' priors."""
+
+PRIOR = np.diag([*np.zeros(6), *EXPECTED_OFFSETS**-2])
+SEEN = np.array([2e-4, 2e-4, 6e-4, *np.deg2rad([0.3, 0.3, 3.0]), *np.deg2rad([2.0, 2.0, 2.0])])
+"""Standard deviations of a pose and joints estimated from an outline, in the root's axes."""
+
+FITTED = 0.15 * SEEN
+"""Standard deviations of results on exact masks."""
+
+SMALL = Camera(320, 240, 513, 513, 161, 119)
+"""The synthetic sessions' camera at a reduced resolution."""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A session without images: readings, true poses (N, 4, 4) and joints (N, J), and constants."""
+
+    model: SessionModel
+    truth: Calibration
+    poses: np.ndarray
+    joints: np.ndarray
+
+    def fits(self, rng: np.random.Generator, scale: float = 1.0) -> FrameFits:
+        """Sample fits of outlines about the truth, with ``scale`` times the usual standard deviations."""
+        count, size = len(self.poses), 6 + len(NAMES)
+        off = rng.standard_normal((count, size)) * SEEN * scale
+        information = np.tile(np.diag((SEEN * scale) ** -2.0), (count, 1, 1))
+        return FrameFits(moved(self.poses, off[:, :6]), self.joints + off[:, 6:], information, np.zeros((count, size)))
+
+    def modes(self, rng: np.random.Generator) -> list[list[Mode]]:
+        """Sample one mode for each frame about the truth, with its stated covariance."""
+        fits = self.fits(rng)
+        covariance = np.diag(SEEN**2)
+        return [[Mode(pose, joints, covariance)] for pose, joints in zip(fits.poses, fits.joints, strict=True)]
+
+
+def make_world(
+    frames: int = 10, seed: int = 0, *, turning: float = 0.25, noise: float = 1.0, offsets: np.ndarray = OFFSETS
+) -> World:
+    """Move an arm by up to ``turning``, rad; readings have offsets and ``noise`` times their standard deviations."""
+    rng = np.random.default_rng(seed)
+    spreads = Deviations.of(SessionConfig(), NAMES)
+    outer = np.column_stack(
+        [rng.uniform(-turning, turning, (frames, 2)), rng.uniform(0.1, 0.17, frames), rng.uniform(-2, 2, frames)]
+    )
+    joints = rng.uniform(-0.7, 0.7, (frames, 3)) + np.array([0, 0, 0.8])
+    truth = Calibration(BASE, offsets)
+    moving = outer + noise * rng.standard_normal(outer.shape) * spreads.outer
+    bending = joints + noise * rng.standard_normal(joints.shape) * spreads.joints
+    model = SessionModel(outer, joints, NAMES, spreads)
+    poses, values = SessionModel(moving, bending, NAMES, spreads).predict(truth)
+    return World(model, truth, poses, values)
+
+
+def make_frames_in_memory(
+    body: Body,
+    frames: int = 6,
+    *,
+    seed: int = 3,
+    level: LevelName = "easy",
+    camera: Camera = SMALL,
+) -> tuple[np.ndarray, list[Truth], list[SessionFrame]]:
+    """Make masks and readings of a moving arm, and a result near the truth for each frame.
+
+    Returns camera_from_base (4, 4), the frames' truth, and the frames.
+    """
+    plan = SessionPlan(body, camera, LEVELS[level], "rcm", frames, seed, {})
+    base, truths = make_truths(plan)
+    assert base is not None
+    rng = np.random.default_rng(seed)
+    made = [
+        SessionFrame(
+            one.name,
+            FrameData(one.mask, camera, one.ignore, None, ()),
+            near_the_truth(body.instrument, one.name, one.truth, one.readings, rng),
+        )
+        for one in make_frames(plan, truths)
+    ]
+    return base, truths, made
+
+
+def near_the_truth(
+    instrument: Instrument, name: str, truth: Truth, readings: Mapping[str, float], rng: np.random.Generator
+) -> Result:
+    """Sample a result about the truth with its stated covariance, and the mirror twin as its alternative."""
+    off = rng.standard_normal(6 + len(truth.values)) * FITTED
+    pose, joints = moved(truth.camera_from_root, off[:6]), truth.values + off[6:]
+    other, bent = instrument.twin(pose, joints)
+    names = instrument.joint_names
+    return Result(
+        frame=name,
+        status="ok",
+        reasons=(),
+        instrument=instrument.name,
+        root_link=instrument.root_link,
+        camera_from_root=pose,
+        joints=dict(zip(names, joints.tolist(), strict=True)),
+        readings=dict(readings),
+        quality=Quality(0.95, 0.1, {}, 0.8, 2.0),
+        covariance=np.diag(FITTED**2),
+        alternatives=(
+            Alternative(other, dict(zip(names, bent.tolist(), strict=True)), 0.1, 0.94, "mirror twin", 30.0),
+        ),
+        config=EstimateConfig().as_dict(),
+    )
+
+
+def in_other_mode(frame: SessionFrame) -> SessionFrame:
+    """Return the frame with its result and its first alternative exchanged."""
+    result = frame.result
+    assert result.camera_from_root is not None
+    other = result.alternatives[0]
+    mine = replace(other, camera_from_root=result.camera_from_root, joints=result.joints)
+    changed = replace(result, camera_from_root=other.camera_from_root, joints=other.joints, alternatives=(mine,))
+    return replace(frame, result=changed)
+
+
+def with_result(frame: SessionFrame, **changes: Any) -> SessionFrame:
+    """Return the frame with its result changed."""
+    return replace(frame, result=replace(frame.result, **changes))
+
+
+def own_base(world: World, index: int) -> np.ndarray:
+    """Return the base that follows from one frame's true pose and readings with zero offsets."""
+    outer = dict(zip(OUTER_JOINTS, world.model.outer[index].tolist(), strict=True))
+    return np.asarray(world.poses[index] @ np.linalg.inv(base_from_root(outer)))
+
+
+def true_calibration(
+    body: Body, base: np.ndarray, truths: list[Truth], frames: list[SessionFrame]
+) -> SessionCalibration:
+    """Return the true calibration, with a base known to 0.3 mm and 0.3 deg."""
+    names = ("insertion", "roll", *body.instrument.joint_names)
+    true = [{**truth.outer, **truth.joints} for truth in truths]
+    off = [[t[name] - f.result.readings[name] for name in names] for t, f in zip(true, frames, strict=True)]
+    spreads = Deviations.of(SessionConfig(), body.instrument.joint_names)
+    known = {"slack_translation": float(spreads.slack[0]), "slack_rotation": float(spreads.slack[3])}
+    known |= dict(zip(OUTER_JOINTS, spreads.outer.tolist(), strict=True))
+    known |= dict(zip(body.instrument.joint_names, spreads.joints.tolist(), strict=True))
+    return SessionCalibration(
+        instrument=body.instrument.name,
+        camera_from_base=base,
+        offsets=dict(zip(names, np.mean(off, axis=0).tolist(), strict=True)),
+        axes=(*BASE_AXES, *names),
+        covariance=np.diag([*[(3e-4) ** 2] * 3, *[np.deg2rad(0.3) ** 2] * 3, *[1e-6] * len(names)]),
+        spreads=known,
+        frames=tuple(frame.name for frame in frames),
+        iou=0.95,
+        contour_px_95=2.0,
+        roll_offset=body.instrument.roll_offset,
+    )

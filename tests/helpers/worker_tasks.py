@@ -1,0 +1,51 @@
+"""Functions for tests of worker processes; a worker imports this module to unpickle them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+
+def prepare_nothing() -> None:
+    """Prepare a process that needs no preparation."""
+
+
+def die() -> None:
+    """Kill the process that calls this."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def squared(task: int) -> int:
+    """Square a number."""
+    return task * task
+
+
+def squared_unless_three(task: int) -> int:
+    """Square a number, but kill the process on 3."""
+    if task == 3:
+        die()
+    return task * task
+
+
+def squared_after_gate(task: tuple[int, Path]) -> int:
+    """Square a number; other numbers than 0 wait until the file ``gate`` exists."""
+    number, gate = task
+    while number and not gate.exists():
+        time.sleep(0.01)
+    return number * number
+
+
+def squared_with_faults(notes: Path, task: int) -> int:
+    """Square a number, but kill the process on multiples of 7 and on the first try of 5, and hang on 11.
+
+    Each try appends the process id to the file ``notes/{task}``.
+    """
+    with (notes / str(task)).open("a") as tried:
+        tried.write(f"{os.getpid()}\n")
+    if task % 7 == 0 or (task == 5 and len((notes / "5").read_text().split()) == 1):
+        die()
+    if task == 11:
+        time.sleep(100)
+    return task * task

@@ -1,0 +1,215 @@
+"""Inspection of files and folders: the recognised kind, the summary, and the notes on ambiguous content."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.inspection import Finding, Options, inspect_path
+from dvrk_cmaes.instrument.dvrk_description import read_tool
+from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes.io.bundled import bundled_path
+
+DEMO = bundled_path("demo")
+LND = bundled_path("instruments", "lnd")
+MASK = np.zeros((480, 640), np.uint8)
+MASK[100:200, 100:164] = 255
+
+
+def written(folder: Path, name: str, text: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def said(found: Finding) -> str:
+    return "\n".join((*found.lines, *(f"rule: {note}" for note in found.notes)))
+
+
+def message(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        inspect_path(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+# kinds
+
+
+def test_camera_file_is_summarised() -> None:
+    found = inspect_path(DEMO / "camera.yaml")
+    assert found.kind == "camera"
+    assert found.lines[0] == "ROS camera_info calibration, raw images (camera_matrix and distortion)"
+    assert found.read["size"] == (640, 480)
+    assert found.notes == ("images are taken for raw ones unless --rectified says otherwise",)
+    rectified = inspect_path(DEMO / "camera.yaml", Options(rectified=True))
+    assert rectified.lines[0] == "ROS camera_info calibration, rectified images (projection_matrix)"
+    assert rectified.notes == ()
+
+
+def test_readings_are_shown_in_deg_and_mm(tmp_path: Path) -> None:
+    path = written(tmp_path, "joints.csv", "frame,time,insertion,jaw,roll\na,10,0.1,0.5,\nb,10.5,0.15,1.0,\n")
+    found = inspect_path(path)
+    assert found.kind == "joint readings"
+    assert found.lines == (
+        "joints.csv: 2 rows",
+        "insertion from 100.00 to 150.00 mm",
+        "jaw from 28.65 to 57.30 deg",
+        "times from 10.000 to 10.500 s",
+    )
+    assert found.read["ranges"] == {"insertion": (0.1, 0.15), "jaw": (0.5, 1.0)}
+    assert found.notes[-1] == "a frame's readings are found by its name"
+
+
+def test_mask_is_summarised(tmp_path: Path) -> None:
+    path = tmp_path / "0000.png"
+    write_image(path, MASK)
+    found = inspect_path(path)
+    assert found.kind == "mask"
+    assert found.read == {"width": 640, "height": 480, "instrument": 6400 / 307200, "box": [100, 100, 163, 199]}
+    assert found.lines == ("640 x 480 px, 2.08% instrument, within columns 100 to 163 and rows 100 to 199",)
+
+
+def test_kind_of_picture_follows_from_values_and_folder(tmp_path: Path) -> None:
+    shades = np.tile(np.arange(640, dtype=np.float64) / 2.6, (480, 1)).astype(np.uint8)
+    kinds = {
+        "soft.jpg": (MASK, "mask"),
+        "labels.png": (MASK // 85, "mask of labels"),
+        "colour.png": (np.dstack([MASK, MASK, 255 - MASK]), "image"),
+        "grey.png": (shades, "image"),
+        "ignore/0000.png": (MASK, "ignored pixels"),
+    }
+    for name, (pixels, kind) in kinds.items():
+        write_image(tmp_path / name, pixels)
+        assert inspect_path(tmp_path / name).kind == kind
+    assert inspect_path(tmp_path / "labels.png").read["labels"] == {"0": 1 - 6400 / 307200, "3": 6400 / 307200}
+
+
+def test_instrument_is_summarised() -> None:
+    found = inspect_path(LND / "lnd.urdf")
+    assert found.kind == "instrument (URDF)"
+    assert set(found.read["limits"]) == {"wrist_pitch", "wrist_yaw", "jaw"}
+    assert "limits: wrist_pitch from -80.0 to 80.0 deg" in said(found)
+    assert "a pair of jaws" in found.lines
+    assert inspect_path(LND / "meshes" / "jaw_1_link.ply").kind == "mesh"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "kind"),
+    [
+        ("k.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0001,1,2,3,4.5\n", "jaw tips"),
+        ("t.csv", "frame,time\n0001,1.5\n", "image times"),
+        ("m.csv", "frame,marker,u,v\n0001,roll_1,1,2\n", "marker detections"),
+        ("m.json", '{"roll_1": {"link": "roll_link", "position_m": [0, 0, 0.001]}}', "marker positions"),
+        ("js.txt", "name: [jaw]\nposition: [0.5]\n---\n", "joint readings"),
+        ("c.xml", "<opencv_storage><K1>1 0 0 0 1 0 0 0 1</K1></opencv_storage>", None),
+        ("s.toml", "seed = 3\n", "settings"),
+        ("x.bag", "anything", "ROS bag"),
+        ("x.mp4", "anything", "video"),
+        (
+            "r.json",
+            '{"base-frame": {"reference-frame": "/c", "transform": [[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}',
+            "dVRK registration",
+        ),
+        (
+            "session.json",
+            '{"schema": 1, "rcm": [0, 0, 0.1], "offsets": {"jaw": 0.1}}',
+            "session calibration (session.json)",
+        ),
+        ("summary.json", '{"counts": {"ok": 2}, "frames": {"0001": {"status": "ok"}}}', "summary of a batch"),
+    ],
+)
+def test_small_files_are_recognised_by_content(tmp_path: Path, name: str, text: str, kind: str | None) -> None:
+    path = written(tmp_path, name, text)
+    if kind is None:
+        assert message(path) == f"{path}: K1: expected 9 numbers, got '1 0 0 0 1 0 0 0 1'"
+        return
+    found = inspect_path(path)
+    assert found.kind == kind
+    assert found.lines
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_session_is_summarised_with_unusable_frames(tmp_path: Path) -> None:
+    found = inspect_path(DEMO)
+    assert (found.kind, found.read["counts"]["masks"], found.read["counts"]["truth"]) == ("session", 5, 5)
+    assert "readings: joints.csv" in found.lines
+    folder = Path(shutil.copytree(DEMO, tmp_path / "session"))
+    (folder / "joints.csv").write_text("frame,jaw\n0000,0.5\n0001,bad\n")
+    problems = inspect_path(folder).read["problems"]
+    assert problems == {"0001": f"{folder}/joints.csv: frame 0001: jaw: expected a finite number in rad, got 'bad'"}
+
+
+def test_published_layout_is_recognised_without_camera(tmp_path: Path) -> None:
+    write_image(tmp_path / "0" / "frame0026.png", np.dstack([MASK] * 3))
+    assert "no camera file: --camera is needed" in inspect_path(tmp_path).lines
+    found = inspect_path(tmp_path, Options(camera=DEMO / "camera.yaml"))
+    assert found.read["frames"] == ["0026"]
+    assert "its layout is found by looking" in found.notes
+
+
+def test_unknown_files_are_refused(tmp_path: Path) -> None:
+    assert message(tmp_path / "none") == f"{tmp_path}/none: no such file; expected a file or folder to look at"
+    assert message(tmp_path).endswith("got a folder of nothing")
+    assert "expected a dVRK tool, kinematics or registration, a result" in message(
+        written(tmp_path, "x.json", '{"a": 1}')
+    )
+    assert "expected a camera file, joint readings, a mask" in message(written(tmp_path, "x.bin", b"\x01\x00\x02"))
+    assert "expected a camera file: ROS camera_info" in message(written(tmp_path, "x.yaml", "a: 1\n"))
+    assert "got an empty file" in message(written(tmp_path, "empty.yaml", ""))
+    assert "cut off or damaged" in message(written(tmp_path, "x.png", cv2.imencode(".png", MASK)[1].tobytes()[:-20]))
+
+
+def test_real_files_are_recognised(shared: Path) -> None:
+    formats = shared / "formats"
+    kinds = {
+        "camera/*": "camera",
+        "kinematic/*": "dVRK kinematics",
+        "tool/*": "dVRK tool",
+        "registration/*": "dVRK registration",
+        "recording/*": "joint readings",
+        "published_layout": "session",
+        "published_layout/0/frame*": "image",
+        "published_layout/0/0*.jpg": "mask",
+        "published_layout/0/jo*.npy": "joint readings",
+        "published_layout/0/ja*.npy": "joint readings",
+        "published_layout/0/*ctr.npy": "tracker's pose",
+        "published_layout/0/optimized_j*.npy": "tracker's joints",
+    }
+    for pattern, kind in kinds.items():
+        paths = sorted(formats.glob(pattern))
+        assert paths
+        for path in paths:
+            assert inspect_path(path).kind == kind
+    hook = inspect_path(formats / "tool" / "PERMANENT_CAUTERY_HOOK_400183.json")
+    assert hook.read["limits"] == dict(read_tool(formats / "tool" / "PERMANENT_CAUTERY_HOOK_400183.json").limits)
+
+
+# the command
+
+
+def test_command_prints_text_or_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    missing = tmp_path / "none.yaml"
+    assert main(["inspect", str(DEMO / "camera.yaml"), str(missing), str(DEMO / "joints.csv")]) == 2
+    printed = capsys.readouterr()
+    assert printed.err == f"dvrk-cmaes: {missing}: no such file; expected a file or folder to look at\n"
+    lines = printed.out.splitlines()
+    assert lines[0] == f"{DEMO / 'camera.yaml'}: camera"
+    assert "  rule: images are taken for raw ones unless --rectified says otherwise" in lines
+    assert f"{DEMO / 'joints.csv'}: joint readings" in lines
+    assert main(["inspect", "--json", str(DEMO / "camera.yaml"), str(missing)]) == 2
+    printed = capsys.readouterr()
+    first, second = (dict[str, Any](entry) for entry in json.loads(printed.out))
+    assert printed.err == ""
+    assert (first["kind"], first["read"]["size"]) == ("camera", [640, 480])
+    assert (second["kind"], second["path"]) == (None, str(missing))
+    assert main(["inspect", str(DEMO / "camera.yaml")]) == 0

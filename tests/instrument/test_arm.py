@@ -1,0 +1,136 @@
+"""Forward kinematics of the outer arm, from base to root link, by the dVRK's Denavit-Hartenberg tables."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET_LONG, Arm, base_from_root, dh_table
+
+OUTER = np.array([0.31, -0.22, 0.14, 0.87])
+angles = st.floats(-1.5, 1.5)
+outer_joints = st.tuples(angles, angles, st.floats(0.03, 0.24), angles)
+
+
+def turn(axis: str, angle: float) -> RigidTransform:
+    return RigidTransform.from_rotation(Rotation.from_euler(axis, angle))
+
+
+def shift(x: float, y: float, z: float) -> RigidTransform:
+    return RigidTransform.from_translation([x, y, z])
+
+
+def chained(outer: NDArray[np.float64], insertion_offset: float, roll_offset: float) -> NDArray[np.float64]:
+    """Give the pose as a product of elementary rotations and translations."""
+    yaw, pitch, insertion, roll = (float(q) for q in outer)
+    quarter = np.pi / 2
+    first = turn("x", quarter) * turn("z", yaw + quarter)
+    second = turn("x", -quarter) * turn("z", pitch - quarter)
+    third = turn("x", quarter) * shift(0, 0, insertion + insertion_offset)
+    fourth = turn("z", roll) * shift(0, 0, roll_offset)
+    return (first * second * third * fourth).as_matrix()
+
+
+@pytest.mark.parametrize(
+    ("arm", "insertion_offset", "roll_offset"),
+    [("classic", -0.4318, 0.4162), ("si", -0.4826, 0.4162), ("si", -0.4826, 0.467)],
+)
+def test_kinematics_equal_product_of_elementary_motions(arm: Arm, insertion_offset: float, roll_offset: float) -> None:
+    expected = chained(OUTER, insertion_offset, roll_offset)
+    np.testing.assert_allclose(base_from_root(OUTER, arm, roll_offset=roll_offset), expected, atol=1e-12)
+
+
+def test_default_is_classic_arm_and_400_series_tool() -> None:
+    np.testing.assert_array_equal(base_from_root(OUTER), base_from_root(OUTER, "classic", roll_offset=0.4162))
+
+
+@given(outer_joints)
+def test_shaft_passes_through_rcm(outer: tuple[float, ...]) -> None:
+    pose = base_from_root(outer)
+    np.testing.assert_allclose(pose[:3, 3] - (outer[2] - 0.0156) * pose[:3, 2], 0, atol=1e-12)
+
+
+@given(outer_joints)
+def test_pose_is_rigid(outer: tuple[float, ...]) -> None:
+    pose = base_from_root(outer)
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
+    np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
+
+
+def test_shaft_points_along_negative_z_at_zero() -> None:
+    np.testing.assert_allclose(base_from_root([0, 0, 0.1, 0])[:3, 2], [0, 0, -1], atol=1e-12)
+
+
+def test_yaw_and_pitch_axes_are_perpendicular_at_rcm() -> None:
+    yawed, pitched = base_from_root([0.2, 0, 0.1, 0])[:3, 2], base_from_root([0, 0.2, 0.1, 0])[:3, 2]
+    np.testing.assert_allclose(np.abs(yawed), [np.sin(0.2), 0, np.cos(0.2)], atol=1e-12)
+    np.testing.assert_allclose(np.abs(pitched), [0, np.sin(0.2), np.cos(0.2)], atol=1e-12)
+
+
+def test_long_tool_on_si_arm_equals_classic() -> None:
+    np.testing.assert_allclose(
+        base_from_root(OUTER, "si", roll_offset=ROLL_OFFSET_LONG), base_from_root(OUTER), atol=1e-12
+    )
+
+
+def test_batch_agrees_with_single_configurations() -> None:
+    batch = np.random.default_rng(3).uniform(-0.5, 0.5, (2, 5, 4))
+    poses = base_from_root(batch)
+    assert poses.shape == (2, 5, 4, 4)
+    np.testing.assert_allclose(poses[1, 3], base_from_root(batch[1, 3]), atol=1e-15)
+
+
+def test_joints_may_be_given_by_name() -> None:
+    named = dict(zip(OUTER_JOINTS, OUTER, strict=True)) | {"wrist_pitch": 0.4}
+    np.testing.assert_array_equal(base_from_root(named), base_from_root(OUTER))
+
+
+def test_named_joints_may_be_arrays() -> None:
+    columns = {"yaw": [0.1, 0.2], "pitch": [0.0, 0.1], "insertion": [0.1, 0.12], "roll": 0.5}
+    np.testing.assert_array_equal(base_from_root(columns)[1], base_from_root([0.2, 0.1, 0.12, 0.5]))
+
+
+def test_missing_joint_is_named() -> None:
+    with pytest.raises(InputError, match=r"^outer joints: expected yaw, pitch, insertion, roll, got no pitch, roll$"):
+        base_from_root({"yaw": 0.1, "insertion": 0.1})
+
+
+def test_wrong_number_of_joints_is_refused() -> None:
+    with pytest.raises(InputError, match=re.escape("expected 4 values")):
+        base_from_root(np.zeros((2, 3)))
+
+
+def test_unknown_arm_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^arm: expected classic or si, got 'clasic'$"):
+        base_from_root(OUTER, "clasic")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("arm", "file"), [("classic", "PSM.json"), ("si", "PSM_Si.json")])
+def test_table_agrees_with_dvrk_description(shared: Path, arm: Arm, file: str) -> None:
+    text = re.sub(r"/\*.*?\*/|//[^\n]*", "", (shared / "formats" / "kinematic" / file).read_text(), flags=re.DOTALL)
+    table = dh_table(arm)[:3]
+    for row, joint in zip(table, json.loads(text)["DH"]["joints"], strict=True):
+        prismatic = joint["type"] == "prismatic"
+        assert row.prismatic == prismatic
+        assert row.alpha == pytest.approx(joint["alpha"], abs=1e-5)
+        assert row.a == joint["A"]
+        assert row.theta == pytest.approx(joint["theta"] if prismatic else joint["theta"] + joint["offset"], abs=1e-5)
+        assert row.d == pytest.approx(joint["D"] + joint["offset"] if prismatic else joint["D"], abs=1e-12)
+
+
+@pytest.mark.parametrize("level", ["easy", "medium", "hard"])
+def test_one_base_explains_all_true_poses(shared: Path, level: str) -> None:
+    golden = json.loads((shared / "frames" / "made" / level / "golden.json").read_text())
+    truth = [frame["T_camera_roll_link"] for frame in golden["frames"].values()]
+    outer = [[frame["joints"][name] for name in OUTER_JOINTS] for frame in golden["frames"].values()]
+    np.testing.assert_allclose(np.array(golden["camera_from_base"]) @ base_from_root(outer), truth, atol=1e-6)

@@ -1,0 +1,103 @@
+"""The cache of instruments on disk: equal to a fresh load, and renewed when files or options change."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.instrument import load_instrument, urdf
+from dvrk_cmaes.io.bundled import bundled_path
+
+
+def plain(value: Any) -> Any:
+    """Convert an instrument to nested lists."""
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, tuple | list):
+        return [plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copy the bundled instrument, and set an empty cache folder."""
+    monkeypatch.setenv("DVRK_CMAES_CACHE", str(tmp_path / "kept"))
+    shutil.copytree(bundled_path("instruments", "lnd"), tmp_path / "lnd")
+    return tmp_path
+
+
+@pytest.fixture
+def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Give a list to which each URDF file that is read is appended."""
+    read: list[Path] = []
+
+    def reading(path: Path) -> Any:
+        read.append(path)
+        return original(path)
+
+    original = urdf.read_robot
+    monkeypatch.setattr(urdf, "read_robot", reading)
+    return read
+
+
+def test_cached_instrument_equals_loaded(folder: Path, count_reads: list[Path]) -> None:
+    source = folder / "lnd" / "lnd.urdf"
+    first = load_instrument(source, use_cache=True)
+    second = load_instrument(source, use_cache=True)
+    assert len(count_reads) == 1
+    assert plain(first) == plain(second)
+    joints = np.array([0.3, -0.2, 0.5])
+    np.testing.assert_array_equal(first.forward(joints), second.forward(joints))
+
+
+def test_changed_mesh_or_urdf_is_read_again(folder: Path, count_reads: list[Path]) -> None:
+    source = folder / "lnd" / "lnd.urdf"
+    load_instrument(source, use_cache=True)
+    mesh = next((folder / "lnd" / "meshes").glob("jaw_1*"))
+    mesh.write_bytes(mesh.read_bytes() + b"\n")
+    load_instrument(source, use_cache=True)
+    source.write_text(source.read_text() + "\n")
+    load_instrument(source, use_cache=True)
+    assert len(count_reads) == 3
+
+
+def test_other_options_have_their_own_entry(folder: Path) -> None:
+    source = folder / "lnd" / "lnd.urdf"
+    thin = load_instrument(source, use_cache=True, shaft_radius=0.003)
+    thick = load_instrument(source, use_cache=True)
+    assert thin.shaft is not None
+    assert thick.shaft is not None
+    assert thin.shaft.radius == 0.003
+    assert thick.shaft.radius > 0.004
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 no archive", b"\x00" * 5000])
+def test_damaged_entry_is_replaced(folder: Path, count_reads: list[Path], damage: bytes) -> None:
+    source = folder / "lnd" / "lnd.urdf"
+    load_instrument(source, use_cache=True)
+    (kept,) = (folder / "kept").iterdir()
+    kept.write_bytes(damage)
+    load_instrument(source, use_cache=True)
+    load_instrument(source, use_cache=True)
+    assert len(count_reads) == 2
+
+
+def test_cache_is_optional(folder: Path, monkeypatch: pytest.MonkeyPatch, count_reads: list[Path]) -> None:
+    source = folder / "lnd" / "lnd.urdf"
+    load_instrument(source)
+    assert not (folder / "kept").exists()
+    monkeypatch.setenv("DVRK_CMAES_CACHE", "off")
+    load_instrument(source, use_cache=True)
+    load_instrument(source, use_cache=True)
+    assert len(count_reads) == 3
+
+
+def test_unwritable_cache_folder_is_tolerated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "file").write_text("in the way")
+    monkeypatch.setenv("DVRK_CMAES_CACHE", str(folder / "file"))
+    assert load_instrument(folder / "lnd" / "lnd.urdf", use_cache=True).name == "lnd"

@@ -1,0 +1,284 @@
+"""Measurements on the meshes: shaft, jaw tips, skeleton and mirror twin."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, write_urdf
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument import Instrument, Shaft, load_instrument
+from dvrk_cmaes.instrument.symmetry import twin_distance
+
+FRACTION = st.floats(0.0, 1.0)
+ANGLE = st.floats(-3.0, 3.0)
+
+
+@cache
+def loaded(source: str | Path) -> Instrument:
+    return load_instrument(source)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_urdf(tmp_path_factory.mktemp("small"), gripper())
+
+
+def shaft_of(path: Path, **options: object) -> Shaft:
+    shaft = load_instrument(path, **options).shaft  # type: ignore[arg-type]
+    assert shaft is not None
+    return shaft
+
+
+def check_shaft(shaft: Shaft, radius: float, proximal: float, distal: float, tolerance: float = 1e-5) -> None:
+    np.testing.assert_allclose(shaft.direction, [0, 0, 1], atol=1e-5)
+    np.testing.assert_allclose(shaft.point, 0, atol=1e-6)
+    assert shaft.radius == pytest.approx(radius, abs=tolerance)
+    assert shaft.proximal_end == pytest.approx(proximal, abs=tolerance)
+    assert shaft.distal_end == pytest.approx(distal, abs=tolerance)
+
+
+# shaft
+
+
+@pytest.mark.shared
+def test_scanned_shaft_excludes_flange() -> None:
+    check_shaft(shaft_of(SCANNED), 0.00407, -0.3237, -0.0090, 1e-4)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("path", ALL_SHARED[1:], ids=lambda path: path.stem)
+def test_modelled_shafts_exclude_wrist_mount(path: Path) -> None:
+    shaft = loaded(path).shaft
+    assert shaft is not None
+    check_shaft(shaft, 0.004365, -0.5566, -0.0090, 1e-4)
+
+
+def test_shaft_is_straight_part_without_flange(small: Path) -> None:
+    shaft = shaft_of(small)
+    assert 0.004 * np.cos(np.pi / 64) < shaft.radius < 0.004
+    check_shaft(shaft, 0.004, -0.31, -0.01, 5e-6)
+    assert shaft.length == pytest.approx(0.3, abs=1e-5)
+
+
+def test_radius_is_mean_half_width_over_views(tmp_path: Path) -> None:
+    corners = [(0.004 * np.cos(a), 0.004 * np.sin(a)) for a in np.arange(12) * np.pi / 6]
+    lines = [f"v {x} {y} {z}" for z in (-0.2, 0.0) for x, y in corners]
+    lines += [f"f {k + 1} {(k + 1) % 12 + 1} {(k + 1) % 12 + 13} {k + 13}" for k in range(12)]
+    (tmp_path / "prism.obj").write_text("\n".join(lines))
+    shaft = shaft_of(write_urdf(tmp_path, gripper('<mesh filename="prism.obj"/>', "0 0 -0.02")))
+    views = np.arange(0, np.pi, 1e-3)
+    widths = np.ptp(np.array(corners) @ np.stack([np.cos(views), np.sin(views)]), axis=0)
+    assert shaft.radius == pytest.approx(widths.mean() / 2, rel=1e-4)
+    assert 0.004 * np.cos(np.pi / 12) < shaft.radius < 0.004
+
+
+def test_oblique_axis_is_found_and_points_to_wrist(tmp_path: Path) -> None:
+    for flip in (0.0, np.pi):
+        place = f'<origin xyz="0.002 -0.001 -0.16" rpy="{0.1 + flip} -0.05 0"/>'
+        body = gripper().replace('<origin xyz="0 0 -0.16"/>', place)
+        assert place in body
+        shaft = shaft_of(write_urdf(tmp_path, body))
+        axis = Rotation.from_euler("xyz", [0.1, -0.05, 0]).apply([0, 0, 1])
+        point = np.array([0.002, -0.001, -0.16])
+        np.testing.assert_allclose(shaft.direction, axis, atol=1e-5)
+        np.testing.assert_allclose(shaft.point, point - (point @ axis) * axis, atol=1e-6)
+        assert shaft.length == pytest.approx(0.3, rel=0.06)  # the flange covers part of a tilted shaft
+
+
+def test_radius_and_axis_may_be_given(small: Path) -> None:
+    measured, wider = shaft_of(small), shaft_of(small, shaft_radius=0.005)
+    assert wider.radius == 0.005
+    assert wider.proximal_end == measured.proximal_end
+    given_axis = shaft_of(small, shaft_axis=([0.0001, 0, 0.7], [0, 0, 2]))
+    np.testing.assert_array_equal(given_axis.point, [0.0001, 0, 0])
+    np.testing.assert_array_equal(given_axis.direction, [0, 0, 1])
+    assert given_axis.radius == pytest.approx(measured.radius, rel=1e-6)
+    assert given_axis.distal_end == pytest.approx(measured.distal_end, abs=1e-6)
+
+
+def test_missing_shaft_requires_radius_and_axis(small: Path) -> None:
+    assert load_instrument(small, root_link="wrist_pitch_link").shaft is None
+    with pytest.raises(InputError, match="give shaft_axis too"):
+        load_instrument(small, root_link="wrist_pitch_link", shaft_radius=0.004)
+    with pytest.raises(InputError, match="give shaft_radius too"):
+        load_instrument(small, root_link="wrist_pitch_link", shaft_axis=([0, 0, 0], [1, 0, 0]))
+    shaft = shaft_of(small, root_link="wrist_pitch_link", shaft_radius=0.004, shaft_axis=([0, 0, 0], [1, 0, 0]))
+    assert (shaft.proximal_end, shaft.distal_end) == pytest.approx((0.0, 0.009))
+
+
+@pytest.mark.parametrize(
+    "shape", ['<box size="0.008 0.008 0.3"/>', '<cylinder radius="0.01" length="0.05"/>', '<sphere radius="0.1"/>']
+)
+def test_square_short_and_round_shapes_are_no_shaft(tmp_path: Path, shape: str) -> None:
+    assert load_instrument(write_urdf(tmp_path, gripper(shape))).shaft is None
+
+
+def test_shaft_is_found_from_root_above_roll_joint(tmp_path: Path) -> None:
+    base = '<link name="base"/>' + joint(
+        "roll", "revolute", "base", "roll_link", '<origin xyz="0 0 0.4"/><axis xyz="0 0 1"/>'
+    )
+    check_shaft(shaft_of(write_urdf(tmp_path, base + gripper()), root_link="base"), 0.004, 0.09, 0.39, 5e-6)
+
+
+def test_shaft_behind_other_joint_is_ignored(tmp_path: Path) -> None:
+    base = box_link("base") + joint("swing", "revolute", "base", "roll_link", '<axis xyz="1 0 0"/>')
+    assert load_instrument(write_urdf(tmp_path, base + gripper()), root_link="base").shaft is None
+
+
+def test_wrist_pin_is_no_shaft(tmp_path: Path) -> None:
+    pin = '<visual><geometry><cylinder radius="0.0005" length="0.006"/></geometry></visual>'
+    body = gripper().replace('<link name="wrist_yaw_link"/>', f'<link name="wrist_yaw_link">{pin}</link>')
+    path = write_urdf(tmp_path, body)
+    assert load_instrument(path, root_link="wrist_yaw_link").shaft is None
+    assert load_instrument(path, root_link="wrist_pitch_link").shaft is None
+    check_shaft(shaft_of(path), 0.004, -0.31, -0.01, 5e-6)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("root", ["wrist_pitch_link", "wrist_yaw_link"])
+@pytest.mark.parametrize("path", ALL_SHARED[1:], ids=lambda path: path.stem)
+def test_real_instruments_have_no_shaft_below_roll_link(path: Path, root: str) -> None:
+    assert load_instrument(path, root_link=root).shaft is None
+
+
+def test_rod_has_axis_along_z(tmp_path: Path) -> None:
+    rod = '<link name="roll_link"><visual><geometry><cylinder radius="0.004" length="0.3"/></geometry></visual></link>'
+    check_shaft(shaft_of(write_urdf(tmp_path, rod)), 0.004, -0.15, 0.15, 5e-6)
+
+
+@pytest.mark.parametrize("radius", [0.0, -0.004, float("nan")])
+def test_invalid_radius_is_refused(small: Path, radius: float) -> None:
+    with pytest.raises(InputError, match="shaft_radius: expected a positive number of metres"):
+        load_instrument(small, shaft_radius=radius)
+
+
+@pytest.mark.parametrize("axis", [([0, 0, 0], [0, 0, 0]), ([0, 0], [0, 0, 1]), ([0, 0, np.nan], [0, 0, 1])])
+def test_invalid_axis_is_refused(small: Path, axis: tuple[list[float], list[float]]) -> None:
+    with pytest.raises(InputError, match="shaft_axis: expected a"):
+        load_instrument(small, shaft_axis=axis)
+
+
+# jaw tips
+
+
+@pytest.mark.shared
+def test_jaw_tips_of_scanned_instrument() -> None:
+    tips = {loaded(SCANNED).links[tip.link].name: tip.position for tip in loaded(SCANNED).jaw_tips}
+    assert np.linalg.norm(tips["jaw_1_link"] - [-0.0005, 0.0096, 0]) < 1e-4
+    assert np.linalg.norm(tips["jaw_2_link"] - [0.0005, 0.0096, 0]) < 1e-4
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("path", [path for path in ALL_SHARED if path != HOOK], ids=lambda path: path.stem)
+def test_jaw_tips_of_real_instruments(path: Path) -> None:
+    instrument = loaded(path)
+    assert len(instrument.jaw_tips) == 2
+    for tip in instrument.jaw_tips:
+        vertices = instrument.links[tip.link].vertices
+        assert tip.position[1] == pytest.approx(vertices[:, 1].max(), abs=2e-4)
+        assert np.linalg.norm(vertices - tip.position, axis=1).min() < 1e-3
+    assert instrument.jaw_tips[0].position[0] * instrument.jaw_tips[1].position[0] < 0
+
+
+@pytest.mark.shared
+def test_cautery_hook_has_no_jaw_tips() -> None:
+    hook = loaded(HOOK)
+    assert hook.jaw_tips == ()
+    assert hook.tips(np.zeros((4, 2))).shape == (4, 0, 3)
+    assert hook.skeleton([0.1, 0.2]).shape[1] == 3
+
+
+def test_jaw_tips_of_boxes_are_centres_of_ends(small: Path) -> None:
+    first, second = loaded(small).jaw_tips
+    np.testing.assert_allclose(first.position, [-0.001, 0.02 * 0.995, 0], atol=1e-9)
+    np.testing.assert_allclose(second.position, [0.001, 0.02 * 0.995, 0], atol=1e-9)
+
+
+@given(jaw=st.floats(0.01, 1.39), pitch=st.floats(-1.3, 1.3), yaw=st.floats(-1.3, 1.3))
+def test_each_jaw_rotates_by_half_the_jaw_angle(jaw: float, pitch: float, yaw: float) -> None:
+    lnd = loaded("lnd")
+    hinge = lnd.forward([pitch, yaw, jaw])[2, :3, 3]
+    closed, opened = lnd.tips([pitch, yaw, 0.0]) - hinge, lnd.tips([pitch, yaw, jaw]) - hinge
+    lengths = np.linalg.norm(closed, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(opened, axis=1), lengths, atol=1e-12)
+    np.testing.assert_allclose(np.arccos((closed * opened).sum(axis=1) / lengths**2), jaw / 2, atol=1e-6)
+    assert np.linalg.norm(opened[0] - opened[1]) > np.linalg.norm(closed[0] - closed[1])
+
+
+# skeleton
+
+
+def test_skeleton_follows_shaft_axes_and_tips(small: Path) -> None:
+    instrument = loaded(small)
+    joints = [0.3, -0.4, 0.5]
+    points = instrument.skeleton(joints)
+    np.testing.assert_allclose(points[0], [0, 0, -0.31], atol=1e-5)
+    np.testing.assert_allclose(points[-5], [0, 0, -0.01], atol=1e-5)
+    np.testing.assert_allclose(points[-4], [0, 0, 0], atol=1e-12)
+    jaw = [link.name for link in instrument.links].index("jaw_1_link")
+    np.testing.assert_allclose(points[-3], instrument.forward(joints)[jaw, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(points[-2:], instrument.tips(joints))
+    assert np.linalg.norm(np.diff(points[:-4], axis=0), axis=1).max() < 0.0101
+
+
+# mirror twin
+
+
+@given(turn=st.tuples(ANGLE, ANGLE, ANGLE), joints=st.tuples(ANGLE, ANGLE, ANGLE))
+def test_twin_of_twin_is_original(turn: tuple[float, ...], joints: tuple[float, ...]) -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", turn).as_matrix()
+    pose[:3, 3] = 0.01, -0.02, 0.15
+    lnd = loaded("lnd")
+    twin_pose, twin_joints = lnd.twin(pose, joints)
+    np.testing.assert_allclose(twin_joints, [-joints[0], -joints[1], joints[2]])
+    np.testing.assert_allclose(twin_pose[:3, 2:], pose[:3, 2:], atol=1e-15)  # the shaft is unchanged
+    np.testing.assert_allclose(twin_pose[:3, :2], -pose[:3, :2], atol=1e-15)
+    again_pose, again_joints = lnd.twin(twin_pose, twin_joints)
+    np.testing.assert_allclose(again_pose, pose, atol=1e-15)
+    np.testing.assert_array_equal(again_joints, joints)
+
+
+@given(pitch=FRACTION, yaw=FRACTION, jaw=FRACTION)
+def test_tips_of_twin_coincide_in_reverse_order(pitch: float, yaw: float, jaw: float) -> None:
+    lnd = loaded("lnd")
+    joints = lnd.limits[:, 0] + np.ptp(lnd.limits, axis=1) * [pitch, yaw, jaw]
+    half_turn, mirrored = lnd.twin(np.eye(4), joints)
+    tips = lnd.tips(mirrored) @ half_turn[:3, :3].T + half_turn[:3, 3]
+    np.testing.assert_allclose(tips[::-1], lnd.tips(joints), atol=1e-5)
+
+
+def test_twin_of_batch_does_not_modify_input() -> None:
+    lnd = loaded("lnd")
+    joints = np.random.default_rng(0).uniform(-1, 1, (2, 3, 3))
+    before = joints.copy()
+    poses, mirrored = lnd.twin(np.broadcast_to(np.eye(4), (2, 3, 4, 4)), joints)
+    assert poses.shape == (2, 3, 4, 4)
+    np.testing.assert_array_equal(joints, before)
+    np.testing.assert_array_equal(mirrored[1, 2], lnd.twin(np.eye(4), joints[1, 2])[1])
+
+
+def test_symmetric_instruments_have_twin(tmp_path: Path, small: Path) -> None:
+    assert loaded("lnd").has_twin
+    assert loaded(small).has_twin
+    barb = joint("bolt", "fixed", "jaw_1_link", "barb") + box_link("barb", "0.004 0.01 0.004", "-0.004 0.01 0.004")
+    barbed = load_instrument(write_urdf(tmp_path, gripper() + barb))
+    assert not barbed.has_twin
+    assert twin_distance(barbed) > 1e-3
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("path", ALL_SHARED, ids=lambda path: path.stem)
+def test_real_instruments_except_hook_have_twin(path: Path) -> None:
+    assert loaded(path).has_twin == (path != HOOK)
+
+
+def test_instrument_without_wrist_has_no_twin(small: Path) -> None:
+    assert not load_instrument(small, root_link="wrist_yaw_link").has_twin

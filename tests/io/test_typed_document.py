@@ -1,0 +1,141 @@
+"""Documents converted to the classes that declare their fields, and the messages about fields that are wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from msgspec import Struct
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.typed_document import Count, Number, Point, Texts, Transform, convert_document
+
+POSE = np.eye(4).tolist()
+HUGE = 10**400
+
+
+@dataclass(frozen=True)
+class Part:
+    score: Number
+    label: str = ""
+
+
+class Named(Struct, rename="kebab"):
+    base_frame: str
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    size: Number
+    count: Count = 0
+    kind: Literal["near", "far"] = "near"
+    notes: Texts = ()
+    values: dict[str, Number] = field(default_factory=dict)
+    parts: tuple[Part, ...] = ()
+    by_name: dict[str, Part] = field(default_factory=dict)
+    pose: Transform | None = None
+    point: Point | None = None
+    named: Named | None = None
+    free: dict[str, Any] = field(default_factory=dict)
+
+
+def refusal(convert: Callable[[], object]) -> str:
+    """Return the message of the InputError, empty if there is none."""
+    try:
+        convert()
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def test_document_is_converted_to_its_types() -> None:
+    whole = convert_document(
+        "a.json",
+        {
+            "size": 1,
+            "notes": ["a"],
+            "parts": [{"score": 0.5}],
+            "pose": POSE,
+            "point": [1, 2, 3.5],
+            "named": {"base-frame": "camera"},
+            "free": {"deep": [None, {}]},
+            "unknown": 3,
+        },
+        Whole,
+    )
+    assert (whole.size, type(whole.size), whole.notes, whole.parts) == (1.0, float, ("a",), (Part(0.5),))
+    assert (whole.kind, whole.free, whole.named) == ("near", {"deep": [None, {}]}, Named("camera"))
+    np.testing.assert_array_equal(whole.pose, np.eye(4))
+    np.testing.assert_array_equal(whole.point, [1, 2, 3.5])
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"size": None}, "size: expected a finite number, got nothing"),
+        ({"size": HUGE}, "size: expected a finite number, got 1000"),
+        ({"size": -HUGE}, "size: expected a finite number, got -1000"),
+        ({"size": float("nan")}, "size: expected a finite number, got nan"),
+        ({"size": float("inf")}, "size: expected a finite number, got inf"),
+        ({"size": True}, "size: expected a finite number, got True"),
+        ({"size": "1"}, "size: expected a finite number, got '1'"),
+        ({"count": 1.0}, "count: expected a whole number of at least 0, got 1.0"),
+        ({"count": -HUGE}, "count: expected a whole number of at least 0, got -1000"),
+        ({"kind": "fat"}, "kind: expected one of far, near, got 'fat'"),
+        ({"kind": "\ud800"}, "kind: expected one of near, far, got '\\ud800'"),
+        ({"kind": ["far"]}, "kind: expected one of "),
+        ({"notes": {}}, "notes: expected a list of texts, got {}"),
+        ({"notes": ["a", 3]}, "notes[1]: expected a text, got 3"),
+        ({"values": {"a": 1, "b": None}}, "values.b: expected a finite number, got nothing"),
+        ({"values": {"a\nb": HUGE}}, "values.a\\nb: expected a finite number, got 1000"),
+        ({"parts": "x"}, "parts: expected a list of objects, got 'x'"),
+        ({"parts": [{"score": 1}, {}]}, "parts[1].score: expected a finite number, got nothing"),
+        ({"by_name": {"a": {"score": 1, "label": 2}}}, "by_name.a.label: expected a text, got 2"),
+        ({"pose": [[1, 2], [3]]}, "pose: expected 4 rows of 4 finite numbers, got [[1, 2], [3]]"),
+        ({"pose": (2 * np.eye(4)).tolist()}, "pose: expected a rotation and a translation over 0 0 0 1, got [["),
+        ({"pose": [[1e300] * 4] * 4}, "pose: expected a rotation and a translation over 0 0 0 1, got [["),
+        ({"point": [1, 2, "3"]}, "point: expected 3 finite numbers, got [1, 2, '3']"),
+        ({"point": [1, 2, HUGE]}, "point: expected 3 finite numbers, got [1, 2, 1000"),
+        ({"point": [1, 2, True]}, "point: expected 3 finite numbers, got [1, 2, True]"),
+        ({"named": {"base_frame": "x"}}, "named.base-frame: expected a text, got nothing"),
+        ({"named": {"base-frame": []}}, "named.base-frame: expected a text, got []"),
+        ({"free": []}, "free: expected an object, got []"),
+        ({"\ud800": 1}, "expected an object, got {'size': 1, '\\ud800': 1}"),
+    ],
+)
+def test_wrong_field_is_named(change: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        convert_document("a.json", {"size": 1, **change}, Whole)
+    assert str(caught.value).startswith(f"a.json: {expected}")
+    assert len(str(caught.value)) < 200
+
+
+def test_document_must_be_an_object() -> None:
+    with pytest.raises(InputError, match=r"^a\.json: expected an object, got \[1\]$"):
+        convert_document("a.json", [1], Whole)
+
+
+@pytest.mark.parametrize("name", ["free", "notes", "values"])
+def test_deep_nesting_ends_in_one_line(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a.json"
+    for levels in range(850, 1000, 3):  # Python's limit of recursion lies among them
+        path.write_text('{"size": 1, "' + name + '": ' + '{"a":' * levels + "1" + "}" * levels + "}")
+        text = refusal(lambda: convert_document(str(path), read_json_object(path, expected="a document"), Whole))
+        assert text.startswith(f"{path}: ") or (name == "free" and not text)
+        assert "\n" not in text
+
+
+def test_every_damaged_value_is_converted_or_refused() -> None:
+    good = {"size": 1, "values": {"a": 1}, "parts": [{"score": 1}], "pose": POSE, "named": {"base-frame": ""}}
+    values = [None, True, -1, HUGE, 1e999, "", "\ud800", [], {}, [[]], {"a": {}}, json.loads("NaN")]
+    for name in Whole.__dataclass_fields__:
+        for value in values:
+            document = {**good, name: value}
+            text = refusal(lambda document=document: convert_document("a.json", document, Whole))
+            assert not text or "expected" in text

@@ -1,0 +1,283 @@
+"""Formats of joint readings: topic dumps, recorded tables and NumPy files, matched by frame, number or time."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.joints.reading import frame_readings, read_joint_file, read_joints
+from dvrk_cmaes.joints.times import parse_time, read_image_times, time_in_name
+
+ARM = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
+VALUES = (0.59, -0.48, 0.1697, 0.39, -0.68, -0.36)
+ROS_1 = """\
+header:
+  seq: 7
+  stamp:
+    secs: 100
+    nsecs: 250000000
+  frame_id: ''
+name: [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw]
+position: [0.59, -0.48, 0.1697, 0.39, -0.68, -0.36]
+velocity: []
+effort: [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+---
+"""
+ROS_2_JAW = """\
+header:
+  stamp:
+    sec: 100
+    nanosec: 250000000
+  frame_id: ''
+name:
+- jaw
+position:
+- 1.34
+velocity:
+- 0.0
+effort:
+- 1e-05
+---
+"""
+COLLECTED = """\
+# Topic: /PSM1/measured_js
+# Type: sensor_msgs/msg/JointState
+timestamp,effort.0,header.frame_id,header.stamp.nanosec,header.stamp.sec,name.0,name.1,position.0,position.1
+1755000000000000000,0,,0,1755000000,wrist_pitch,insertion,0.1,0.15
+1755000000020000000,0,,20000000,1755000000,wrist_pitch,insertion,0.3,0.17
+"""
+MEASURED = """\
+traj_index,measured_q1,measured_q2,measured_q3,measured_q4,measured_q5,measured_q6,measured_x
+0.0,-0.7,0.03,0.168,-0.007,-0.018,0.002,-0.1
+26.0,-0.6,0.04,0.169,-0.008,-0.019,0.003,-0.1
+"""
+
+
+def written(folder: Path, text: str, name: str = "readings.txt") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def saved(path: Path, values: object) -> Path:
+    np.save(path, np.array(values))
+    return path
+
+
+def message(path: Path, frame: str | None = None) -> str:
+    with pytest.raises(InputError) as caught:
+        read_joints(path, frame=frame)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+# messages of a topic
+
+
+def test_printed_ros_1_and_ros_2_messages_are_read(tmp_path: Path) -> None:
+    assert read_joints(written(tmp_path, ROS_1)) == dict(zip(ARM, VALUES, strict=True))
+    assert read_joints(written(tmp_path, ROS_2_JAW)) == {"jaw": 1.34}
+
+
+def test_arm_and_jaw_messages_are_combined(tmp_path: Path) -> None:
+    found = read_joints(written(tmp_path, ROS_1 + ROS_2_JAW))
+    assert found == dict(zip((*ARM, "jaw"), (*VALUES, 1.34), strict=True))
+
+
+def test_older_and_prefixed_joint_names_are_known(tmp_path: Path) -> None:
+    for old, new in (("yaw, pitch", "outer_yaw, PSM1_pitch"), ("insertion", "PSM1_outer_insertion")):
+        assert read_joints(written(tmp_path, ROS_1.replace(old, new))) == dict(zip(ARM, VALUES, strict=True))
+
+
+def test_unnamed_values_are_in_dvrk_order_with_note(tmp_path: Path) -> None:
+    file = read_joint_file(
+        written(tmp_path, ROS_1.replace("[yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw]", "[]"))
+    )
+    assert frame_readings([file], "x", single=True).readings == dict(zip(ARM, VALUES, strict=True))
+    assert file.notes == ("joints are not named: taken in the dVRK's order, by their number",)
+
+
+def test_messages_are_interpolated_to_image_time(tmp_path: Path) -> None:
+    later = ROS_1.replace("nsecs: 250000000", "nsecs: 290000000").replace("-0.68", "-0.60")
+    files = [read_joint_file(written(tmp_path, ROS_1 + later + ROS_2_JAW))]
+    jaw = ROS_2_JAW.replace("250000000", "300000000").replace("1.34", "1.24")
+    files = [read_joint_file(written(tmp_path, ROS_1 + ROS_2_JAW + later + jaw))]
+    found = frame_readings(files, "0026", time=parse_time("", "100.26"))
+    assert found.readings["wrist_pitch"] == pytest.approx(-0.66)
+    assert found.readings["jaw"] == pytest.approx(1.32)
+    assert found.farthest == 40_000_000
+    with pytest.raises(InputError, match=r"frame 0026: yaw: expected readings before and after the image's time 100.3"):
+        frame_readings(files, "0026", time=parse_time("", "100.3"))
+    with pytest.raises(InputError, match=r"expected the image's time \(images.csv, or --time\)"):
+        frame_readings(files, "0026")
+
+
+def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
+    table = written(tmp_path, "time,jaw\n10.0,0.2\n10.2,0.4\n")
+    file = read_joint_file(table)
+    with pytest.raises(InputError) as caught:
+        frame_readings([file], "a", time=parse_time("", "10.1"))
+    assert str(caught.value) == (
+        f"{table}: frame a: jaw: expected readings before and after the image's time 10.100 s, within 0.05 s, "
+        "got the nearest 0.100 s away"
+    )
+    wider = frame_readings([file], "a", time=parse_time("", "10.1"), tolerance=100_000_000)
+    assert wider.readings["jaw"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("position: [0.59,", "position: [[0.59],", "message 1: yaw: expected a finite number in rad, got [0.59]"),
+        ("position: [0.59,", "position: [.nan,", "message 1: yaw: expected a finite number in rad, got nan"),
+        (
+            "position: [0.59,",
+            "position: [59.1,",
+            "message 1: yaw: expected radians (at most 2 pi), got 59.1: this looks",
+        ),
+        ("0.1697", "169.7", "message 1: insertion: expected metres, got 169.7: this looks like millimetres"),
+        ("name: [yaw,", "name: [", "message 1: name: expected 6 different names, one for each position, got ["),
+        ("name: [yaw,", "name: [outer_jow,", "message 1: unknown joint 'jow'; expected one of jaw, yaw, roll"),
+        ("secs: 100", "secs: -1", "message 1: header.stamp: expected whole seconds and nanoseconds, got {"),
+        (
+            "position: [0.59, -0.48, 0.1697, 0.39, -0.68, -0.36]",
+            "position: []",
+            "message 1: position: expected a list of numbers, got []",
+        ),
+        ("effort: [1.0", "effort: [*x", "expected plain values, got a YAML alias ('x')"),
+        ("effort: [1.0", "effort: [" + "[" * 30, "expected a small file, got YAML of more than 20 levels"),
+        (
+            "velocity: []",
+            "velocity: [",
+            "expected joint readings (JointState messages as YAML), got no valid YAML (line ",
+        ),
+    ],
+)
+def test_unusable_message_is_refused_with_field(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    assert old in ROS_1
+    assert message(written(tmp_path, ROS_1.replace(old, new, 1))).startswith(expected)
+
+
+# tables of recorders
+
+
+def test_data_collection_csv_is_read_by_time(tmp_path: Path) -> None:
+    file = read_joint_file(written(tmp_path, COLLECTED))
+    assert file.kind == "JointState topic /PSM1/measured_js (data_collection CSV)"
+    found = frame_readings([file], "left_1755000000.015", time=parse_time("", "1755000000.015"))
+    assert found.readings == pytest.approx({"wrist_pitch": 0.25, "insertion": 0.165})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (
+            "sensor_msgs/msg/JointState",
+            "geometry_msgs/msg/PoseStamped",
+            "# Type: expected sensor_msgs/JointState, got ",
+        ),
+        ("position.0,position.1", "p.0,p.1", "header: expected columns position.0, ..., got timestamp, effort.0"),
+        ("1755000000000000000", "soon", "line 2: time: expected a finite number of seconds, got 'soon'"),
+        (",wrist_pitch,", ",wrist_pich,", "line 2: unknown joint 'wrist_pich'; expected one of wrist_pitch"),
+    ],
+)
+def test_unusable_recording_is_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    assert message(written(tmp_path, COLLECTED.replace(old, new))).startswith(expected)
+
+
+def test_numbered_rows_match_frame_numbers_with_note(tmp_path: Path) -> None:
+    file = read_joint_file(written(tmp_path, MEASURED, "measured.csv"))
+    found = frame_readings([file], "image_0026")
+    assert found.readings == dict(zip(ARM, (-0.6, 0.04, 0.169, -0.008, -0.019, 0.003), strict=True))
+    assert found.notes == ("frame image_0026 is taken for row 26 of measured.csv, by its number",)
+    assert frame_readings([file], "0027").readings == {}
+    assert file.notes == (
+        "measured_q1 to measured_q6 are taken as yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw; "
+        "the jaw is not among them",
+    )
+
+
+def test_real_recording_of_arm_is_read(shared: Path) -> None:
+    file = read_joint_file(shared / "formats" / "recording" / "classic_measured.csv")
+    assert len(file.rows) == 299
+    assert file.joints == ARM
+    assert file.rows["0"].readings()["insertion"] == pytest.approx(0.168949, abs=1e-6)
+
+
+def test_arm_and_jaw_files_are_combined_without_common_joints(tmp_path: Path) -> None:
+    arm, jaw = read_joint_file(written(tmp_path, MEASURED, "a.csv")), read_joint_file("jaw=0.5")
+    assert frame_readings([arm, jaw], "26", single=True).readings["jaw"] == 0.5
+    with pytest.raises(InputError, match=r"joints: yaw: expected each joint in one file, got it in .*a\.csv too"):
+        frame_readings([arm, read_joint_file("yaw=0.5")], "26", single=True)
+
+
+# NumPy
+
+
+def test_numpy_files_of_six_one_or_seven_values_are_read(tmp_path: Path) -> None:
+    assert read_joints(saved(tmp_path / "joint_0026.npy", VALUES)) == dict(zip(ARM, VALUES, strict=True))
+    assert read_joints(saved(tmp_path / "jaw_0026.npy", [1.25])) == {"jaw": 1.25}
+    both = read_joints(saved(tmp_path / "all.npy", np.array([[*VALUES, 1.25]], np.float64)))
+    assert both == dict(zip((*ARM, "jaw"), (*VALUES, 1.25), strict=True))
+
+
+def test_other_numpy_files_are_refused_without_running_code(tmp_path: Path) -> None:
+    expected = "expected joint readings (a NumPy array of 6, 1 or 7 numbers), got "
+    path = tmp_path / "x.npy"
+    assert message(saved(path, [1.0, 2.0])) == "expected 6 values (" + ", ".join(ARM) + "), 1 (jaw) or all 7, got 2"
+    assert message(saved(path, np.zeros(100))) == f"{expected}float64 of shape (100,)"
+    assert message(saved(path, ["a"])) == f"{expected}<U1 of shape (1,)"
+    assert message(saved(path, [np.nan])) == "jaw: expected a finite number in rad, got nan"
+    np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    assert message(path) == f"{expected}object of shape (1,)"
+    whole = saved(path, VALUES).read_bytes()
+    path.write_bytes(whole[:-9])
+    assert message(path).startswith(f"{expected}no valid NumPy file (")
+    path.write_bytes(whole.replace(b"(6,)", b"(10**9,)"))
+    assert message(path).startswith(f"{expected}no valid NumPy file (")
+    path.write_bytes(whole.replace(b"False", b"Fals]"))
+    assert message(path).startswith(f"{expected}no valid NumPy file (")
+    path.write_bytes(whole[:6] + b"\x09\x09" + pickle.dumps(1))
+    assert message(path).startswith(f"{expected}no valid NumPy file (")
+
+
+# times
+
+
+@pytest.mark.parametrize("text", ["1755000000.000000001", "1755000000000000001", " 1.755000000000000001e9 "])
+def test_times_are_parsed_to_the_nanosecond(text: str) -> None:
+    assert parse_time("x", text) == 1755000000000000001
+
+
+def test_milliseconds_and_microseconds_are_recognised() -> None:
+    assert parse_time("x", "1755000000123") == parse_time("x", "1755000000123000") == 1755000000123000000
+
+
+@pytest.mark.parametrize("text", ["", "soon", "nan", "inf", "1e400", "1e9999999", "-9e999999"])
+def test_invalid_time_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"^x: time: expected a finite number of seconds, got "):
+        parse_time("x", text)
+
+
+def test_time_is_read_from_end_of_image_name() -> None:
+    assert time_in_name("left_1755000000.123456789") == 1755000000123456789
+    assert time_in_name("left_0026") is None
+
+
+def test_image_times_are_read_by_frame(tmp_path: Path) -> None:
+    path = written(tmp_path, "frame,time\n0026,1.5\n0027,1.6\n")
+    assert read_image_times(path) == {"0026": 1_500_000_000, "0027": 1_600_000_000}
+    for text, expected in (
+        ("frame,jaw\n", "header: expected columns frame and time, got frame, jaw"),
+        ("frame,time\na,1\na,2\n", "line 3: frame: expected each frame once, got 'a' again"),
+        ("frame,time\na,\n", "line 2: time: expected a finite number of seconds, got ''"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read_image_times(written(tmp_path, text))
+        assert str(caught.value) == f"{path}: {expected}"

@@ -1,0 +1,99 @@
+"""Refinement under correlated outline noise by generalised least squares: its accuracy and its conditions."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
+from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.silhouette import Body, Renderer
+
+CAMERA = Camera(640, 480, 880, 880, 330, 250)
+POSE = lookat_pose(0.2, 0.3, 1.0, 0.12)
+JOINTS = np.array([0.4, -0.3, 0.5])
+READ = JOINTS + np.array([0.1, -0.1, 0.15])
+
+
+def noisy_mask(body: Body, seed: int, size: float = 1.0) -> np.ndarray:
+    """Give the silhouette with its outline moved by smooth errors: std ``size`` px, correlation length about 20 px."""
+    exact = Renderer(body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+    waves = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(exact.shape), (0, 0), 6.0)
+    return signed_distance(exact) < size * waves / waves.std()
+
+
+def refiner(body: Body, mask: np.ndarray) -> OutlineRefiner:
+    low, high = body.instrument.limits.T
+    readings = Readings(READ, np.deg2rad([10, 10, 15]), low, high)
+    evidence = gather_evidence(mask, CAMERA, body.instrument)
+    return OutlineRefiner(Renderer(body, CAMERA), evidence, readings, OutlineConfig())
+
+
+def tip_error(body: Body, pose: np.ndarray, joints: np.ndarray) -> float:
+    """Give the root mean square error of the jaw tips, mm."""
+    found, true = (body.instrument.tips(q) @ t[:3, :3].T + t[:3, 3] for t, q in ((pose, joints), (POSE, JOINTS)))
+    return float(1e3 * np.sqrt(((found - true) ** 2).sum(axis=1).mean()))
+
+
+def axis_error(pose: np.ndarray) -> float:
+    """Give the angle between the shaft's axis and the true one, deg."""
+    return float(np.degrees(np.linalg.norm(np.cross(pose[:3, 2], POSE[:3, 2]))))
+
+
+def test_modelled_correlation_reduces_errors(bundled_body: Body) -> None:
+    rng = np.random.default_rng(5)
+    tips, axes = [], []
+    for seed in range(8):
+        at = refiner(bundled_body, noisy_mask(bundled_body, seed))
+        start = moved(POSE, rng.normal(size=6) * [3e-4, 3e-4, 1e-3, 0.03, 0.03, 0.08])
+        fit = at.refine_all(start[None], JOINTS[None] + 0.1 * rng.normal(size=(1, 3)))[0]
+        fit = at.refine_all(fit.camera_from_root[None], fit.joints[None], cauchy=OutlineConfig.last_cauchy)[0]
+        poses = (fit.camera_from_root, fit.joints), fit_correlated(at, fit.camera_from_root, fit.joints)
+        tips.append([tip_error(bundled_body, *one) for one in poses])
+        axes.append([axis_error(pose) for pose, _ in poses])
+    before, after = np.sqrt(np.mean(np.square(axes), axis=0))
+    assert after < 0.7 * before
+    assert after < 1.0
+    before, after = np.mean(tips, axis=0)
+    assert after < 0.9 * before
+
+
+def test_correlated_noise_is_recognised(bundled_body: Body) -> None:
+    exact = Renderer(bundled_body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+    for size, expected in ((1.0, True), (0.0, False)):
+        evidence = gather_evidence(noisy_mask(bundled_body, 1, size), CAMERA, bundled_body.instrument)
+        assert has_correlated_noise(measure_noise(evidence.contour, exact)) == expected
+    assert not has_correlated_noise(OutlineNoise(sigma=1.5, length=35.0))
+
+
+def test_outliers_are_rejected(bundled_body: Body) -> None:
+    mask = noisy_mask(bundled_body, 1)
+    bitten = mask.copy()
+    row, column = np.argwhere(mask)[len(np.argwhere(mask)) // 3]
+    cv2.circle(blob := np.zeros(mask.shape, dtype=np.uint8), (int(column), int(row)), 14, 1, -1)
+    bitten[blob > 0] = False
+    whole, less = (fit_correlated(refiner(bundled_body, one), POSE, JOINTS) for one in (mask, bitten))
+    assert tip_error(bundled_body, *less) < tip_error(bundled_body, *whole) + 0.15
+
+
+def test_pose_far_from_mask_is_unchanged(bundled_body: Body) -> None:
+    away = POSE.copy()
+    away[:3, 3] += [0.5, 0.3, 0.0]
+    pose, joints = fit_correlated(refiner(bundled_body, noisy_mask(bundled_body, 0)), away, JOINTS)
+    np.testing.assert_array_equal(pose, away)
+    np.testing.assert_array_equal(joints, JOINTS)
+
+
+def test_limited_number_of_points_suffices(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = refiner(bundled_body, noisy_mask(bundled_body, 2))
+    every = fit_correlated(at, POSE, JOINTS)
+    monkeypatch.setattr("dvrk_cmaes.pose.refine.correlated_noise._MOST_POINTS", 300)
+    assert tip_error(bundled_body, *fit_correlated(at, POSE, JOINTS)) < 2 * tip_error(bundled_body, *every) + 0.1

@@ -1,0 +1,69 @@
+"""Refinement on the outline: convergence from nearby starts, and finite results from distant ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.geometry import moved, rotation_angle
+from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.silhouette import Body, Renderer
+
+CAMERA = Camera(640, 480, 880, 880, 330, 250)
+JOINTS = np.array([0.4, -0.3, 0.5])
+SPREAD = np.deg2rad([10, 10, 15])
+
+
+def pose() -> np.ndarray:
+    from dvrk_cmaes.pose.search.starts import lookat_pose
+
+    return lookat_pose(0.5, 1.0, 0.7, 0.11)
+
+
+def refiner(body: Body, readings: np.ndarray, shrink: int = 1, **settings: float) -> OutlineRefiner:
+    renderer = Renderer(body, CAMERA)
+    mask = renderer.coverage(pose()[None], JOINTS[None])[0] > 0.5
+    evidence = gather_evidence(mask, CAMERA, body.instrument)
+    limits = body.instrument.limits.T
+    known = Readings(readings, SPREAD, limits[0], limits[1])
+    return OutlineRefiner(renderer, evidence, known, OutlineConfig(**settings), shrink=shrink)
+
+
+@pytest.mark.parametrize("shrink", [1, 2, 4])
+def test_nearby_start_converges_to_truth(bundled_body: Body, shrink: int) -> None:
+    start = moved(pose(), np.array([3e-4, -3e-4, 5e-4, 0.01, -0.01, 0.05]))
+    fit = refiner(bundled_body, JOINTS, shrink).refine_all(start[None], JOINTS[None] + 0.05)[0]
+    # The tolerance grows with the pixel size.
+    assert np.linalg.norm(fit.camera_from_root[:3, 3] - pose()[:3, 3]) < 1.5e-4 * shrink
+    assert rotation_angle(fit.camera_from_root, pose()) < np.deg2rad(0.8) * shrink
+    np.testing.assert_allclose(fit.joints, JOINTS, atol=np.deg2rad(0.8) * shrink)
+
+
+def test_batch_agrees_with_single_refinements(bundled_body: Body) -> None:
+    at = refiner(bundled_body, JOINTS, 4)
+    starts = np.stack([moved(pose(), np.array([0, 0, 0, 0.01 * i, 0, 0.05 * i])) for i in range(4)])
+    together = at.refine_all(starts, np.tile(JOINTS, (4, 1)))
+    for start, fit in zip(starts, together, strict=True):
+        alone = at.refine_all(start[None], JOINTS[None])[0]
+        assert alone.score == pytest.approx(fit.score, abs=0.5)
+
+
+def test_weight_of_readings_follows_correlation(bundled_body: Body) -> None:
+    off = JOINTS + np.array([0.2, 0, 0])
+    weak, strong = (
+        refiner(bundled_body, off, 4, correlation=length).refine_all(pose()[None], JOINTS[None])[0].joints[0]
+        for length in (1.0, 1e5)
+    )
+    assert abs(weak - JOINTS[0]) < 0.25 * abs(strong - JOINTS[0])
+
+
+def test_silhouette_outside_window_gives_finite_score(bundled_body: Body) -> None:
+    away = moved(pose(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    away[:3, 3] += [0.5, 0.3, 0.0]
+    fit = refiner(bundled_body, JOINTS).refine_all(np.stack([away, pose()]), np.tile(JOINTS, (2, 1)))
+    assert np.isfinite(fit[0].score)
+    assert fit[1].score < fit[0].score

@@ -1,0 +1,77 @@
+"""The global searches and the direct refinements on a loss with known minimum."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.pose.refine.direct import refine_direct
+from dvrk_cmaes.pose.search import METHODS, minimise
+
+GOAL = np.array([0.7, -0.4, 1.1])
+
+
+def bowl(candidates: np.ndarray) -> np.ndarray:
+    return ((candidates - GOAL) ** 2).sum(axis=1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_search_approaches_minimum_within_budget(method: str) -> None:
+    found = minimise(method, bowl, 3, 1500, seed=1)
+    assert found.loss == pytest.approx(float(bowl(found.best[None])[0]))
+    assert np.abs(found.best - GOAL).max() < 0.35
+    assert found.evaluations <= 1500
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_same_seed_gives_same_result(method: str) -> None:
+    first, second = (minimise(method, bowl, 3, 200, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(first.best, second.best)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_exception_of_loss_is_propagated(method: str) -> None:
+    calls = 0
+
+    def broken(candidates: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls > 2:
+            raise ZeroDivisionError("on purpose")
+        return bowl(candidates)
+
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        minimise(method, broken, 3, 200, seed=0)
+
+
+def test_unknown_search_is_refused() -> None:
+    with pytest.raises(InputError, match="search: expected one of cmaes"):
+        minimise("cma-es", bowl, 3, 10, seed=0)
+
+
+def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
+    code = (
+        "import sys; import numpy as np; from dvrk_cmaes.pose.search import minimise; "
+        "before = 'cmaes' in sys.modules; "
+        "minimise('cmaes', lambda x: (x * x).sum(axis=1), 3, 40, seed=0); "
+        "print(before, 'cmaes' in sys.modules, 'scipy.stats' in sys.modules); "
+        "from scipy import stats; print(stats.norm)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split()[:3] == ["False", "True", "False"]
+
+
+@pytest.mark.parametrize("method", ["coordinate-descent", "bobyqa", "sbplx"])
+def test_direct_refinement_reduces_loss(method: str) -> None:
+    best, loss, count = refine_direct(method, _wide, 7, 500, seed=0)
+    assert loss < 0.05 * float(_wide(np.zeros((1, 7)))[0])
+    assert loss == pytest.approx(float(_wide(best[None])[0]))
+    assert count <= 500
+
+
+def _wide(candidates: np.ndarray) -> np.ndarray:
+    return ((candidates - np.linspace(-0.5, 0.5, 7)) ** 2).sum(axis=1)

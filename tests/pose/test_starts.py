@@ -1,0 +1,164 @@
+"""Start poses of the search: LookAt poses, free or on the axis given by two shaft edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import LookAtRange
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.pose.search.starts import lookat_pose, sample_joints, sample_lookat, sample_on_axis, sample_uniform
+from dvrk_cmaes.silhouette import Body
+
+CAMERA = Camera(640, 480, 858.9, 934.9, 422.9, 284.2, (-0.2484, 0.2681, 0.0048, -0.0033))
+LIMITS = LookAtRange()
+DIRECTION = np.array([0.6, -0.48, 0.64])
+POINT = np.array([0.01, 0.02, 0.12])
+
+
+def on_axis(count: int = 200, tilt: float = 0.0, seed: int = 3) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return sample_on_axis(count, DIRECTION, POINT, (-0.02, 0.03), tilt, rng, pivot=-0.04)
+
+
+def assert_rigid(poses: np.ndarray) -> None:
+    np.testing.assert_allclose(inverse(poses) @ poses, np.broadcast_to(np.eye(4), poses.shape), atol=1e-12)
+    assert (np.linalg.det(poses[:, :3, :3]) > 0).all()
+
+
+@given(*[st.floats(-7, 7)] * 3, st.floats(0.01, 1))
+def test_lookat_pose_is_rotation_about_z_x_y(alpha: float, beta: float, gamma: float, distance: float) -> None:
+    pose = lookat_pose(alpha, beta, gamma, distance)
+    turns = [Rotation.from_rotvec(v).as_matrix() for v in ([0, gamma, 0], [alpha, 0, 0], [0, 0, beta])]
+    expected = turns[0] @ turns[1] @ turns[2]
+    np.testing.assert_allclose(pose[:3, :3], expected, atol=1e-12)
+    np.testing.assert_array_equal(pose[:3, 3], [0, 0, distance])
+
+
+def test_lookat_poses_broadcast() -> None:
+    alpha, gamma = np.linspace(-1, 1, 5)[:, None], np.linspace(-1, 1, 4)
+    poses = lookat_pose(alpha, 0.3, gamma, 0.1)
+    assert poses.shape == (5, 4, 4, 4)
+    np.testing.assert_allclose(poses[3, 1], lookat_pose(alpha[3, 0], 0.3, gamma[1], 0.1), atol=1e-15)
+
+
+def test_lookat_samples_fill_their_limits() -> None:
+    limits = LookAtRange(tilt=0.7, near=0.06, far=0.1)
+    poses = sample_lookat(2000, limits, np.random.default_rng(0), camera=CAMERA)
+    assert_rigid(poses)
+    gamma, alpha, beta = Rotation.from_matrix(poses[:, :3, :3]).as_euler("YXZ").T
+    for value, low, high in (
+        (alpha, -0.7, 0.7),
+        (gamma, -0.7, 0.7),
+        (beta, -np.pi, np.pi),
+        (poses[:, 2, 3], 0.06, 0.1),
+    ):
+        assert low <= value.min() < low + 0.02 * (high - low)
+        assert high - 0.02 * (high - low) < value.max() <= high
+        assert value.mean() == pytest.approx((low + high) / 2, abs=0.05 * (high - low))
+    np.testing.assert_array_equal(poses[:, :2, 3], 0)
+
+
+def test_lookat_shafts_point_away_from_camera() -> None:
+    poses = sample_lookat(1000, LIMITS, np.random.default_rng(1), camera=CAMERA)
+    assert (poses[:, 2, 2] > 0).all()
+
+
+def test_lookat_samples_at_pixels_project_to_them() -> None:
+    pixels = np.array([[12.0, 34.0], [600.0, 20.0], [300.0, 460.0]])
+    poses = sample_lookat(300, LIMITS, np.random.default_rng(2), camera=CAMERA, pixels=pixels)
+    assert_rigid(poses)
+    distance = np.linalg.norm(poses[:, :3, 3], axis=1)
+    assert (distance > LIMITS.near).all()
+    assert (distance < LIMITS.far).all()
+    away = np.linalg.norm(CAMERA.project(poses[:, :3, 3])[:, None] - pixels, axis=2)
+    assert away.min(axis=1).max() < 1e-6
+    assert set(away.argmin(axis=1)) == {0, 1, 2}
+
+
+def test_lookat_sample_at_principal_point_is_unrotated() -> None:
+    pinhole = Camera(640, 480, 880, 880, 445, 190)
+    centre = np.array([[445.0, 190.0]])
+    plain = sample_lookat(20, LIMITS, np.random.default_rng(4), camera=pinhole)
+    aimed = sample_lookat(20, LIMITS, np.random.default_rng(4), camera=pinhole, pixels=centre)
+    np.testing.assert_allclose(aimed, plain, atol=1e-12)
+
+
+def test_samples_on_axis_keep_shaft_on_axis() -> None:
+    poses = on_axis()
+    assert_rigid(poses)
+    np.testing.assert_allclose(poses[:, :3, 2], np.broadcast_to(DIRECTION, (200, 3)), atol=1e-12)
+    along = (poses[:, :3, 3] - POINT) @ DIRECTION
+    np.testing.assert_allclose(poses[:, :3, 3], POINT + along[:, None] * DIRECTION, atol=1e-12)
+    assert -0.02 <= along.min() < -0.018
+    assert 0.028 < along.max() <= 0.03
+
+
+def test_samples_on_axis_have_even_roll_angles() -> None:
+    poses = on_axis(count=60)
+    relative = poses[0, :3, :3].T @ poses[:, :3, :3]
+    turn = np.sort(np.arctan2(relative[:, 1, 0], relative[:, 0, 0]))
+    gaps = np.diff(np.r_[turn, turn[0] + 2 * np.pi])
+    assert gaps.max() <= 2 * (2 * np.pi / 60) + 1e-12
+
+
+def test_tilt_rotates_axis_in_plane_of_camera_centre() -> None:
+    poses = on_axis(count=3000, tilt=0.1)
+    assert_rigid(poses)
+    pivot = POINT - 0.04 * DIRECTION
+    axis = poses[:, :3, 2]
+    from_pivot = poses[:, :3, 3] - pivot
+    np.testing.assert_allclose(np.cross(from_pivot, axis), 0, atol=1e-12)
+    normal = np.cross(pivot, DIRECTION)
+    np.testing.assert_allclose(axis @ normal, 0, atol=1e-12)
+    angle = np.arcsin(np.cross(DIRECTION, axis) @ normal / np.linalg.norm(normal))
+    assert angle.std() == pytest.approx(0.1, rel=0.1)
+    assert angle.mean() == pytest.approx(0, abs=0.01)
+
+
+def test_joint_samples_follow_readings_within_limits(bundled_body: Body) -> None:
+    instrument = bundled_body.instrument
+    low, high = instrument.limits.T
+    readings, spread = np.array([0.2, np.nan, high[2] - 0.01]), np.array([0.1, 0.1, 0.2])
+    joints = sample_joints(readings, spread, low, high, 4000, np.random.default_rng(5))
+    assert joints.shape == (4000, 3)
+    assert (joints >= low).all()
+    assert (joints <= high).all()
+    assert joints[:, 0].mean() == pytest.approx(0.2, abs=0.01)
+    assert joints[:, 0].std() == pytest.approx(0.1, rel=0.1)
+    unknown = (joints[:, 1] - low[1]) / (high[1] - low[1])
+    np.testing.assert_allclose(np.quantile(unknown, [0.1, 0.5, 0.9]), [0.1, 0.5, 0.9], atol=0.03)
+    assert (joints[:, 2] == high[2]).mean() == pytest.approx(0.48, abs=0.05)
+
+
+def test_uniform_samples_are_uniform_and_in_view() -> None:
+    poses = sample_uniform(4000, LIMITS, np.random.default_rng(6), camera=CAMERA)
+    assert_rigid(poses)
+    np.testing.assert_allclose(poses[:, :3, :3].mean(axis=0), 0, atol=0.04)
+    # The trace of a uniform rotation squared is 1 on average.
+    assert (np.trace(poses[:, :3, :3], axis1=1, axis2=2) ** 2).mean() == pytest.approx(1, abs=0.08)
+    pixels = CAMERA.project(poses[:, :3, 3])
+    assert (pixels > -1).all()
+    assert (pixels < [641, 481]).all()
+    assert poses[:, 2, 3].min() >= LIMITS.near
+    assert poses[:, 2, 3].max() <= LIMITS.far
+
+
+@pytest.mark.parametrize("name", ["lookat", "uniform", "axis", "joints"])
+def test_samples_depend_on_seed(name: str) -> None:
+    def draw(seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        if name == "lookat":
+            return sample_lookat(8, LIMITS, rng, camera=CAMERA, pixels=np.array([[1.0, 2.0], [300, 200]]))
+        if name == "uniform":
+            return sample_uniform(8, LIMITS, rng, camera=CAMERA)
+        if name == "axis":
+            return on_axis(8, tilt=0.1, seed=seed)
+        return sample_joints(np.array([0.1, np.nan, 0.2]), np.full(3, 0.1), np.full(3, -1.0), np.ones(3), 8, rng)
+
+    np.testing.assert_array_equal(draw(1), draw(1))
+    assert not np.array_equal(draw(1), draw(2))

@@ -1,0 +1,346 @@
+"""``dvrk-cmaes import``: ROS 1 and ROS 2 recordings and videos are converted to sessions."""
+
+from __future__ import annotations
+
+import csv
+import json
+import weakref
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from helpers.made_recordings import (
+    ARM,
+    BEGIN,
+    KINDS,
+    SECOND,
+    Message,
+    camera_info,
+    compressed,
+    good,
+    image,
+    jaw,
+    joints,
+    pixels,
+    stamped,
+    sweep,
+    write_bag,
+    write_video,
+)
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
+from dvrk_cmaes.recording.write_session import Selection, write_session
+
+CAMERA = Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (-0.21, 0.1, 1e-05, -2e-05, 0.0))
+WRITTEN = ["camera.yaml", "images", "images.csv", "joints.csv"]
+
+Import = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def imported(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Import:
+    """Import into ``session`` in an empty folder, and give the summary."""
+    monkeypatch.chdir(tmp_path)
+
+    def go(source: Path, *arguments: object) -> dict[str, Any]:
+        code = main(["import", str(source), "--out", "session", "--json", *map(str, arguments)])
+        printed = capsys.readouterr()
+        assert code == 0, printed.err
+        summary: dict[str, Any] = json.loads(printed.out)
+        return {**summary, "said": printed.err}
+
+    return go
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    with open(Path("session") / name, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+# ROS recordings
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_recording_is_imported_as_session(imported: Import, tmp_path: Path, kind: str) -> None:
+    summary = imported(write_bag(tmp_path / "bag", kind, good()))
+    assert sorted(path.name for path in Path("session").iterdir()) == WRITTEN
+    assert sorted(tmp_path.glob(".*")) == []
+    session = read_session("session")
+    assert session.camera == CAMERA
+    assert [frame.name for frame in session.frames] == [f"{k:06d}" for k in range(5)]
+    for k, frame in enumerate(session.frames):
+        time = BEGIN + k * SECOND // 10
+        assert frame.mask is None
+        assert frame.image is not None
+        assert np.array_equal(read_image(frame.image), pixels(k))
+        expected = {**dict(zip(ARM, sweep(time), strict=True)), "jaw": 0.25 * (time - BEGIN) / SECOND}
+        # the jaw's messages are 3 ms late, and are interpolated to the images' times too
+        assert frame.readings == pytest.approx({**expected, "jaw": expected["jaw"] - 0.25 * 0.003}, abs=1e-8)
+    assert [row["time"] for row in rows("images.csv")] == [f"1795000000.{k}23456789" for k in range(1, 6)]
+    assert [row["time"] for row in rows("joints.csv")] == [row["time"] for row in rows("images.csv")]
+    assert (summary["images"], summary["frames"], summary["size"]) == (5, 5, [64, 48])
+    arm, own = summary["readings"]
+    assert (arm["source"], arm["frames"], arm["without"]) == ("/PSM1/measured_js", 5, 0)
+    assert own["joints"] == ["jaw"]
+    assert arm["farthest_s"] == pytest.approx(0.013)
+    assert "times: those of the headers" in summary["notes"]
+
+
+def test_summary_lists_topics_and_reading_distances(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "run", "ros1", good())
+    assert main(["import", "run.bag", "--out", "session"]) == 0
+    assert capsys.readouterr() == (
+        """5 frames of 5 images, 64 x 48
+  images: /left/image_raw
+  camera: /left/camera_info
+  times: those of the headers
+  yaw pitch insertion roll wrist_pitch wrist_yaw: /PSM1/measured_js
+  jaw: /PSM1/jaw/measured_js
+  /PSM1/measured_js: 5 frames with readings, 0 without, from readings at most 13.0 ms away
+  /PSM1/jaw/measured_js: 5 frames with readings, 0 without, from readings at most 16.0 ms away
+written: session
+""",
+        "",
+    )
+
+
+def test_subset_of_images_keeps_numbers(imported: Import, tmp_path: Path) -> None:
+    summary = imported(write_bag(tmp_path / "bag", "mcap", good(12)), "--every", 3, "--start", 0.15, "--end", 0.95)
+    assert [row["frame"] for row in rows("images.csv")] == ["000002", "000005", "000008"]
+    assert (summary["images"], summary["frames"]) == (12, 3)
+    for number in (2, 5, 8):
+        assert np.array_equal(read_image(Path(f"session/images/{number:06d}.png")), pixels(number))
+
+
+def test_frames_without_near_readings_are_counted(imported: Import, tmp_path: Path) -> None:
+    first, last = BEGIN + SECOND // 10, BEGIN + 3 * SECOND // 10
+    gap = [m for m in good() if m.kind != "JointState" or m.topic.endswith("jaw/measured_js") or m.time < first]
+    summary = imported(write_bag(tmp_path / "bag", "mcap", [*gap, joints(last, sweep(last))]))
+    assert [row["wrist_yaw"] != "" for row in rows("joints.csv")] == [True, False, False, True, False]
+    assert all(row["jaw"] for row in rows("joints.csv"))
+    arm = summary["readings"][0]
+    assert (arm["frames"], arm["without"]) == (2, 3)
+    assert arm["nearest_s"] == pytest.approx(0.007)
+    assert summary["said"] == ("dvrk-cmaes: warning: /PSM1/measured_js: 3 of 5 frames have no readings within 0.05 s\n")
+    assert read_session("session").frames[1].readings.keys() == {"jaw"}
+
+
+@pytest.mark.parametrize(("tolerance", "without"), [(0.0161, 0), (0.0159, 5)])
+def test_tolerance_applies_to_both_neighbouring_readings(
+    imported: Import, tmp_path: Path, tolerance: float, without: int
+) -> None:
+    exact = jaw(BEGIN + SECOND, 0.1)
+    far = image(BEGIN + SECOND, pixels(7))
+    bag = write_bag(tmp_path / "bag", "mcap", [*good(), far, exact, joints(BEGIN + SECOND, sweep(BEGIN))])
+    assert [one["without"] for one in imported(bag, "--tolerance", tolerance)["readings"]] == [0, without]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "stored", "seen"),
+    [
+        ("rgb8", pixels(1)[:, :, ::-1], pixels(1)),
+        ("bgra8", np.dstack([pixels(1), pixels(2, 1)]), pixels(1)),
+        ("rgba8", np.dstack([pixels(1)[:, :, ::-1], pixels(2, 1)]), pixels(1)),
+        ("mono8", pixels(1, 1), np.repeat(pixels(1, 1), 3, axis=2)),
+    ],
+)
+def test_image_encodings_give_same_image(
+    imported: Import, tmp_path: Path, encoding: str, stored: np.ndarray, seen: np.ndarray
+) -> None:
+    messages = [m for m in good(1) if m.kind != "Image"]
+    imported(write_bag(tmp_path / "bag", "ros1", [*messages, image(BEGIN, stored, encoding, pad=5)]))
+    assert np.array_equal(read_image(Path("session/images/000000.png")), seen)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_patterns_are_decoded(imported: Import, tmp_path: Path, pattern: str) -> None:
+    colour = {"r": 200, "g": 120, "b": 40}
+    mosaic = np.tile(np.array([colour[c] for c in pattern], np.uint8).reshape(2, 2), (24, 32))[:, :, None]
+    messages = [m for m in good(1) if m.kind != "Image"]
+    imported(write_bag(tmp_path / "bag", "mcap", [*messages, image(BEGIN, mosaic, f"bayer_{pattern}8")]))
+    inner = read_image(Path("session/images/000000.png"))[4:-4, 4:-4]
+    assert np.unique(inner.reshape(-1, 3), axis=0).tolist() == [[40, 120, 200]]
+
+
+@pytest.mark.parametrize("encoding", ["yuv422", "yuv422_yuy2"])
+def test_yuv422_orders_are_decoded(imported: Import, tmp_path: Path, encoding: str) -> None:
+    luma, u, v = 150, 90, 200
+    pair = [u, luma, v, luma] if encoding == "yuv422" else [luma, u, luma, v]
+    stored = np.tile(np.array(pair, np.uint8), (48, 32)).reshape(48, 64, 2)
+    messages = [m for m in good(1) if m.kind != "Image"]
+    imported(write_bag(tmp_path / "bag", "mcap", [*messages, image(BEGIN, stored, encoding)]))
+    # ITU-R BT.601, limited range
+    y, cb, cr = 1.164 * (luma - 16), u - 128, v - 128
+    expected = [y + 2.018 * cb, y - 0.392 * cb - 0.813 * cr, min(y + 1.596 * cr, 255)]
+    np.testing.assert_allclose(read_image(Path("session/images/000000.png"))[20, 20], expected, atol=1.5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("extension", [".jpg", ".png"])
+def test_compressed_images_are_copied_unchanged(imported: Import, tmp_path: Path, kind: str, extension: str) -> None:
+    data = cv2.imencode(extension, pixels(3))[1].tobytes()
+    messages = [m for m in good(1) if m.kind != "Image"]
+    summary = imported(write_bag(tmp_path / "bag", kind, [*messages, compressed(BEGIN, data)]))
+    assert (Path("session/images") / f"000000{extension}").read_bytes() == data
+    assert "camera: /left/camera_info" in summary["notes"]
+
+
+def renamed(messages: list[Message], topics: dict[str, str]) -> list[Message]:
+    return [replace(m, topic=topics.get(m.topic, m.topic)) for m in messages]
+
+
+def test_older_dvrk_names_are_known(imported: Import, tmp_path: Path) -> None:
+    old = {
+        "/PSM1/measured_js": "/dvrk/PSM1/state_joint_current",
+        "/PSM1/jaw/measured_js": "/dvrk/PSM1/state_jaw_current",
+    }
+    messages = [
+        replace(m, fields={**m.fields, "name": [f"outer_{name}" for name in ARM]})
+        if m.topic.endswith("1/measured_js")
+        else m
+        for m in good()
+    ]
+    imported(write_bag(tmp_path / "bag", "ros1", renamed(messages, old)))
+    assert list(read_session("session").frames[2].readings) == [*ARM, "jaw"]
+
+
+def test_unnamed_joints_are_in_dvrk_order_with_note(imported: Import, tmp_path: Path) -> None:
+    nameless = [replace(m, fields={**m.fields, "name": []}) if m.kind == "JointState" else m for m in good()]
+    summary = imported(write_bag(tmp_path / "bag", "mcap", nameless))
+    assert list(read_session("session").frames[0].readings) == [*ARM, "jaw"]
+    assert (
+        "/PSM1/measured_js, /PSM1/jaw/measured_js: joints are not named: taken in the dVRK's order, by their number"
+        in summary["notes"]
+    )
+
+
+def test_topics_may_be_chosen(imported: Import, tmp_path: Path) -> None:
+    second = {name: name.replace("left", "right").replace("PSM1", "PSM2") for name in {m.topic for m in good()}}
+    other = [m for m in good() if m.kind != "CameraInfo"]
+    other.append(camera_info(BEGIN, k=np.array([99.0, 0, 31.5, 0, 99.0, 22.0, 0, 0, 1])))
+    bag = write_bag(tmp_path / "bag", "mcap", [*good(), *renamed(other, second)])
+    summary = imported(bag, "--image-topic", "/right/image_raw", "--joints-topic", "PSM2/measured_js")
+    assert summary["notes"][:2] == ["images: /right/image_raw", "camera: /right/camera_info"]
+    assert [one["source"] for one in summary["readings"]] == ["/PSM2/measured_js", "/PSM2/jaw/measured_js"]
+    assert read_session("session").camera.fx == 99
+
+
+def test_joints_or_jaw_may_be_left_out(imported: Import, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", "mcap", good())
+    assert len(imported(bag, "--jaw-topic", "none")["readings"]) == 1
+    assert list(rows("joints.csv")[0]) == ["frame", "time", *ARM]
+    assert imported(bag, "--joints-topic", "none", "--overwrite")["readings"] == []
+    assert [frame.readings for frame in read_session("session").frames] == [{}] * 5
+
+
+def test_missing_jaw_topic_is_noted(imported: Import, tmp_path: Path) -> None:
+    summary = imported(write_bag(tmp_path / "bag", "mcap", [m for m in good() if "jaw" not in m.topic]))
+    assert "jaw: not read" in summary["notes"]
+
+
+def test_recording_times_replace_missing_header_times(imported: Import, tmp_path: Path) -> None:
+    messages = [m for m in good() if m.kind != "JointState"] + stamped([m for m in good() if m.kind == "JointState"], 0)
+    summary = imported(write_bag(tmp_path / "bag", "ros1", messages))
+    note = "times: those of recording, for headers on /PSM1/measured_js, /PSM1/jaw/measured_js have none"
+    assert note in summary["notes"]
+    assert [one["without"] for one in summary["readings"]] == [0, 0]
+
+
+def test_recording_times_on_request(imported: Import, tmp_path: Path) -> None:
+    late = [replace(m, stamp=m.time - 7 * SECOND) if m.kind == "Image" else m for m in good()]
+    summary = imported(write_bag(tmp_path / "bag", "mcap", late), "--recorded-times")
+    assert rows("images.csv")[0]["time"] == "1795000000.123456789"
+    assert [one["without"] for one in summary["readings"]] == [0, 0]
+
+
+def test_changing_camera_and_rectified_images_are_noted(imported: Import, tmp_path: Path) -> None:
+    zoomed = camera_info(BEGIN + 9, k=np.array([99.0, 0, 31.5, 0, 99.0, 22.1, 0, 0, 1]))
+    messages = renamed([*good(), zoomed], {"/left/image_raw": "/left/image_rect_color"})
+    notes = imported(write_bag(tmp_path / "bag", "mcap", messages))["notes"]
+    assert "camera: /left/camera_info (the first: 1 later messages differ from it)" in notes
+    assert any("--rectified" in note for note in notes)
+    assert read_session("session").camera == CAMERA
+
+
+def test_camera_and_readings_from_files(imported: Import, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", "mcap", [m for m in good() if m.kind == "Image"])
+    camera = tmp_path / "kamera.yaml"
+    camera.write_text("width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n")
+    table = tmp_path / "table.csv"
+    table.write_text("time,jaw\n1795000000.1,0.5\n1795000000.2,0.7\n1795000000.6,0.7\n")
+    imported(bag, "--camera", camera, "--joints", table, "--tolerance", 0.09)
+    assert (Path("session") / "camera.yaml").read_bytes() == camera.read_bytes()
+    assert [row["jaw"] for row in rows("joints.csv")] == ["0.546913578", "", "", "", ""]
+
+
+def test_file_of_ros_2_folder_is_read(imported: Import, tmp_path: Path) -> None:
+    for kind, suffix in (("mcap", ".mcap"), ("sqlite3", ".db3")):
+        folder = write_bag(tmp_path / kind, kind, good())
+        assert imported(folder / f"{kind}{suffix}", "--overwrite")["frames"] == 5
+
+
+def test_unicode_names_are_read(imported: Import, tmp_path: Path) -> None:
+    for kind in KINDS:
+        assert imported(write_bag(tmp_path / f"щипцы {kind}", kind, good()), "--overwrite")["frames"] == 5
+    video = write_video(tmp_path / "镜 头.avi")
+    (tmp_path / "t.csv").write_text("time,jaw\n0,0.5\n1,0.5\n")
+    arguments = ("--camera", "session/camera.yaml", "--joints", "t.csv", "--tolerance", 1)
+    (tmp_path / "camera.yaml").write_bytes(Path("session/camera.yaml").read_bytes())
+    assert imported(video, *arguments, "--overwrite")["frames"] == 10
+
+
+def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:
+    loaded: list[weakref.ref[ImageFile]] = []
+
+    def load() -> ImageFile:
+        assert all(file() is None for file in loaded[:-1])
+        file = ImageFile(cv2.imencode(".png", pixels(0))[1].tobytes(), ".png", 64, 48)
+        loaded.append(weakref.ref(file))
+        return file
+
+    images = (RecordedImage(k, k, load) for k in range(20))
+    camera = b"width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n"
+    recording = Recording(tmp_path / "r.bag", images, None, camera, (), ())
+    summary = write_session(recording, tmp_path / "s", selection=Selection(), tolerance=0.05)
+    assert summary.frames == len(loaded) == 20
+
+
+# videos
+
+
+def test_video_is_imported_with_readings(imported: Import, tmp_path: Path) -> None:
+    imported(write_bag(tmp_path / "bag", "mcap", good()))
+    camera = Path("session/camera.yaml").rename(tmp_path / "camera.yaml")
+    video = write_video(tmp_path / "video.avi")
+    table = [
+        "time,wrist_pitch,jaw",
+        *(f"{100 + 0.01 * k:.3f},{0.01 * k:.4f},{'' if k > 30 else 0.2}" for k in range(60)),
+    ]
+    (tmp_path / "readings.csv").write_text("\n".join(table))
+    arguments = ("--camera", camera, "--joints", tmp_path / "readings.csv", "--video-start", 100.005, "--every", 3)
+    (Path("session") / "camera.yaml").touch()
+    summary = imported(video, *arguments, "--overwrite")
+    assert [row["time"] for row in rows("images.csv")] == [f"100.{ms}000000" for ms in ("005", "125", "245", "365")]
+    frames = read_session("session").frames
+    assert [frame.name for frame in frames] == ["000000", "000003", "000006", "000009"]
+    assert [frame.readings.get("wrist_pitch") for frame in frames] == pytest.approx([0.005, 0.125, 0.245, 0.365])
+    assert [frame.readings.get("jaw") for frame in frames] == [0.2, 0.2, 0.2, None]
+    assert [(one["joints"], one["frames"], one["without"]) for one in summary["readings"]] == [
+        (["wrist_pitch"], 4, 0),
+        (["jaw"], 3, 1),
+    ]
+    for frame in frames:
+        assert frame.image is not None
+        assert np.array_equal(read_image(frame.image), pixels(int(frame.name)))
+    assert "times: the video's, its first frame at 100.005 s of the readings' clock" in summary["notes"]

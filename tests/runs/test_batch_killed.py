@@ -1,0 +1,89 @@
+"""A batch that is interrupted or killed, or loses a worker: no lost results, no partial files."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from helpers.batch_sessions import QUICK, make_session
+from helpers.places import SCRIPTS
+
+COMMAND = [sys.executable, "-m", "dvrk_cmaes", "batch"]
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str]:
+    session = make_session(tmp_path / "session", [f"{k:02d}" for k in range(8)])
+    (tmp_path / "quick.toml").write_text(QUICK)
+    options = ["--config", tmp_path / "quick.toml", "--out", tmp_path / "out", "--workers", "2"]
+    return [*COMMAND, str(session), *map(str, options)]
+
+
+def results(tmp_path: Path) -> list[Path]:
+    return list((tmp_path / "out" / "frames").glob("*.json"))
+
+
+def wait_for_results(batch: subprocess.Popen[str], count: int, tmp_path: Path) -> None:
+    """Wait until a running batch has written ``count`` results."""
+    limit = time.monotonic() + 100
+    while len(results(tmp_path)) < count:
+        if batch.poll() is not None or time.monotonic() > limit:
+            batch.kill()
+            pytest.fail(f"{len(results(tmp_path))} results only; exit code {batch.wait()}: {batch.communicate()}")
+        time.sleep(0.02)
+
+
+def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -> None:
+    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    wait_for_results(batch, 2, tmp_path)
+    os.killpg(batch.pid, signal.SIGINT)  # to the workers as well, as from a terminal
+    out, said = batch.communicate(timeout=60)
+    there = len(results(tmp_path))
+    assert batch.returncode == 130
+    assert 2 <= there < 8
+    assert said.splitlines() == [
+        "dvrk-cmaes: warning: stopping: the frames that are running are finished and written first "
+        "(Ctrl-C again: at once)",
+        f"dvrk-cmaes: interrupted: {8 - there} of 8 frames are left; the same command goes on from here",
+    ]
+    assert f"8 frames: {there} ok, {8 - there} missing" in out.splitlines() or "doubtful" in out
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["missing"] == 8 - there
+    again = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    assert again.returncode in (0, 3)
+    assert json.loads(again.stdout)["timing"]["run"]["frames"] == 8 - there
+    assert again.stderr.splitlines()[0] == (
+        f"dvrk-cmaes: results are there of {there} frames, {8 - there} are to be done"
+    )
+
+
+def test_second_interrupt_ends_at_once(command: list[str], tmp_path: Path) -> None:
+    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    wait_for_results(batch, 1, tmp_path)
+    batch.send_signal(signal.SIGINT)
+    time.sleep(0.02)
+    batch.send_signal(signal.SIGINT)
+    _, said = batch.communicate(timeout=60)
+    assert batch.returncode == 130
+    assert said.splitlines()[-1].startswith("dvrk-cmaes: interrupted")
+    assert "Traceback" not in said
+
+
+def test_killed_and_resumed_batch_gives_same_files(tmp_path: Path) -> None:
+    (tmp_path / "quick.toml").write_text(QUICK)
+    session = make_session(tmp_path / "session", ["a", "b", "c"])
+    options = ["--session", session, "--frames", "6", "--kills", "2", "--longest", "4", "--", "--config"]
+    done = subprocess.run(
+        [sys.executable, SCRIPTS / "kill_batch.py", *options, tmp_path / "quick.toml"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["kills"], report["files that differ"]) == (2, [])

@@ -1,0 +1,159 @@
+"""Frames that have only an image: the mask found in it, and the pose from that mask."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import FrameFiles, FrameImage, read_frame, read_frame_image
+from dvrk_cmaes.frames.images import read_mask
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs import image_frame
+from dvrk_cmaes.runs.frame import estimate_frame, read_any_frame, run_frame
+from dvrk_cmaes.runs.image_frame import SegmentedFrame, segment_and_estimate
+from dvrk_cmaes.segment import Segmentation
+from dvrk_cmaes.silhouette import Body
+
+Found = tuple[SegmentedFrame, Result]
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return read_session(bundled_path("demo"))
+
+
+def solve_image(session: Session, files: FrameFiles, body: Body) -> SegmentedFrame:
+    frame = read_any_frame(replace(files, mask=None), session.camera)
+    assert isinstance(frame, FrameImage)
+    return segment_and_estimate(frame, files.name, files.readings, body, keypoints=files.keypoints)
+
+
+def both_ways(session: Session, files: FrameFiles, body: Body) -> Found:
+    """Return the frame solved from its image alone, and its result from the given mask."""
+    given = estimate_frame(files, read_frame(files, session.camera), body, arm="classic", config=EstimateConfig())
+    return solve_image(session, files, body), given
+
+
+def without_seconds(result: Result) -> dict[str, object]:
+    return {**result.to_dict(), "seconds": 0}
+
+
+@pytest.fixture(scope="module")
+def found(session: Session, bundled_body: Body) -> Found:
+    return both_ways(session, session.frames[0], bundled_body)
+
+
+def test_image_alone_gives_pose(session: Session, bundled_body: Body, found: Found) -> None:
+    result = found[0].result
+    truth = session.truth.frames[result.frame]
+    assert result.camera_from_root is not None
+    error = compare_poses(
+        bundled_body.instrument,
+        (result.camera_from_root, result.joints),
+        (truth.camera_from_root, truth.joints),
+    )
+    assert error.root_mm < 2.5
+    assert error.shaft_deg < 5
+    assert result.status == "ok"
+    assert found[0].segmentation.confidence > 0.9
+
+
+def test_result_states_origin_of_mask(found: Found) -> None:
+    frame, given = found
+    stated = f"mask found in the image by the classic model, confidence {frame.segmentation.confidence:.2f}"
+    assert stated in frame.result.warnings
+    assert not any("mask found" in warning for warning in given.warnings)
+
+
+def test_seconds_include_all_estimates(found: Found) -> None:
+    assert found[0].result.seconds > found[1].seconds > 0
+
+
+def test_repeated_estimate_is_identical(session: Session, bundled_body: Body, found: Found) -> None:
+    again = solve_image(session, session.frames[0], bundled_body)
+    assert np.array_equal(again.data.mask, found[0].data.mask)
+    assert without_seconds(again.result) == without_seconds(found[0].result)
+
+
+def test_result_equals_estimate_from_found_mask(session: Session, bundled_body: Body, found: Found) -> None:
+    files, frame = session.frames[0], found[0]
+    alone = estimate_frame(files, frame.data, bundled_body, arm="classic", config=EstimateConfig())
+    assert without_seconds(alone) == without_seconds(frame.result)
+
+
+def test_found_mask_is_written(session: Session, bundled_body: Body, found: Found, tmp_path: Path) -> None:
+    files = replace(session.frames[0], mask=None)
+    frame = read_frame_image(files, session.camera)
+    run = run_frame(files, frame, bundled_body, arm="classic", config=EstimateConfig(), out=tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in run.written] == [
+        "frames/0000.json",
+        "overlays/0000.jpg",
+        "masks/0000.png",
+    ]
+    assert np.array_equal(read_mask(tmp_path / "masks" / "0000.png"), found[0].data.mask)
+
+
+def test_guessed_mask_makes_pose_doubtful(
+    session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    guess = Segmentation(found[0].data.mask, None, 0.31)
+    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: guess)
+    monkeypatch.setattr(image_frame, "segment_again", lambda *_, **__: None)
+    result = solve_image(session, session.frames[0], bundled_body).result
+    assert result.status == "doubtful"
+    assert result.reasons == (
+        "mask is a guess: confidence 0.31, expected at least 0.5",
+        "mask or pose: the mask is probably to blame: it is a guess, confidence 0.31",
+    )
+
+
+def test_unrefined_mask_is_estimated_once(
+    session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solved: list[np.ndarray] = []
+    estimate = image_frame.estimate
+    monkeypatch.setattr(image_frame, "estimate", lambda mask, *a, **k: solved.append(mask) or estimate(mask, *a, **k))
+    monkeypatch.setattr(image_frame, "segment_again", lambda *_, **__: None)
+    result = solve_image(session, session.frames[0], bundled_body).result
+    assert len(solved) == 1
+    assert any("mask found in the image" in warning for warning in result.warnings)
+
+
+def test_image_without_instrument_is_refused(bundled_body: Body, session: Session, tmp_path: Path) -> None:
+    write_image(tmp_path / "wall.png", np.full((480, 640, 3), 90, np.uint8))
+    files = FrameFiles("wall", None, image=tmp_path / "wall.png")
+    with pytest.raises(DvrkCmaesError) as failed:
+        solve_image(session, files, bundled_body)
+    assert str(failed.value) == (
+        f"{tmp_path / 'wall.png'}: no instrument found in the image; "
+        "a mask, a box or a point on the instrument would help"
+    )
+    with pytest.raises(InputError, match=r"frame wall: expected a mask, got .*wall\.png"):
+        read_frame(files, session.camera)
+
+
+@pytest.mark.parametrize("frame", ["medium/0240"])
+def test_real_images_give_poses_of_given_masks(shared: Path, scanned_body: Body, frame: str) -> None:
+    folder, name = frame.split("/")
+    session = read_session(shared / "frames" / "real" / folder)
+    files = next(files for files in session.frames if files.name == name)
+    segmented, given = both_ways(session, files, scanned_body)
+    result = segmented.result
+    assert result.camera_from_root is not None
+    assert given.camera_from_root is not None
+    error = compare_poses(
+        scanned_body.instrument,
+        (result.camera_from_root, result.joints),
+        (given.camera_from_root, given.joints),
+    )
+    assert error.root_mm <= 5
+    assert error.shaft_deg <= 10

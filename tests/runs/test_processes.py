@@ -1,0 +1,117 @@
+"""The pool of worker processes: every task gets a result or is reported as lost, whatever happens to its process."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from helpers.worker_tasks import die, prepare_nothing, squared, squared_after_gate, squared_with_faults
+
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.runs.processes import WorkerDied, run_in_processes
+
+
+def run(call: Callable[[int], int], tasks: range, **changes: object) -> dict[int, int | WorkerDied]:
+    options = {"start": prepare_nothing, "workers": 2, "time_limit": 60.0, "stop": threading.Event(), **changes}
+    return dict(run_in_processes(tasks, call, **options))  # type: ignore[arg-type]
+
+
+def test_dead_or_hanging_process_loses_its_task_only(tmp_path: Path) -> None:
+    found = run(functools.partial(squared_with_faults, tmp_path), range(1, 13), time_limit=3.0)
+    lost = {task: value.reason for task, value in found.items() if isinstance(value, WorkerDied)}
+    assert lost == {
+        7: "its process died 2 times: out of memory, or a crash in a native library",
+        11: "no result after 3 s: its process was ended",
+    }
+    assert {task: value for task, value in found.items() if task not in lost} == {
+        task: task * task for task in range(1, 13) if task not in lost
+    }
+    tries = {task: len((tmp_path / str(task)).read_text().split()) for task in range(1, 13)}
+    assert tries == dict.fromkeys(range(1, 13), 1) | {5: 2, 7: 2}
+    wait_until(lambda: not multiprocessing.active_children())
+
+
+def test_processes_dying_at_start_end_work_with_reason() -> None:
+    with pytest.raises(DvrkCmaesError) as caught:
+        run(squared, range(3), start=die, workers=1)
+    assert str(caught.value) == (
+        "worker processes died 3 times at their start: out of memory? Try fewer workers; "
+        "what is done is kept, and the same command goes on from there"
+    )
+
+
+def test_stop_finishes_running_tasks(tmp_path: Path) -> None:
+    stop, gate = threading.Event(), tmp_path / "gate"
+    tasks = [(number, gate) for number in range(100)]
+    found = run_in_processes(tasks, squared_after_gate, start=prepare_nothing, workers=2, time_limit=60, stop=stop)
+    assert next(found) == ((0, gate), 0)
+    stop.set()
+    gate.touch()
+    rest = dict(found)
+    assert len(rest) <= 2
+    assert all(value == number * number for (number, _), value in rest.items())
+
+
+def test_closed_generator_ends_processes() -> None:
+    found = run_in_processes(
+        range(100),
+        functools.partial(time.sleep),
+        start=prepare_nothing,
+        workers=2,
+        time_limit=60,
+        stop=threading.Event(),
+    )
+    next(found)
+    began = time.monotonic()
+    found.close()  # type: ignore[attr-defined]
+    assert time.monotonic() - began < 20
+    wait_until(lambda: not multiprocessing.active_children())
+
+
+ORPHANS = """
+import os, pathlib, sys, threading, time
+from dvrk_cmaes.runs.processes import run_in_processes
+
+def sleep(task):
+    pathlib.Path(sys.argv[1], str(os.getpid())).touch()
+    time.sleep(100)
+
+def nothing():
+    pass
+
+if __name__ == "__main__":
+    list(run_in_processes(range(2), sleep, start=nothing, workers=2, time_limit=200, stop=threading.Event()))
+"""
+
+
+def test_processes_end_with_killed_parent(tmp_path: Path) -> None:
+    script, notes = tmp_path / "script.py", tmp_path / "processes"
+    script.write_text(ORPHANS)
+    notes.mkdir()
+    started = subprocess.Popen([sys.executable, script, notes], stderr=subprocess.DEVNULL)
+    wait_until(lambda: len(list(notes.iterdir())) == 2)
+    started.kill()
+    started.wait()
+    wait_until(lambda: not any(is_running(int(path.name)) for path in notes.iterdir()))
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.05)

@@ -1,0 +1,190 @@
+"""scripts/accuracy.py: errors, intervals, bounds and false inputs, each checked against a known answer."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from helpers.places import ROOT, SCRIPTS
+
+from dvrk_cmaes.geometry import moved, transform
+from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.silhouette import Body, Renderer
+
+if TYPE_CHECKING:
+    from accuracy_cases import Case, Run
+
+
+pytestmark = pytest.mark.usefixtures("scripts_on_path")
+
+
+def a_run(case: Case, pose: np.ndarray, joints: Mapping[str, float], spread: np.ndarray | None = None) -> Run:
+    """Make a run that ended at a pose, with given standard deviations (9,) of [t, r, joints]."""
+    from accuracy_cases import Run
+
+    result: dict[str, Any] = {
+        "status": "ok",
+        "reasons": [],
+        "camera_from_root": pose.tolist(),
+        "joints": dict(joints),
+        "quality": {"iou": 1.0},
+        "seconds": 1.0,
+        "covariance": {"matrix": np.diag((np.ones(9) if spread is None else spread) ** 2).tolist()},
+    }
+    return Run(case, result, {})
+
+
+def wrist(case: Case) -> dict[str, float]:
+    assert case.truth is not None
+    return {name: case.truth.joints[name] for name in ("wrist_pitch", "wrist_yaw", "jaw")}
+
+
+def test_error_of_two_std_has_distance_two(bundled_body: Body, cases: list[Case]) -> None:
+    from accuracy_calibration import distances
+
+    instrument, case = bundled_body.instrument, cases[0]
+    assert case.truth is not None
+    spread = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3, 0.01, 0.02, 0.03])
+    joints = wrist(case)
+    found = joints | {"wrist_yaw": joints["wrist_yaw"] + 0.04}
+    squared = distances(instrument, a_run(case, case.truth.camera_from_root, found, spread))
+    assert squared["wrist_yaw"] == pytest.approx((4.0, 1))
+    assert squared["jaw"] == pytest.approx((0.0, 1))
+    assert squared["axis direction"] == pytest.approx((0.0, 2))
+
+    turned = moved(case.truth.camera_from_root, np.array([0, 0, 0, 0.002, 0, 0]))
+    squared = distances(instrument, a_run(case, turned, joints, spread))
+    assert squared["axis direction"][0] == pytest.approx(4.0, rel=1e-3)
+
+    shifted = moved(case.truth.camera_from_root, np.array([3e-4, 0, 0, 0, 0, 0]))
+    only_translation = spread * np.array([1, 1, 1, *np.full(6, 1e-4)])
+    squared = distances(instrument, a_run(case, shifted, joints, only_translation))
+    assert squared["tip 1"] == pytest.approx((9.0, 3), rel=0.01)
+
+
+def test_share_interval_is_clopper_pearson() -> None:
+    from accuracy_calibration import share_interval
+
+    assert share_interval(9, 10) == pytest.approx((0.5550, 0.9975), abs=1e-4)
+    assert share_interval(0, 10)[0] == 0
+    assert share_interval(10, 10)[1] == 1
+
+
+def test_spread_ignores_common_error_along_shaft(cases: list[Case]) -> None:
+    from accuracy_errors import session_spread
+
+    rng = np.random.default_rng(1)
+    base = transform(np.eye(3), [0.01, 0.02, 0.2])
+    runs = []
+    for _ in range(6):
+        outer = {
+            "yaw": rng.uniform(-0.3, 0.3),
+            "pitch": rng.uniform(-0.3, 0.3),
+            "insertion": rng.uniform(0.1, 0.2),
+            "roll": rng.uniform(-1, 1),
+        }
+        case = replace(cases[0], readings=outer)
+        runs.append(a_run(case, base @ base_from_root(outer), {}))
+    assert session_spread(runs) == pytest.approx({"sigma_mm": 0, "sigma_rms_mm": 0, "rcm_mm": 0}, abs=1e-9)
+
+    shifted = [a_run(run.case, moved(run.pose, np.array([0, 0, 0.01, 0, 0, 0])), {}) for run in runs]
+    spread = session_spread(shifted)
+    assert spread["sigma_rms_mm"] == pytest.approx(0, abs=1e-9)
+    assert 0.1 < spread["rcm_mm"] < 10
+
+
+def test_crossing_rates_sum_to_change_of_area(bundled_body: Body, cases: list[Case]) -> None:
+    from accuracy_bound import find_crossings
+
+    case = cases[0]
+    assert case.truth is not None
+    pose, joints = case.truth.camera_from_root, np.array(list(wrist(case).values()))
+    rates = find_crossings(bundled_body, case, pose, joints).rates.sum(axis=1)
+    renderer = Renderer(bundled_body, case.camera, threads=1)
+    steps = np.array([2e-5] * 3 + [2e-4] * 6)
+    change = np.concatenate([np.diag(steps), -np.diag(steps)])
+    area = renderer.coverage(moved(pose, change[:, :6]), joints + change[:, 6:], lines_per_pixel=8).sum(axis=(1, 2))
+    measured = (area[:9] - area[9:]) / (2 * steps)
+    assert rates == pytest.approx(measured, rel=0.05, abs=0.02 * np.abs(rates).max())
+
+
+def test_bound_decreases_with_pixels_and_readings(bundled_body: Body, cases: list[Case]) -> None:
+    from accuracy_bound import least_covariance
+
+    from dvrk_cmaes.config import EstimateConfig
+
+    case, config = cases[0], EstimateConfig()
+    with_readings = np.diag(least_covariance(bundled_body, case, config))
+    without = np.diag(least_covariance(bundled_body, replace(case, readings={}), config))
+    camera = case.camera.scaled(2 * case.camera.width, 2 * case.camera.height)
+    finer = np.diag(least_covariance(bundled_body, replace(case, readings={}, camera=camera), config))
+    assert (with_readings <= without * (1 + 1e-9)).all()
+    # twice the rows, each with half the error in px
+    assert np.sqrt(without / finer) == pytest.approx(2 * np.sqrt(2), rel=0.15)
+
+
+def test_false_inputs_change_stated_part_only(cases: list[Case]) -> None:
+    from accuracy_lies import FALSIFICATIONS, falsified_cases
+
+    made = falsified_cases(cases, {}, 4, seed=0)
+    kinds = [kind for kind in FALSIFICATIONS if not kind.endswith("needle driver")]
+    assert [case.kind for case in made] == [kind for kind in kinds for _ in range(4)]
+    honest = {case.frame: case for case in cases}
+    for lie in made:
+        truth = honest[lie.frame.split("_")[0]]
+        same_mask = np.array_equal(lie.mask, truth.mask)
+        assert same_mask == (lie.kind in ("readings 60 deg off", "focal length off"))
+        assert (lie.camera == truth.camera) == (lie.kind != "focal length off")
+        off = {name: value - truth.readings[name] for name, value in lie.readings.items()}
+        assert sum(value != 0 for value in off.values()) == (lie.kind == "readings 60 deg off")
+        if lie.kind == "readings 60 deg off":
+            assert np.rad2deg(max(off.values(), key=abs)) == pytest.approx(60) or np.rad2deg(
+                min(off.values())
+            ) == pytest.approx(-60)
+        if lie.kind == "half a mask":
+            assert 0.3 < lie.mask.sum() / truth.mask.sum() < 0.7
+        if lie.kind == "two tools":
+            assert (lie.mask & ~truth.mask).any()
+            assert (lie.mask | truth.mask == lie.mask).all()
+
+
+def test_quick_run_reports_json_and_reuses_results(tmp_path: Path) -> None:
+    def run() -> dict[str, Any]:
+        options = ["--quick", "--json", "--workers", "1", "--keep", str(tmp_path)]
+        done = subprocess.run(
+            [sys.executable, str(SCRIPTS / "accuracy.py"), "errors", *options, str(ROOT / "data" / "demo")],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        report: dict[str, Any] = json.loads(done.stdout)
+        return report
+
+    report = run()
+    (session,) = report["sessions"]
+    assert (session["frames"], session["right_mode"], session["ok"]) == (2, 1, 1)
+    assert session["tip_mm"][0] < 1
+    assert len(list((tmp_path / "demo" / "honest").iterdir())) == 2
+    assert run() == report  # equal seconds: nothing is estimated again
+
+
+def test_missing_session_is_refused(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(SCRIPTS / "accuracy.py"), "errors", str(tmp_path / "none")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "no such folder" in done.stderr

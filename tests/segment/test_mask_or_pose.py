@@ -1,0 +1,53 @@
+"""Whether the mask or the pose is named as the cause of a doubt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.drawn_tools import Drawing, draw_tool
+
+from dvrk_cmaes.segment import Segmentation
+from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
+
+
+@pytest.fixture(scope="module")
+def drawing() -> Drawing:
+    return draw_tool()
+
+
+def without_end(mask: np.ndarray) -> np.ndarray:
+    cut = mask.copy()
+    cut[:, 190:] = False
+    return cut
+
+
+def test_incomplete_mask_is_named(drawing: Drawing) -> None:
+    lacking = Segmentation(without_end(drawing.mask), None, 0.95)
+    assert attribute_doubt(drawing.image, lacking, drawing.mask) == (
+        "the mask is probably to blame: where it differs from the silhouette, the image's colours side with the "
+        "silhouette"
+    )
+
+
+def test_mask_supported_by_image_is_not_named(drawing: Drawing) -> None:
+    right = Segmentation(drawing.mask, None, 0.95)
+    assert attribute_doubt(drawing.image, right, without_end(drawing.mask)) == (
+        "the mask is probably not to blame: where the silhouette differs from it, the image's colours side with the "
+        "mask; instrument, camera or readings may be wrong"
+    )
+    assert attribute_doubt(drawing.image, right, drawing.mask) == (
+        "the mask is probably not to blame: the silhouette fits it, and the image bears it out"
+    )
+
+
+def test_undecided_cause_is_stated(drawing: Drawing) -> None:
+    unsure = Segmentation(drawing.mask, None, 0.6)
+    assert attribute_doubt(drawing.image, unsure, drawing.mask) == (
+        "whether mask or pose is to blame cannot be told: they agree, confidence 0.60"
+    )
+    assert attribute_doubt(drawing.image, unsure, without_end(drawing.mask)) == (
+        "whether mask or pose is to blame cannot be told: the image's colours side with neither clearly"
+    )
+    ignored = np.zeros_like(drawing.mask)
+    ignored[:, 188:] = True
+    assert "they agree" in attribute_doubt(drawing.image, unsure, without_end(drawing.mask), ignored)

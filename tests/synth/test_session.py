@@ -1,0 +1,283 @@
+"""Synthetic sessions: consistent truth, errors as each level states, reproducible files and the command."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.cli.synth import synth
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.markers import read_detections, read_marker_table
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument.arm import Arm, base_from_root
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.pnp.pnp_frame import pose_from_markers
+from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.synth.levels import LEVELS, LevelName
+from dvrk_cmaes.synth.readings import level_errors, sample_readings
+from dvrk_cmaes.synth.session import SessionPlan, default_camera, make_frames, make_truths, write_session
+from dvrk_cmaes.synth.truth import Truth
+
+TABLE = read_marker_table(bundled_path("markers", "lnd.json"))
+WRIST = ("wrist_pitch", "wrist_yaw", "jaw")
+
+
+def plan(body: Body, level: LevelName = "medium", **changes: Any) -> SessionPlan:
+    start = SessionPlan(body, default_camera(LEVELS[level]), LEVELS[level], "rcm", frames=2, seed=5, markers=TABLE)
+    return replace(start, **changes)
+
+
+@pytest.fixture(scope="module")
+def made(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Session]:
+    """Write a session with images for each level; gives them by level."""
+    folder = tmp_path_factory.mktemp("made")
+    for level in LEVELS:
+        write_session(folder / level, plan(bundled_body, level))
+    return {level: read_session(folder / level) for level in LEVELS}
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+# what a session holds
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_synthetic_session_is_read(made: dict[str, Session], level: str) -> None:
+    session = made[level]
+    assert [frame.name for frame in session.frames] == ["0000", "0001"]
+    for frame in session.frames:
+        data = read_frame(frame, session.camera)
+        assert data.image is not None
+        assert data.image.shape == (*data.mask.shape, 3)
+        assert set(frame.readings) == {*WRIST, "yaw", "pitch", "insertion", "roll"}
+        assert (data.ignore is not None) == (LEVELS[level].lens_edge is not None)  # type: ignore[index]
+    assert session.camera.is_pinhole == (not LEVELS[level].distortion)  # type: ignore[index]
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_true_silhouette_agrees_with_mask(made: dict[str, Session], bundled_body: Body, level: str) -> None:
+    least = {"clean": 0.998, "easy": 0.98, "medium": 0.93, "hard": 0.8}[level]
+    session = made[level]
+    for frame in session.frames:
+        truth, data = session.truth.frames[frame.name], read_frame(frame, session.camera)
+        values = np.array([[truth.joints[name] for name in WRIST]])
+        seen = Renderer(bundled_body, session.camera, threads=1).masks(truth.camera_from_root[None], values)[0]
+        counts = np.ones_like(data.mask) if data.ignore is None else ~data.ignore
+        overlap = (seen & data.mask & counts).sum() / ((seen | data.mask) & counts).sum()
+        assert least < overlap
+        assert level == "clean" or overlap < 0.998
+
+
+def test_frames_share_one_base(made: dict[str, Session]) -> None:
+    truth = made["hard"].truth
+    assert truth.camera_from_base is not None
+    for frame in truth.frames.values():
+        np.testing.assert_allclose(
+            truth.camera_from_base @ base_from_root(frame.joints), frame.camera_from_root, atol=1e-7
+        )
+
+
+@pytest.mark.parametrize(("arm", "roll_offset"), [("si", 0.4162), ("classic", 0.467)])
+def test_other_arms_and_longer_tools_reach_same_depth(bundled_body: Body, arm: Arm, roll_offset: float) -> None:
+    body = replace(bundled_body, instrument=replace(bundled_body.instrument, roll_offset=roll_offset))
+    base, truths = make_truths(plan(body, arm=arm))
+    usual, _ = make_truths(plan(bundled_body))
+    for truth in truths:
+        assert base is not None
+        reached = base_from_root(truth.outer, arm, roll_offset=roll_offset)
+        np.testing.assert_allclose(base @ reached, truth.camera_from_root, atol=1e-9)
+    np.testing.assert_allclose(base, usual, atol=1e-9)
+
+
+def test_markers_and_tips_agree_with_truth(made: dict[str, Session], bundled_body: Body) -> None:
+    session = made["clean"]
+    seen = read_detections(session.folder / "markers.csv")
+    for frame in session.frames:
+        truth = session.truth.frames[frame.name]
+        exact = replace(frame, readings=truth.joints)
+        result = pose_from_markers(exact, session.camera, bundled_body.instrument, TABLE, seen[frame.name])
+        assert result.camera_from_root is not None
+        error = compare_poses(
+            bundled_body.instrument, (result.camera_from_root, result.joints), (truth.camera_from_root, truth.joints)
+        )
+        assert error.root_mm < 4
+        tips = bundled_body.instrument.tips([truth.joints[name] for name in WRIST])
+        pixels = session.camera.project(tips @ truth.camera_from_root[:3, :3].T + truth.camera_from_root[:3, 3])
+        assert frame.keypoints is not None
+        off = np.linalg.norm(frame.keypoints[:, None] - pixels, axis=2)
+        assert min(off[[0, 1], [0, 1]].max(), off[[0, 1], [1, 0]].max()) < 6
+
+
+def test_instrument_is_grey_and_tissue_red(made: dict[str, Session]) -> None:
+    session = made["easy"]
+    for frame in session.frames:
+        data = read_frame(frame, session.camera)
+        assert data.image is not None
+        image = data.image.astype(float)
+        redness = image[..., 2] - image[..., :2].mean(axis=2)
+        assert redness[data.mask].mean() < 10 < 25 < redness[~data.mask].mean()
+
+
+def test_image_outside_field_of_view_is_dark_and_ignored(made: dict[str, Session]) -> None:
+    session = made["medium"]
+    data = read_frame(session.frames[0], session.camera)
+    assert data.image is not None
+    assert data.ignore is not None
+    assert data.ignore[[0, 0, -1, -1], [0, -1, 0, -1]].all()
+    assert data.image[data.ignore].mean() < 12
+    assert not (data.mask & data.ignore).any()
+
+
+# levels and seeds
+
+
+def test_files_depend_on_plan_and_seed_only(bundled_body: Body, tmp_path: Path) -> None:
+    for name, changes in (("a", {}), ("b", {}), ("c", {"seed": 6})):
+        write_session(tmp_path / name, plan(bundled_body, "hard", frames=1, **changes), images=False)
+    a, b, c = (files_of(tmp_path / name) for name in "abc")
+    assert a == b
+    assert a["golden.json"] != c["golden.json"]
+    assert a["masks/0000.png"] != c["masks/0000.png"]
+
+
+def test_reading_errors_agree_with_level(bundled_body: Body) -> None:
+    level, instrument = LEVELS["medium"], bundled_body.instrument
+    rng = np.random.default_rng(3)
+    errors: dict[str, list[list[float]]] = {name: [] for name in level_errors(level)}
+    for _ in range(150):
+        truths = []
+        for _ in range(4):
+            joints = dict(zip(WRIST, (*rng.uniform(0.5, 0.7, 2), rng.uniform(0.5, 0.6)), strict=True))
+            truths.append(Truth(instrument, np.eye(4), joints, {"yaw": 0, "pitch": 0, "insertion": 0.1, "roll": 0}))
+        readings = sample_readings(truths, rng, level, one_session=True)
+        for name, found in errors.items():
+            both = zip(readings, truths, strict=True)
+            found.append([read[name] - {**true.outer, **true.joints}[name] for read, true in both])
+    rms = {name: np.sqrt(np.mean(np.square(found))) for name, found in errors.items()}
+    assert np.degrees(rms["wrist_pitch"]) == pytest.approx(5, rel=0.15)
+    assert np.degrees(rms["jaw"]) == pytest.approx(7.5, rel=0.15)
+    assert np.degrees(rms["roll"]) == pytest.approx(5, rel=0.15)
+    assert np.degrees(rms["yaw"]) == pytest.approx(0.1, rel=0.1)
+    assert 1e3 * rms["insertion"] == pytest.approx(0.4, rel=0.1)
+    biases = np.mean(errors["wrist_yaw"], axis=1)
+    assert np.degrees(biases.std()) == pytest.approx(5 * np.sqrt(0.8**2 + 0.6**2 / 4), rel=0.15)
+    assert np.degrees(np.abs(biases).max()) > 8
+
+
+def test_readings_are_nearer_to_truth_than_to_twin(bundled_body: Body) -> None:
+    rng = np.random.default_rng(4)
+    joints = dict(zip(WRIST, (0.12, -0.13, 0.5), strict=True))
+    truths = [Truth(bundled_body.instrument, np.eye(4), joints)] * 60
+    for reading in sample_readings(truths, rng, LEVELS["hard"], one_session=False):
+        read, true = (np.array([q[name] for name in WRIST[:2]]) for q in (reading, joints))
+        assert np.linalg.norm(read - true) < np.linalg.norm(read + true)
+
+
+def test_occlusion_rates_agree_with_level(bundled_body: Body) -> None:
+    many = plan(bundled_body, "hard", frames=24, markers={})
+    _, truths = make_truths(replace(many, frames=1))
+    frames = list(make_frames(many, truths * 24))
+    occluded = [frame for frame in frames if frame.occluder is not None]
+    told = [f for f in occluded if f.occluder is not None and f.ignore is not None and f.ignore[f.occluder].all()]
+    assert len(occluded) / 24 == pytest.approx(0.7, abs=0.2)
+    assert len(told) / len(occluded) == pytest.approx(0.5, abs=0.3)
+    assert all(frame.tips is None for frame in occluded)
+    assert not any((frame.mask & frame.occluder).sum() > 300 for frame in occluded)
+
+
+def test_help_states_figures_of_levels() -> None:
+    text = " ".join((synth.__doc__ or "").split())
+    for name, level in LEVELS.items():
+        stated = re.search(rf"- {name}: (.*?)markers (\S+) px", text)
+        assert stated is not None
+        words = stated.group(1)
+        assert words.startswith(f"wrist {level.wrist_deg:g}, roll {level.roll_deg:g}; ")
+        assert float(stated.group(2)) == level.marker_px
+        if level.mistakes is not None:
+            assert f"correlated noise of the outline {level.mistakes.wave:g} px" in words
+        if level.mistakes is not None and level.mistakes.lumps:
+            low, high = level.mistakes.lump_radius
+            assert (
+                f"logits in cells of {level.mistakes.cell} px, {level.mistakes.lumps} lumps or bites of {low:g} to {high:g} px"
+                in words
+            )
+            assert (
+                f"{level.mistakes.holes} missing highlights; tissue over a jaw in {100 * level.occluded:g} %" in words
+            )
+    assert "jaw's is 1.5 times the wrist's; yaw and pitch 0.1 deg, insertion 0.4 mm" in text
+
+
+# other instruments and cameras
+
+
+def test_free_motion_has_no_outer_readings_or_base(bundled_body: Body, tmp_path: Path) -> None:
+    write_session(tmp_path / "free", plan(bundled_body, "clean", motion="free"), images=False)
+    session = read_session(tmp_path / "free")
+    assert session.truth.camera_from_base is None
+    assert all(set(frame.readings) == set(WRIST) for frame in session.frames)
+    assert not (tmp_path / "free" / "images").exists()
+
+
+def test_other_instrument_has_its_own_joints(shared: Path, tmp_path: Path) -> None:
+    urdf = shared / "instruments" / "dvrk_model" / "urdf" / "instrument_400183.urdf"
+    hook = Body.prepare(load_instrument(urdf))
+    write_session(tmp_path / "hook", plan(hook, "clean", frames=1, markers={}), images=False)
+    session = read_session(tmp_path / "hook", known=hook.instrument.joint_names)
+    assert set(session.frames[0].readings) == {"yaw", "pitch", "insertion", "roll", *hook.instrument.joint_names}
+    assert not (tmp_path / "hook" / "keypoints.csv").exists()
+
+
+def test_other_camera_size_gives_similar_masks(bundled_body: Body) -> None:
+    small = Camera(320, 240, 513.0, 513.0, 160.5, 118.5)
+    _, truths = make_truths(plan(bundled_body, "easy", camera=small))
+    frames = list(make_frames(plan(bundled_body, "easy", camera=small), truths))
+    assert all(frame.mask.shape == (240, 320) and 1500 < frame.mask.sum() < 40_000 for frame in frames)
+
+
+# the command
+
+
+def test_command_writes_session_and_prints_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "s"
+    line = ["synth", str(out), "--level", "easy", "--frames", "1", "--seed", "3", "--no-images"]
+    assert main(line) == 0
+    assert capsys.readouterr().out == f"1 frames, level easy, motion rcm, seed 3; written: {out}\n"
+    document = json.loads((out / "synth.json").read_text())
+    assert (document["level"]["wrist_deg"], document["seed"], document["instrument"]) == (2.0, 3, "lnd")
+    assert main(line) == 2
+    assert capsys.readouterr().err.startswith(f"dvrk-cmaes: {out}: expected a new or empty folder")
+    assert main([*line, "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--frames", "0"], "--frames: expected 1 to 100000, got 0"),
+        (["--seed", "-1"], "--seed: expected a whole number of at least 0, got -1"),
+    ],
+)
+def test_wrong_numbers_are_refused(
+    arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["synth", str(tmp_path / "s"), *arguments]) == 2
+    assert capsys.readouterr().err == f"dvrk-cmaes: {expected}\n"
+    assert not (tmp_path / "s").exists()
+
+
+def test_instrument_without_shaft_is_refused(bundled_body: Body, tmp_path: Path) -> None:
+    bare = Body(replace(bundled_body.instrument, shaft=None), bundled_body.topology, bundled_body.scenes)
+    with pytest.raises(InputError, match="lnd: expected an instrument with a straight shaft"):
+        write_session(tmp_path / "s", plan(bare))

@@ -1,0 +1,144 @@
+"""Imports between packages go to lower layers only."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from helpers.places import ROOT, SCRIPTS
+
+PACKAGE = ROOT / "dvrk_cmaes"
+LAYERS = (
+    ("__main__",),
+    ("cli", "scripts"),
+    ("runs",),
+    ("report", "__init__"),
+    ("estimation",),
+    ("segment", "calibration", "pnp", "testing"),
+    ("recording", "inspection", "evaluate", "draw", "synth", "pose"),
+    ("export", "frames", "silhouette", "evidence"),
+    ("joints", "results", "instrument", "camera"),
+    ("io",),
+    ("errors", "config", "geometry", "_version"),
+)
+"""The packages and modules of dvrk_cmaes and the folder scripts, from the top layer to the lowest."""
+
+LAYER = {node: number for number, nodes in enumerate(LAYERS) for node in nodes}
+MOST_NODES = 32
+MOST_LOOSE_MODULES = 8
+
+
+class Import(NamedTuple):
+    """An import of another node."""
+
+    file: Path
+    line: int
+    module: str
+    source: str
+    target: str
+
+    def __str__(self) -> str:
+        place = f"{self.file.relative_to(ROOT)}:{self.line}"
+        return f"{place}: {self.source} imports {self.target} ({self.module})"
+
+
+def files_of_nodes() -> dict[Path, str]:
+    """Map each Python file of dvrk_cmaes and scripts to its node: its package, root module or "scripts"."""
+    files = {path: path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")}
+    return files | dict.fromkeys(SCRIPTS.rglob("*.py"), "scripts")
+
+
+def is_module(parts: list[str]) -> bool:
+    """Whether a dotted name is that of a module or package in this checkout."""
+    path = ROOT.joinpath(*parts)
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def imported_modules(statement: ast.AST, file: Path) -> Iterator[str]:
+    """Give the absolute names of the modules that a statement imports; none for other statements."""
+    if isinstance(statement, ast.Import):
+        yield from (alias.name for alias in statement.names)
+    elif isinstance(statement, ast.ImportFrom):
+        package = file.relative_to(ROOT).parts[: -statement.level] if statement.level else ()
+        parts = [*package, *(statement.module or "").split(".")]
+        for alias in statement.names:
+            name = [part for part in (*parts, alias.name) if part]
+            yield ".".join(name if is_module(name) else name[:-1])
+
+
+def node_of(module: str) -> str | None:
+    """Give the node of a module; None for a module of another project."""
+    first, _, rest = module.partition(".")
+    if first == PACKAGE.name:
+        return rest.partition(".")[0] or "__init__"
+    return "scripts" if first in script_names() else None
+
+
+@cache
+def script_names() -> frozenset[str]:
+    return frozenset({"scripts", *(path.stem for path in SCRIPTS.rglob("*.py"))})
+
+
+@pytest.fixture(scope="module")
+def imports() -> list[Import]:
+    """Give all imports of one node by another, including those inside functions and under TYPE_CHECKING."""
+    found = []
+    for file, source in sorted(files_of_nodes().items()):
+        for statement in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for module in imported_modules(statement, file):
+                target = node_of(module)
+                if target is not None and target != source:
+                    found.append(Import(file, statement.lineno, module, source, target))  # type: ignore[attr-defined]
+    return found
+
+
+def test_every_package_has_a_layer() -> None:
+    without = {str(path.relative_to(ROOT)) for path, node in files_of_nodes().items() if node not in LAYER}
+    assert not without, f"not in LAYERS: {', '.join(sorted(without))}"
+    assert set(LAYER) == set(files_of_nodes().values())
+
+
+def test_every_import_goes_to_a_lower_layer(imports: list[Import]) -> None:
+    wrong = [str(each) for each in imports if LAYER.get(each.source, -1) >= LAYER.get(each.target, -1)]
+    assert not wrong, "\n".join(["these imports do not go to a lower layer:", *wrong])
+
+
+def test_no_cycle(imports: list[Import]) -> None:
+    graph: dict[str, set[str]] = {}
+    for each in imports:
+        graph.setdefault(each.source, set()).add(each.target)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        cycle = error.args[1][::-1]
+        steps = [str(each) for pair in pairwise(cycle) for each in imports if each[3:] == pair]
+        pytest.fail("\n".join([f"a cycle of imports: {' -> '.join(cycle)}", *steps]))
+
+
+def test_number_of_nodes_and_loose_modules() -> None:
+    nodes = sorted(set(files_of_nodes().values()))
+    assert len(nodes) <= MOST_NODES, nodes
+    loose = sorted(path.name for path in PACKAGE.glob("*.py"))
+    assert len(loose) <= MOST_LOOSE_MODULES, loose
+
+
+@pytest.mark.parametrize(
+    ("statement", "modules"),
+    [
+        ("import dvrk_cmaes.io.files", ["dvrk_cmaes.io.files"]),
+        ("from dvrk_cmaes import estimate, geometry", ["dvrk_cmaes", "dvrk_cmaes.geometry"]),
+        ("from dvrk_cmaes.io import atomic, write_json", ["dvrk_cmaes.io.atomic", "dvrk_cmaes.io"]),
+        ("from ..geometry import moved", ["dvrk_cmaes.geometry"]),
+        ("from . import fields", ["dvrk_cmaes.camera.fields"]),
+        ("def f():\n    import dvrk_cmaes", ["dvrk_cmaes"]),
+    ],
+)
+def test_forms_of_imports(statement: str, modules: list[str]) -> None:
+    nodes = ast.walk(ast.parse(statement))
+    assert [name for node in nodes for name in imported_modules(node, PACKAGE / "camera" / "files.py")] == modules
