@@ -206,18 +206,15 @@ def test_help_states_figures_of_levels() -> None:
         words = stated.group(1)
         assert words.startswith(f"wrist {level.wrist_deg:g}, roll {level.roll_deg:g}; ")
         assert float(stated.group(2)) == level.marker_px
-        if level.mistakes is not None:
-            assert f"correlated noise of the outline {level.mistakes.wave:g} px" in words
-        if level.mistakes is not None and level.mistakes.lumps:
-            low, high = level.mistakes.lump_radius
-            assert (
-                f"logits in cells of {level.mistakes.cell} px, {level.mistakes.lumps} lumps or bites of {low:g} to {high:g} px"
-                in words
-            )
-            assert (
-                f"{level.mistakes.holes} missing highlights; tissue over a jaw in {100 * level.occluded:g} %" in words
-            )
-    assert "jaw's is 1.5 times the wrist's; yaw and pitch 0.1 deg, insertion 0.4 mm" in text
+        mistakes = level.mistakes
+        if mistakes is not None:
+            assert f"correlated noise of the outline {mistakes.wave:g} px" in words
+        if mistakes is not None and mistakes.lumps:
+            low, high = mistakes.lump_radius
+            cells, lumps = f"cells of {mistakes.cell} px", f"{mistakes.lumps} lumps or bites of {low:g} to {high:g} px"
+            assert f"logits in {cells}, {lumps}, {mistakes.holes} missing highlights; " in words
+            assert f"tissue over a jaw in {100 * level.occluded:g} %" in words
+    assert "jaw's error is 1.5 times the wrist's; at all levels yaw and pitch 0.1 deg, insertion 0.4 mm" in text
 
 
 # other instruments and cameras
