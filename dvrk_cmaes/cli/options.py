@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings
+    from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
 FRAME = Group.create_ordered("Frame")
@@ -201,7 +201,7 @@ class SegmentOptions:
 
     def resolve(self) -> SegmentSettings:
         """Return the settings; InputError if sam2 has no weights, or classic has any."""
-        from dvrk_cmaes.segment.silhouette_prior import SegmentSettings
+        from dvrk_cmaes.segment.segmentation import SegmentSettings
 
         if self.model == "sam2" and self.weights is None:
             raise InputError("--weights: --model sam2 needs the folder of an exported checkpoint, got none")
@@ -231,7 +231,7 @@ class PromptOptions:
 
     def resolve(self) -> Hints:
         """Return the prompts as numbers; InputError if one is not valid."""
-        from dvrk_cmaes.segment.silhouette_prior import Hints
+        from dvrk_cmaes.segment.segmentation import Hints
 
         box = None
         if self.box is not None:

@@ -23,7 +23,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.segment import Segmentation
-    from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings
+    from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 
 _DOUBTFUL = 3
 

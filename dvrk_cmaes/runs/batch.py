@@ -56,7 +56,7 @@ from dvrk_cmaes.runs.worker import (
     run_task,
 )
 from dvrk_cmaes.runs.worklist import Shard, check_names, chosen_frames, shards_folder
-from dvrk_cmaes.segment.silhouette_prior import SegmentSettings
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 TIME_LIMIT = 600.0
 """Seconds after which a frame is given up in a worker process."""

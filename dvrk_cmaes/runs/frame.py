@@ -17,7 +17,7 @@ from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_fram
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
 

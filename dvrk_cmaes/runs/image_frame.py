@@ -21,7 +21,8 @@ from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
-from dvrk_cmaes.segment.silhouette_prior import Hints, SegmentSettings, segment_again, segment_first
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = NDArray[np.bool_]

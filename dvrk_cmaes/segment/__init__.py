@@ -9,18 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation, check_prompts
+from dvrk_cmaes.segment.segmentation import MODELS, Box, Model, Pixel, Segmentation, check_prompts
 
 __all__ = ["MODELS", "Box", "Model", "Pixel", "Segmentation", "segment"]
-
-Model = Literal["classic", "sam2"]
-MODELS: tuple[Model, ...] = get_args(Model)
 
 
 def segment(

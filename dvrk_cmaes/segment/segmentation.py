@@ -1,10 +1,12 @@
-"""Result of a segmentation, and the check of an image and its prompts; common to all models."""
+"""Result, settings and prompts of a segmentation, and the check of an image and its prompts; common to all models."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,8 @@ from dvrk_cmaes.errors import InputError
 
 Pixel = tuple[float, float]
 Box = tuple[float, float, float, float]
+Model = Literal["classic", "sam2"]
+MODELS: tuple[Model, ...] = get_args(Model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,23 @@ class Segmentation:
     score: NDArray[np.float32] | None = None
     confidence: float = 1.0
     notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class SegmentSettings:
+    """How masks are found in images: the model, and the folder of its weights if it has any."""
+
+    model: Model = "classic"
+    weights: Path | None = None
+
+
+@dataclass(frozen=True)
+class Hints:
+    """Prompts in pixels of the image, as in `dvrk_cmaes.segment.segment`."""
+
+    box: Box | None = None
+    points: Sequence[Pixel] = ()
+    not_points: Sequence[Pixel] = ()
 
 
 def check_prompts(

@@ -6,18 +6,15 @@ is segmented again with the silhouette as a prior. `dvrk_cmaes.runs.image_frame`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.evidence.outline_noise import signed_distance
-from dvrk_cmaes.segment import Box, Model, Pixel, Segmentation, segment
+from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.prompts import draw_prompts
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -26,23 +23,6 @@ _LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below wh
 _FREE_BAND = 3.0  # px on either side of the silhouette's outline, in which the prior is zero
 _STEEPNESS = 0.5  # log-odds per px beyond that band
 _LARGEST = 3.0  # log-odds
-
-
-@dataclass(frozen=True)
-class SegmentSettings:
-    """How masks are found in images: the model, and the folder of its weights if it has any."""
-
-    model: Model = "classic"
-    weights: Path | None = None
-
-
-@dataclass(frozen=True)
-class Hints:
-    """Prompts in pixels of the image, as in `dvrk_cmaes.segment.segment`."""
-
-    box: Box | None = None
-    points: Sequence[Pixel] = ()
-    not_points: Sequence[Pixel] = ()
 
 
 def segment_first(
