@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
-from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_lag, find_move, shift_readings
+from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints
 from dvrk_cmaes.calibration.frame_task import (
     FitTask,
@@ -27,7 +27,8 @@ from dvrk_cmaes.calibration.frame_task import (
     gather_task,
     report_task,
 )
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.lag import Clock, Lag, describe_lag, refine_lag, search_lag
+from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out, solve
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.config import EstimateConfig
@@ -36,6 +37,7 @@ from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.geometry import inverse, moved
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
@@ -63,12 +65,14 @@ class Alternation:
 
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole; ``lag`` is that of the
-    readings in ``frames`` and, where times are known, in ``seconds``, or None.
+    images behind the readings, None where it is not determined.
 
     Parameters
     ----------
     frames
         Frames with a pose, its covariance and readings of all outer joints, in the order they were taken.
+    series
+        Readings as functions of time, with the frames' times; None if the lag is not to be estimated.
     instrument, arm, config
         The instrument, the kinematics of the outer arm and all settings.
     run
@@ -80,6 +84,7 @@ class Alternation:
     def __init__(
         self,
         frames: list[SessionFrame],
+        series: ReadingSeries | None,
         instrument: Instrument,
         arm: Arm,
         config: EstimateConfig,
@@ -93,7 +98,8 @@ class Alternation:
         self._run = run
         self._progress = progress
         self.warnings: list[str] = []
-        self.lag: dict[str, float] | None = None
+        self.lag: Lag | None = None
+        self._clock: Clock | None = None
         self._left_out: dict[str, str] = {}
         names = instrument.joint_names
         joints = np.array([[f.result.readings.get(name, np.nan) for name in names] for f in frames])
@@ -106,6 +112,8 @@ class Alternation:
         self._prior = np.zeros((8 + len(names),) * 2)
         self._prior[6:, 6:] = np.diag(1 / self._offset_std**2)
         self._modes = [self._modes_of(frame.result) for frame in frames]
+        if series is not None and all(frame.name in series.frames for frame in frames):
+            self._clock = Clock(series, [frame.name for frame in frames])
 
     def _joints(self, joints: dict[str, float]) -> Float64:
         """Return joints by name as an array (J,) in the instrument's order."""
@@ -128,9 +136,7 @@ class Alternation:
             The arm does not move, the readings only fit another arm or tool, or too few frames remain.
         """
         check_motion(self.model)
-        lag = find_lag(self.model, self._modes, self._offset_std)
-        if lag:
-            self._correct_lag(lag)
+        self._initialise_lag()
         consensus = find_consensus(self.model, self._modes, self._offset_std)
         check_arm(self.model, self._modes, self._offset_std, consensus)
         move = find_move(self.model, self._modes, self._offset_std, consensus)
@@ -150,37 +156,70 @@ class Alternation:
             if all(a is b for a, b in zip(chosen, previous, strict=True)):
                 break
 
-    def _correct_lag(self, lag: int) -> None:
-        """Give each frame the readings that are recorded ``lag`` frames later; leave out frames that then have none."""
-        late = "late" if lag > 0 else "early"
-        self.lag = {"frames": float(lag)}
-        times = [frame.time for frame in self.frames]
-        text = f"readings come {abs(lag)} frames {late}"
-        given = [t for t in times if t is not None]
-        if len(given) == len(times):
-            self.lag["seconds"] = round(lag * float(np.median(np.diff(given))), 6)
-            text += f" ({abs(self.lag['seconds']):g} s)"
-        self.warnings.append(f"{text}: taken out")
-        model, kept = shift_readings(self.model, lag)
-        for i, frame in enumerate(self.frames):
-            if i not in kept:
-                self._left_out[frame.name] = "no readings once the lag is taken out"
-        self.frames = [self.frames[i] for i in kept]
-        self._modes = [self._modes[i] for i in kept]
-        self.model = model
+    def _initialise_lag(self) -> None:
+        """Estimate the lag from the frames' own modes, and correct the readings if it differs from zero."""
+        if self._clock is None:
+            return
+        found = search_lag(self._clock, self.model, self._modes, self._offset_std)
+        if found is None:
+            return
+        has = np.flatnonzero(self._clock.has_readings(found))
+        model = self._clock.model_at(self.model, found).subset(has)
+        modes = [self._modes[i] for i in has]
+        calibration = find_consensus(model, modes, self._offset_std).calibration
+        chosen, _ = choose_modes(model, modes, calibration)
+        self._estimate_lag(found, self._clock.subset(has.tolist()), model, _as_fits(chosen), calibration)
+        if self.lag is None or not self.lag.applied:
+            return
+        value = self._lag_value()
+        kept = self._clock.has_readings(value)
+        self._left_out |= {
+            frame.name: "no readings once the lag is taken out"
+            for frame, has_readings in zip(self.frames, kept, strict=True)
+            if not has_readings
+        }
+        self._select(np.flatnonzero(kept).tolist())
+        if len(self.frames) < LEAST_FRAMES:
+            raise InputError(
+                f"session: {self.lag.describe()}, which leaves {len(self.frames)} frames with readings; "
+                f"expected at least {LEAST_FRAMES}"
+            )
+        self._correct_lag(value)
+
+    def _lag_value(self) -> float:
+        """Return the lag in the unit of the clock."""
+        assert self.lag is not None
+        assert self._clock is not None
+        return (self.lag.frames if self.lag.seconds is None else self.lag.seconds) * (
+            1.0 if self.lag.seconds is not None else self._clock.series.interval
+        )
+
+    def _estimate_lag(
+        self, start: float, clock: Clock, model: SessionModel, fits: FrameFits, calibration: Calibration
+    ) -> None:
+        """Refine a lag against outline fits, and store it where it is determined; one that is applied stays so."""
+        refined = refine_lag(clock, model, fits, calibration, self._prior, start)
+        found = None if refined is None else describe_lag(clock, *refined)
+        if found is not None:
+            self.lag = replace(found, applied=found.applied or (self.lag is not None and self.lag.applied))
+
+    def _correct_lag(self, value: float) -> None:
+        """Give each frame the readings of the time of its image less the lag, in the unit of the clock."""
+        assert self._clock is not None
+        self.model = self._clock.model_at(self.model, value)
         for i, frame in enumerate(self.frames):
             names = (*OUTER_JOINTS, *self._instrument.joint_names)
-            values = (*model.outer[i], *model.joints[i])
+            values = (*self.model.outer[i], *self.model.joints[i])
             readings = {n: float(v) for n, v in zip(names, values, strict=True) if not np.isnan(v)}
             self.frames[i] = replace(frame, result=replace(frame.result, readings=readings))
-        if len(kept) < LEAST_FRAMES:
-            raise InputError(f"session: {text}, which leaves {len(kept)} frames; expected at least {LEAST_FRAMES}")
 
     def _select(self, kept: list[int]) -> None:
         """Keep only the frames at some indices."""
         self.frames = [self.frames[i] for i in kept]
         self._modes = [self._modes[i] for i in kept]
         self.model = self.model.subset(kept)
+        if self._clock is not None:
+            self._clock = self._clock.subset(kept)
 
     def iterate(self) -> None:
         """Gather each frame's evidence, then alternate between fitting all frames and estimating the calibration.
@@ -223,7 +262,12 @@ class Alternation:
                 self.solution = solve(self.model, stacked, calibration, self._prior)
                 calibration = self.solution.calibration
                 self.model = estimate_variances(self.model, stacked, calibration, self.solution.weights, session)
+            if self._clock is not None and self.lag is not None and self.lag.applied:
+                self._estimate_lag(self._lag_value(), self._clock, self.model, stacked, calibration)
+                self._correct_lag(self._lag_value())
         self.solution = solve(self.model, stacked, calibration, self._prior)
+        if self.lag is not None and self.lag.applied:
+            self.warnings.append(f"{self.lag.describe()}: taken out")
 
     def report(self) -> tuple[list[FrameReport], dict[str, str]]:
         """Return the reports of the frames in use, and by name the reason for each frame that is left out.

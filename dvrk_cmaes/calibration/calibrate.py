@@ -23,6 +23,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.parallel import map_threaded
 from dvrk_cmaes.results.result import Result
@@ -51,6 +52,7 @@ def calibrate_session(
     frames: Sequence[SessionFrame],
     instrument: Instrument | Body | str = "lnd",
     *,
+    series: ReadingSeries | None = None,
     arm: Arm = "classic",
     config: EstimateConfig | None = None,
     run: Run[Any, Any] | None = None,
@@ -65,6 +67,9 @@ def calibrate_session(
         outer joints yaw, pitch, insertion and roll. Frames without these readings and failed frames are left out.
     instrument
         As in `estimate`.
+    series
+        All readings of the recording as functions of time, and the times of the frames' images: the lag between images
+        and readings is estimated with them. By default the series is made of the frames' own readings.
     arm
         The kinematics of the outer arm.
     config
@@ -86,7 +91,11 @@ def calibrate_session(
     if run is None:
         run = partial(_in_threads, body, settings)
     usable, left_out = _usable(frames, body.instrument)
-    alternation = Alternation(usable, body.instrument, arm, settings, run, progress)
+    if series is None:
+        series = ReadingSeries.of_frames(
+            {frame.name: frame.result.readings for frame in usable}, {frame.name: frame.time for frame in usable}
+        )
+    alternation = Alternation(usable, series, body.instrument, arm, settings, run, progress)
     alternation.initialise()
     alternation.iterate()
     reports, reasons = alternation.report()

@@ -63,7 +63,14 @@ def _evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
 
-def find_consensus(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> Consensus:
+def find_consensus(
+    model: SessionModel,
+    modes: Sequence[Sequence[Mode]],
+    offset_std: Float64,
+    *,
+    hypothesis_frames: int = _MAX_HYPOTHESIS_FRAMES,
+    test_frames: int = _MAX_TEST_FRAMES,
+) -> Consensus:
     """Find the calibration on which most frames agree.
 
     Parameters
@@ -74,18 +81,20 @@ def find_consensus(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_
         The modes of each frame, at least one, the most likely first.
     offset_std : (2 + J,)
         Standard deviations of the offsets about zero, m and rad.
+    hypothesis_frames, test_frames
+        Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
     """
     candidates = [(frame, k) for frame, of_frame in enumerate(modes) for k in range(len(of_frame))]
-    test_frames = _evenly_spaced(len(modes), _MAX_TEST_FRAMES)
-    hypothesis_frames = set(_evenly_spaced(len(modes), _MAX_HYPOTHESIS_FRAMES).tolist())
+    tested = _evenly_spaced(len(modes), test_frames)
+    proposing = set(_evenly_spaced(len(modes), hypothesis_frames).tolist())
     scorer = _HypothesisScorer(model, modes, offset_std)
     best: Calibration | None = None
     least = np.inf
     for frame, k in candidates:
-        if frame not in hypothesis_frames:
+        if frame not in proposing:
             continue
         hypothesis = scorer.hypothesis(frame, k)
-        cost = float(scorer.score(hypothesis, frame, k, test_frames).cost.sum())
+        cost = float(scorer.score(hypothesis, frame, k, tested).cost.sum())
         if cost < least:
             best, least, source = hypothesis, cost, (frame, k)
     assert best is not None

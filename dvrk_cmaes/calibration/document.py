@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes._version import __version__
+from dvrk_cmaes.calibration.lag import Lag, LagDocument
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.config import EstimateConfig
@@ -62,6 +63,7 @@ class _Parts(Struct):
     quality: _Quality
     left_out: tuple[_LeftOut, ...] = ()
     leave_one_out: dict[str, _LeaveOneOut] = {}
+    lag: LagDocument | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,7 @@ class SessionCalibration:
     leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
     the other frames predict.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
-    lag : delay of the readings, in frames and, if times are known, in seconds.
+    lag : lag of the images behind the readings; None if the session does not determine it.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
@@ -92,7 +94,7 @@ class SessionCalibration:
     leave_one_out: dict[str, tuple[float, float]] = field(default_factory=dict)
     iou: Number = 0.0
     contour_px_95: Number = 0.0
-    lag: dict[str, Number] | None = None
+    lag: Lag | None = None
     untold: Texts = ()
     warnings: Texts = ()
     arm: Arm = "classic"
@@ -137,7 +139,7 @@ class SessionCalibration:
                 name: {"iou": rounded(iou), "contour_px": rounded(px)} for name, (iou, px) in self.leave_one_out.items()
             },
             "quality": {"iou": rounded(self.iou), "contour_px_95": rounded(self.contour_px_95)},
-            "lag": self.lag,
+            "lag": None if self.lag is None else self.lag.to_dict(),
             "arm": self.arm,
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
@@ -167,7 +169,8 @@ class SessionCalibration:
             "iou": parts.quality.iou,
             "contour_px_95": parts.quality.contour_px_95,
         }
-        return convert_document(where, fields, cls)
+        fields.pop("lag", None)
+        return replace(convert_document(where, fields, cls), lag=Lag.from_document(parts.lag))
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.

@@ -1,7 +1,7 @@
 """Detection of faults that concern a session as a whole, from its frames' modes.
 
-Faults are: an arm that does not move, a constant lag between readings and images, a base or camera that moved during
-the session, and readings of another arm or tool.
+Faults are: an arm that does not move, a base or camera that moved during the session, and readings of another arm or
+tool. The lag between images and readings is estimated in `dvrk_cmaes.calibration.lag`.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, ROLL_OFFSET
 Float64 = NDArray[np.float64]
 
 _STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant
-_LAGS = (-3, -2, -1, 1, 2, 3)  # frames
-_LEAST_LAG_FRAMES = 6  # with fewer, a lag cannot be distinguished from outliers
 _IMPROVEMENT = 0.5  # largest ratio of mean misfits at which another explanation replaces the first
 _GOOD_MISFIT = 0.5  # mean misfit at which no other explanation is needed
 _LEAST_GROUP = 3  # frames that must agree on another base
@@ -43,55 +41,9 @@ def check_motion(model: SessionModel) -> None:
         )
 
 
-def shift_readings(model: SessionModel, lag: int) -> tuple[SessionModel, list[int]]:
-    """Correct readings that are ``lag`` frames late: give frame i those of frame i + ``lag``.
-
-    Returns the model of the frames that still have readings, and their indices.
-    """
-    count = len(model.outer)
-    kept = [i for i in range(count) if 0 <= i + lag < count]
-    sources = [i + lag for i in kept]
-    return model.of_readings(model.outer[sources], model.joints[sources]), kept
-
-
 def _mean_misfit(consensus: Consensus) -> float:
     """Return the mean of the frames' misfits, each at most `INLIER_MISFIT`."""
     return float(np.minimum(consensus.misfit, INLIER_MISFIT).mean())
-
-
-def find_lag(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> int:
-    """Find the number of frames by which readings are late; negative if they are early.
-
-    A lag is accepted if it halves the mean misfit, or doubles the share of frames that agree with the consensus. The
-    share matters because frames estimated with a lag's wrong readings may be in wrong modes, which agree at no lag.
-
-    Parameters
-    ----------
-    model, modes, offset_std
-        As in `find_consensus`.
-
-    Returns
-    -------
-    int
-        The lag; 0 if there is none, or if there are too few frames to find one.
-    """
-    if len(modes) < _LEAST_LAG_FRAMES:
-        return 0
-    consensus = find_consensus(model, modes, offset_std)
-    without_lag, share = _mean_misfit(consensus), float(consensus.agree.mean())
-    best, least = 0, without_lag
-    for lag in _LAGS:
-        shifted, kept = shift_readings(model, lag)
-        if len(kept) < _LEAST_GROUP + 1:
-            continue
-        consensus = find_consensus(shifted, [modes[i] for i in kept], offset_std)
-        misfit, agree = _mean_misfit(consensus), consensus.agree
-        better = misfit < _IMPROVEMENT * without_lag or (
-            agree.sum() >= _LEAST_GROUP and agree.mean() * _IMPROVEMENT >= share
-        )
-        if better and misfit < least:
-            best, least = lag, misfit
-    return best if without_lag > _GOOD_MISFIT else 0
 
 
 @dataclass(frozen=True)

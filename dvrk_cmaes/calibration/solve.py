@@ -144,6 +144,14 @@ def solve(
     return Solution(calibration, information, weights, misfit, frame_information, frame_slopes)
 
 
+def robust_cost(misfit: Float64, dimension: int) -> float:
+    """Return the sum over N frames of the robust cost (Geman-McClure) whose weights `solve` uses.
+
+    ``misfit`` (N,) are squared Mahalanobis distances, whose expectation is ``dimension`` if the model holds.
+    """
+    return float((misfit * (1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2))).sum())
+
+
 def leave_one_out(solution: Solution, index: int) -> Calibration:
     """Return the calibration without one frame, by one Gauss-Newton step from the solution with unchanged weights.
 

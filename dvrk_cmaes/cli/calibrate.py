@@ -88,7 +88,7 @@ def calibrate(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.batch import run_batch, usable_cores
-    from dvrk_cmaes.runs.calibrate_folder import calibrate_folder, image_times
+    from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
 
     target = session / "calibration" if out is None else out
     if results is not None and results.resolve() == target.resolve():
@@ -120,7 +120,6 @@ def calibrate(
         arm=instrument.arm,
         config=settings,
         workers=workers or usable_cores(),
-        times=image_times(session),
         progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
     )
     calibration = solved.calibration

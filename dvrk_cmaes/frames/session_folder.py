@@ -29,6 +29,7 @@ from dvrk_cmaes.frames.published_layout import find_published_frames, is_publish
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -46,6 +47,7 @@ class Session:
     camera: Camera
     frames: tuple[FrameFiles, ...]
     truth: SessionTruth
+    series: ReadingSeries | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -89,10 +91,11 @@ def read_session(
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
     if _is_session_layout(root) or not is_published_layout(root):
-        frames, notes = _session_frames(root, tuple(known), joints, tolerance)
+        frames, series, notes = _session_frames(root, tuple(known), joints, tolerance)
         notes = ("a session folder", *notes)
     else:
-        frames, notes = find_published_frames(root), ("frames in the published layout, a folder each",)
+        frames, series = find_published_frames(root), None
+        notes = ("frames in the published layout, a folder each",)
     path = camera or root / "camera.yaml"
     if camera is None and not path.exists() and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
@@ -103,6 +106,7 @@ def read_session(
         camera=lens.camera,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
         truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
+        series=series,
         notes=(*notes, f"camera: {lens.kind}", *lens.notes),
     )
 
@@ -114,8 +118,8 @@ def _is_session_layout(root: Path) -> bool:
 
 def _session_frames(
     root: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
-) -> tuple[tuple[FrameFiles, ...], tuple[str, ...]]:
-    """Find the frames of the session layout; also return notes on the formats of the readings."""
+) -> tuple[tuple[FrameFiles, ...], ReadingSeries | None, tuple[str, ...]]:
+    """Find the frames of the session layout; also return all readings, and notes on the formats of the readings."""
     masks, images, ignore = (_image_files(root / name) for name in ("masks", "images", "ignore"))
     if not masks and not images:
         raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
@@ -135,7 +139,11 @@ def _session_frames(
         farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
-    return tuple(frames), (*_described(files), *_interpolation(farthest, tolerance))
+    try:
+        series = ReadingSeries.of_files(files, {f.name: times.get(f.name, time_in_name(f.name)) for f in frames})
+    except InputError:  # a wrong cell, which is the problem of its frame
+        series = None
+    return tuple(frames), series, (*_described(files), *_interpolation(farthest, tolerance))
 
 
 def _joint_files(root: Path) -> list[Path]:

@@ -219,9 +219,6 @@ def _corrections(
 
 
 def _lag(calibration: SessionCalibration) -> str:
-    """Return the delay of the readings as text; empty if there is none."""
-    if not calibration.lag or not calibration.lag.get("frames"):
-        return ""
-    frames, seconds = calibration.lag["frames"], calibration.lag.get("seconds")
-    text = f"{abs(frames):g} frame{'' if abs(frames) == 1 else 's'} {'late' if frames > 0 else 'early'}"
-    return text if seconds is None else f"{text} ({abs(seconds):g} s)"
+    """Describe the lag that was taken out of the readings; empty if there is none."""
+    lag = calibration.lag
+    return "" if lag is None or not lag.applied else lag.describe()

@@ -6,7 +6,6 @@ OUT/summary.json, OUT/report.html
 
 from __future__ import annotations
 
-import csv
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
@@ -26,8 +25,6 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, write_bytes, write_json
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_output, left_out_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
@@ -71,19 +68,6 @@ def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
     return Pictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second))
 
 
-def image_times(folder: Path) -> dict[str, float]:
-    """Read the times of a session's frames, s, from images.csv, or else from joints.csv; empty if neither has times."""
-    for name in ("images.csv", "joints.csv"):
-        path = folder / name
-        if not path.is_file():
-            continue
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-            rows = [row for row in csv.DictReader(file) if row.get("frame") and row.get("time")]
-        if rows:
-            return {row["frame"].strip(): parse_time(str(path), row["time"]) / NANOSECONDS for row in rows}
-    return {}
-
-
 def calibrate_folder(
     session: Session,
     results: Mapping[str, Result],
@@ -94,13 +78,12 @@ def calibrate_folder(
     arm: Arm = "classic",
     config: EstimateConfig,
     workers: int,
-    times: Mapping[str, float] | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there. ``times`` are the times of the frames' images, s.
+    are taken from there.
 
     Raises
     ------
@@ -122,10 +105,11 @@ def calibrate_folder(
             )
         # The image is only needed for the overlay.
         reader = functools.partial(_read_without_image, one, session.camera)
-        at = None if times is None else times.get(name)
-        frames.append(SessionFrame(name, reader, result, one.keypoints, at))
+        frames.append(SessionFrame(name, reader, result, one.keypoints))
     with _workers(workers, instrument, config) as run:
-        solved = calibrate_session(frames, instrument, arm=arm, config=config, run=run, progress=progress)
+        solved = calibrate_session(
+            frames, instrument, series=session.series, arm=arm, config=config, run=run, progress=progress
+        )
         progress("drawing", len(solved.leave_one_out))
         (out / SESSION).unlink(missing_ok=True)
         tasks = [

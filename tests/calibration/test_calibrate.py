@@ -285,9 +285,12 @@ def test_lag_of_readings_is_corrected_and_reported(made: Made, timed: bool) -> N
     late = [with_result(one, readings=right[i - 1].result.readings) for i, one in enumerate(right)][1:]
     late = [replace(one, time=i / 30 if timed else None) for i, one in enumerate(late)]
     solved = rough(made.body, late)
-    told = " (0.033333 s)" if timed else ""
-    assert solved.calibration.warnings == (f"readings come 1 frames late{told}: taken out",)
-    assert solved.calibration.lag == ({"frames": 1.0, "seconds": 0.033333} if timed else {"frames": 1.0})
+    lag = solved.calibration.lag
+    assert lag is not None
+    assert lag.applied
+    assert lag.frames == pytest.approx(-1.0, abs=0.1)
+    assert lag.seconds == (pytest.approx(-1 / 30, abs=0.003) if timed else None)
+    assert solved.calibration.warnings == (f"{lag.describe()}: taken out",)
     assert solved.calibration.left_out["0007"] == "no readings once the lag is taken out"
     assert solved.results["0002"].readings["yaw"] == right[2].result.readings["yaw"]
 

@@ -13,6 +13,7 @@ from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.calibration.lag import Lag
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import change_between
@@ -48,7 +49,7 @@ def calibration() -> SessionCalibration:
         leave_one_out={"0000": (0.93, 1.5), "0002": (0.9, 2.25)},
         iou=0.95,
         contour_px_95=2.5,
-        lag={"frames": 2.0, "seconds": 0.066667},
+        lag=Lag(2.0, 0.25, 0.066667, 0.008),
         untold=("offset of insertion",),
         warnings=("readings come 2 frames late",),
         arm="si",

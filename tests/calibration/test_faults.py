@@ -1,4 +1,4 @@
-"""Faults of a whole session: lag of the readings, a moved base, a wrong arm or tool, an arm without motion."""
+"""Faults of a whole session: a moved base, a wrong arm or tool, an arm without motion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, World, make_world
 
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_lag, find_move, shift_readings
+from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
@@ -20,61 +20,6 @@ def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:
 def on_another_base(modes: list[list[Mode]], *, turned: float = 0.2, by: float = 0.02) -> list[list[Mode]]:
     shift = transform(exp_rotation([turned, -turned / 2, turned / 3]), [by, -by, by / 2])
     return [[Mode(shift @ mode.camera_from_root, mode.joints, np.diag(SEEN**2)) for mode in own] for own in modes]
-
-
-# lag of the readings
-
-
-@pytest.mark.parametrize("lag", [-2, -1, 1, 2, 3])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_constant_lag_is_found(lag: int, seed: int) -> None:
-    world = make_world(14, seed)
-    # A frame's own reading is that of the frame ``lag`` places before it.
-    model, kept = shift_readings(world.model, -lag)
-    modes = [modes_of(world)[i] for i in kept]
-    assert find_lag(model, modes, EXPECTED_OFFSETS) == lag
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_lag_is_found_with_half_of_frames_wrong(seed: int) -> None:
-    world = make_world(10, seed)
-    model, kept = shift_readings(world.model, -2)
-    modes = [modes_of(world)[i] for i in kept]
-    strange = modes_of(make_world(10, seed + 50))
-    for i in (2, 4, 5, 7):
-        modes[i] = strange[i]
-    assert find_lag(model, modes, EXPECTED_OFFSETS) == 2
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_synchronous_readings_have_no_lag(seed: int) -> None:
-    world = make_world(10, seed)
-    assert find_lag(world.model, modes_of(world, seed), EXPECTED_OFFSETS) == 0
-
-
-def test_wrong_frames_are_not_taken_for_lag() -> None:
-    world = make_world(12, seed=5)
-    modes = modes_of(world)
-    others = modes_of(make_world(12, seed=6))
-    for i in (0, 4, 8, 9):
-        modes[i] = others[i]
-    assert find_lag(world.model, modes, EXPECTED_OFFSETS) == 0
-
-
-def test_few_frames_are_not_searched_for_lag() -> None:
-    model, kept = shift_readings(make_world(5).model, 1)
-    modes = [modes_of(make_world(5))[i] for i in kept]
-    assert find_lag(model, modes, EXPECTED_OFFSETS) == 0
-
-
-def test_shift_drops_frames_without_readings() -> None:
-    world = make_world(6)
-    late, kept = shift_readings(world.model, 2)
-    assert kept == [0, 1, 2, 3]
-    np.testing.assert_array_equal(late.outer, world.model.outer[2:])
-    early, kept = shift_readings(world.model, -2)
-    assert kept == [2, 3, 4, 5]
-    np.testing.assert_array_equal(early.outer, world.model.outer[:4])
 
 
 # a base or camera that moved

@@ -13,6 +13,7 @@ import pytest
 from helpers.page_calibrations import BASE, BASE_STD, OFFSETS, SPREADS, STD, calibration, solved, write_calibrated
 from helpers.page_results import failed, page_of, write_results
 
+from dvrk_cmaes.calibration.lag import Lag
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.report.page import render_page, write_page
 from dvrk_cmaes.report.page_calibration import MOST_PICTURES, CalibrationView, calibration_view, left_out_views
@@ -67,13 +68,13 @@ def test_undetermined_offsets_and_warnings_come_first(tmp_path: Path) -> None:
     words = {
         "untold": ("offset of <b>roll</b>: standard deviation 10.9 deg",),
         "warnings": ("the arm's base or the camera moved between frames b and c",),
-        "lag": {"frames": 2.0, "seconds": 0.08},
+        "lag": Lag(2.0, 0.1, 0.08, 0.004),
     }
     page = page_of(write_calibrated(tmp_path, frames, calibration(frames, **words)))
     part = page.text[page.text.index("Calibration ? doubtful") :]
     said = "Of the session as a whole: the arm's base or the camera moved between frames b and c"
     assert part.index(said) < part.index("This session cannot tell: offset of <b>roll</b>") < part.index("Frames used")
-    assert "the readings taken to be 2 frames late (0.08 s)" in part
+    assert "images are 2.00 frames (0.080 s) later than the readings, std 0.10 frames, which is taken out" in part
 
 
 def test_left_out_frames_are_listed_with_reason_and_link(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from helpers.places import ROOT, SCRIPTS
 
 from dvrk_cmaes.calibration import SessionCalibration, SolvedSession
+from dvrk_cmaes.calibration.lag import Lag
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.geometry import moved
 
@@ -109,13 +110,13 @@ def test_false_input_counts_as_named_by_its_own_message_only(cases: list[Case]) 
     )
     right = [
         outcome(cases, still, FOREIGN_MASKS, left_out={"0001": "", "0005": "", "0008": ""}),
-        outcome(cases, still, LATE, lag={"frames": 2.0}),
+        outcome(cases, still, LATE, lag=Lag(-2.1, 0.1)),
         outcome(cases, still, MOVED, warnings=(said,)),
         replace(outcome(cases, still, WRONG_ARM), solved=None, refusal="session: the readings fit an arm 51 mm longer"),
     ]
     wrong = [
         outcome(cases, still, FOREIGN_MASKS, left_out={"0001": "", "0005": ""}),
-        outcome(cases, still, LATE, lag={"frames": 1.0}),
+        outcome(cases, still, LATE, lag=Lag(-1.0, 0.1)),
         outcome(cases, still, MOVED, warnings=(said.replace("0004", "0003"),)),
         outcome(cases, still, WRONG_ARM),
     ]

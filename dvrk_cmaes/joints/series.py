@@ -1,0 +1,128 @@
+"""All readings of a session as functions of one clock, to be interpolated at times other than the images' own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.rows import JointFile
+
+Float64 = NDArray[np.float64]
+Unit = Literal["s", "frames"]
+
+_NUMBER = re.compile(r"\d+$")
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingSeries:
+    """Readings of joints as functions of time, and the times of the frames' images on the same clock.
+
+    ``times`` (M,), strictly increasing, and ``values`` (M,), rad or m, are by joint name. ``frames`` are the frames'
+    times by name. Times are in seconds, or in frames where only their order is known. ``interval`` is the time between
+    consecutive images, in the same unit.
+    """
+
+    unit: Unit
+    times: Mapping[str, Float64]
+    values: Mapping[str, Float64]
+    frames: Mapping[str, float]
+    interval: float
+
+    def at(self, names: Sequence[str], times: Float64) -> Float64:
+        """Interpolate the readings of J joints linearly at times (N,); returns (N, J), NaN outside the series."""
+        out = np.full((len(times), len(names)), np.nan)
+        for k, name in enumerate(names):
+            if name in self.times:
+                out[:, k] = np.interp(times, self.times[name], self.values[name], left=np.nan, right=np.nan)
+        return out
+
+    def is_interpolable(self, names: Sequence[str], tolerance: Float64) -> bool:
+        """Whether the readings of J joints change smoothly from row to row.
+
+        They do unless the deviation of a row from the mean of its neighbours is, in the median over the rows, both more
+        than ``tolerance`` (J,) and more than a third of the change between the neighbours.
+        """
+        for name, most in zip(names, tolerance, strict=True):
+            values = self.values.get(name, np.zeros(0))
+            if len(values) < 3:
+                continue
+            deviation = float(np.median(np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2)))
+            change = float(np.median(np.abs(values[2:] - values[:-2])))
+            if deviation > max(most, change / 3):
+                return False
+        return True
+
+    def spacing(self, name: str) -> float | None:
+        """Return the time between consecutive readings of a joint; None if it varies by more than a thousandth."""
+        gaps = np.diff(self.times.get(name, np.zeros(0)))
+        return None if not len(gaps) or np.ptp(gaps) > 1e-3 * gaps.mean() else float(gaps.mean())
+
+    @classmethod
+    def of_frames(
+        cls, readings: Mapping[str, Mapping[str, float]], times: Mapping[str, float | None]
+    ) -> ReadingSeries | None:
+        """Create a series from the readings of the frames, which are in the order of their images.
+
+        The clock is that of ``times``, s, if all frames have one and these increase; otherwise the frames are counted.
+        Returns None for fewer than two frames.
+        """
+        names = list(readings)
+        if len(names) < 2:
+            return None
+        given = [times.get(name) for name in names]
+        seconds = np.array([np.nan if time is None else time for time in given])
+        timed = bool((np.diff(seconds) > 0).all())
+        clock = seconds - seconds[0] if timed else np.arange(len(names), dtype=np.float64)
+        return cls._of_rows("s" if timed else "frames", names, clock, [readings[name] for name in names])
+
+    @classmethod
+    def of_files(cls, files: Sequence[JointFile], images: Mapping[str, int | None]) -> ReadingSeries | None:
+        """Create a series from all rows of a session's files; ``images`` are the frames' names and image times, ns.
+
+        The clock is in seconds if all rows and images have times: an image's own, or that of its row. Otherwise the
+        rows of a single file that are labelled by frame are numbered by the numbers that end the labels, or if these
+        are missing or do not increase, counted. Returns None where neither is possible. Rows with wrong cells raise
+        `InputError`.
+        """
+        rows = {label: row for file in files if file.labels == "frame" for label, row in file.rows.items()}
+        stamps = {name: rows[name].time if time is None and name in rows else time for name, time in images.items()}
+        known = {name: time for name, time in stamps.items() if time is not None}
+        every = sorted({*known.values(), *(row.time for row in rows.values() if row.time is not None)})
+        if len(every) > 1 and len(known) == len(stamps) and all(file.timed for file in files):
+            origin = min(known.values())
+            readings = [timed for file in files for timed in file.timed]
+            frames = {name: (time - origin) / NANOSECONDS for name, time in known.items()}
+            return cls(
+                "s",
+                {one.joints[0]: (one.times - origin) / NANOSECONDS for one in readings},
+                {one.joints[0]: one.values[:, 0] for one in readings},
+                frames,
+                float(np.median(np.diff(every))) / NANOSECONDS,
+            )
+        if len(files) != 1 or not rows or len(rows) < 2:
+            return None
+        labels = list(rows)
+        numbers = [int(found[0]) if (found := _NUMBER.search(label)) else -1 for label in labels]
+        numbered = min(numbers) >= 0 and bool((np.diff(numbers) > 0).all())
+        clock = np.array(numbers if numbered else range(len(labels)), dtype=np.float64)
+        series = cls._of_rows("frames", labels, clock, [rows[label].readings() for label in labels])
+        return replace(series, frames={name: series.frames[name] for name in images if name in rows}, interval=1.0)
+
+    @classmethod
+    def _of_rows(
+        cls, unit: Unit, labels: Sequence[str], clock: Float64, rows: Sequence[Mapping[str, float]]
+    ) -> ReadingSeries:
+        """Create a series from rows of readings at increasing times (M,)."""
+        times, values = {}, {}
+        for name in dict.fromkeys(name for row in rows for name in row):
+            has = np.array([name in row for row in rows])
+            times[name] = clock[has]
+            values[name] = np.array([row[name] for row in rows if name in row], dtype=np.float64)
+        interval = float(np.median(np.diff(clock)))
+        return cls(unit, times, values, dict(zip(labels, clock.tolist(), strict=True)), interval)

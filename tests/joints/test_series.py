@@ -1,0 +1,87 @@
+"""All readings of a session on one clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.reading import read_joint_file
+from dvrk_cmaes.joints.series import ReadingSeries
+
+
+def series_of(folder: Path, text: str, images: dict[str, int | None]) -> ReadingSeries | None:
+    path = folder / "joints.csv"
+    path.write_text(text)
+    return ReadingSeries.of_files([read_joint_file(path)], images)
+
+
+def test_rows_are_numbered_by_the_numbers_of_their_frames(tmp_path: Path) -> None:
+    text = "frame,yaw,jaw\nf0010,0.1,1\nf0011,0.2,\nf0013,0.5,3\n"
+    series = series_of(tmp_path, text, {"f0011": None, "f0013": None, "other": None})
+    assert series is not None
+    assert (series.unit, series.interval, series.frames) == ("frames", 1.0, {"f0011": 11.0, "f0013": 13.0})
+    found = series.at(("yaw", "jaw", "roll"), np.array([11.0, 12.0, 9.0]))
+    np.testing.assert_allclose(found[:, 0], [0.2, 0.35, np.nan])
+    np.testing.assert_allclose(found[:, 1], [1 + 2 / 3, 1 + 4 / 3, np.nan])
+    assert np.isnan(found[:, 2]).all()
+
+
+def test_names_without_increasing_numbers_are_counted(tmp_path: Path) -> None:
+    series = series_of(tmp_path, "frame,yaw\nb,0.1\na,0.2\nc,0.4\n", {"a": None, "c": None})
+    assert series is not None
+    assert series.frames == {"a": 1.0, "c": 2.0}
+
+
+def test_rows_with_times_give_a_clock_in_seconds(tmp_path: Path) -> None:
+    rows = "".join(f"{k:04d},{100 + k / 30:.6f},{k / 10}\n" for k in range(10))
+    series = series_of(tmp_path, f"frame,time,yaw\n{rows}", {"0003": None, "0006": None})
+    assert series is not None
+    assert series.unit == "s"
+    assert series.interval == pytest.approx(1 / 30, abs=1e-6)
+    np.testing.assert_allclose(list(series.frames.values()), [0.0, 0.1], atol=1e-6)
+    found = series.at(("yaw",), np.array(list(series.frames.values())) - 0.05)
+    np.testing.assert_allclose(found[:, 0], [0.15, 0.45], atol=1e-4)
+
+
+def test_images_have_times_of_their_own(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100:.2f},{k / 100}\n" for k in range(100))
+    images = {"a": round(0.205 * NANOSECONDS), "b": round(0.305 * NANOSECONDS)}
+    series = series_of(tmp_path, f"time,yaw\n{rows}", dict(images))
+    assert series is not None
+    assert (series.unit, series.interval) == ("s", pytest.approx(0.1))
+    np.testing.assert_allclose(series.at(("yaw",), np.array([0.0, 0.1]))[:, 0], [0.205, 0.305])
+
+
+def test_rows_without_frames_or_times_give_no_series(tmp_path: Path) -> None:
+    assert series_of(tmp_path, "time,yaw\n0.1,0.1\n0.2,0.1\n", {"a": None, "b": None}) is None
+    assert series_of(tmp_path, "frame,yaw\na,0.1\n", {"a": None}) is None
+
+
+def test_wrong_cell_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="yaw"):
+        series_of(tmp_path, "frame,yaw\n1,0.1\n2,x\n", {"1": None})
+
+
+def test_frames_in_memory_are_counted_or_timed() -> None:
+    readings = {"a": {"yaw": 0.0}, "b": {"yaw": 2.0}, "c": {"yaw": 4.0}}
+    counted = ReadingSeries.of_frames(readings, {})
+    assert counted is not None
+    assert (counted.unit, counted.frames) == ("frames", {"a": 0.0, "b": 1.0, "c": 2.0})
+    timed = ReadingSeries.of_frames(readings, {"a": 5.0, "b": 5.1, "c": 5.3})
+    assert timed is not None
+    assert timed.unit == "s"
+    assert timed.at(("yaw",), np.array([0.2]))[0, 0] == pytest.approx(3.0)
+    assert ReadingSeries.of_frames({"a": {"yaw": 0.0}}, {}) is None
+
+
+def test_unrelated_rows_are_not_interpolable() -> None:
+    rng = np.random.default_rng(0)
+    clock = np.arange(40.0)
+    smooth = 0.3 * np.sin(clock / 6) + 1e-4 * rng.standard_normal(40)
+    for values, expected in ((smooth, True), (rng.uniform(-0.3, 0.3, 40), False), (1e-4 * smooth, True)):
+        series = ReadingSeries("frames", {"yaw": clock}, {"yaw": values}, {}, 1.0)
+        assert series.is_interpolable(("yaw",), np.array([0.01])) is expected
