@@ -33,7 +33,7 @@ _ITERATIONS = 200  # more than are needed for convergence
 _NEAR = 1e-9  # m and rad; least distance in a weight, so that weights are finite
 
 
-class _Session(Struct):
+class _SessionBase(Struct):
     camera_from_base: Transform
     frames: Texts | None = None
 
@@ -78,7 +78,7 @@ class ChosenBase:
 
 def base_of_session(where: str, document: Mapping[str, Any]) -> ChosenBase:
     """Take the ``camera_from_base`` of a session calibration; InputError, which begins with ``where``, without one."""
-    session = convert_document(where, document, _Session)
+    session = convert_document(where, document, _SessionBase)
     frames = session.frames or ()
     return ChosenBase(session.camera_from_base, f"the session calibration {where} of {len(frames)} frames", frames)
 

@@ -27,7 +27,7 @@ Float64 = NDArray[np.float64]
 _COLUMNS: Final = ("frame", "marker", "u", "v")
 
 
-class _Entry(Struct):
+class _MarkerEntry(Struct):
     link: Annotated[str, Meta(min_length=1, description="the name of a link")]
     position_m: Annotated[Point, Meta(description="3 finite numbers in metres")]
 
@@ -56,7 +56,7 @@ def read_marker_table(path: str | Path) -> dict[str, Marker]:
 
 
 def _read_marker(where: str, document: Any) -> Marker:
-    entry = convert_document(where, document, _Entry)
+    entry = convert_document(where, document, _MarkerEntry)
     if np.abs(entry.position_m).max() > 1:
         raise refused(where, "position_m", "metres; this looks like millimetres", document["position_m"])
     return Marker(entry.link, entry.position_m)

@@ -23,7 +23,7 @@ from dvrk_cmaes.io.typed_document import Number, PointPair, Transform, convert_d
 _EXPECTED = "the truth of a session (golden.json)"
 
 
-class _Entry(Struct):
+class _TruthEntry(Struct):
     T_camera_roll_link: Transform
     joints: dict[str, Number]
     tips_camera_m: PointPair | None = None
@@ -80,7 +80,7 @@ def _read_frame(where: str, document: object) -> FrameTruth:
     fields = present_fields(where, document)
     if not fields.get("tips_camera_m"):
         fields.pop("tips_camera_m", None)  # an empty list for an instrument without jaws
-    entry = convert_document(where, fields, _Entry)
+    entry = convert_document(where, fields, _TruthEntry)
     return FrameTruth(entry.T_camera_roll_link, entry.joints, entry.tips_camera_m)
 
 

@@ -38,7 +38,7 @@ class _Summary(Struct):
     counts: dict[str, Any] | None = None
 
 
-class _Session(Struct):
+class _SessionFields(Struct):
     camera_from_base: Transform | None = None
     offsets: dict[str, Number] | None = None
 
@@ -114,7 +114,7 @@ def _markers(path: Path) -> Finding:
 
 def _session(path: Path, document: Mapping[str, Any]) -> Finding:
     """Describe a session calibration."""
-    session = convert_document(str(path), document, _Session)
+    session = convert_document(str(path), document, _SessionFields)
     base, offsets = session.camera_from_base, session.offsets or {}
     lines = [f"base in the camera: {'not known' if base is None else _pose_text(base)}"]
     lines += [
