@@ -113,7 +113,7 @@ class Alternation:
         self._prior[6:, 6:] = np.diag(1 / self._offset_std**2)
         self._modes = [self._modes_of(frame.result) for frame in frames]
         if series is not None and all(frame.name in series.frames for frame in frames):
-            self._clock = Clock(series, [frame.name for frame in frames])
+            self._clock = Clock.of(series, [frame.name for frame in frames], deviations.outer)
 
     def _joints(self, joints: dict[str, float]) -> Float64:
         """Return joints by name as an array (J,) in the instrument's order."""
@@ -163,12 +163,11 @@ class Alternation:
         found = search_lag(self._clock, self.model, self._modes, self._offset_std)
         if found is None:
             return
-        has = np.flatnonzero(self._clock.has_readings(found))
-        model = self._clock.model_at(self.model, found).subset(has)
-        modes = [self._modes[i] for i in has]
-        calibration = find_consensus(model, modes, self._offset_std).calibration
-        chosen, _ = choose_modes(model, modes, calibration)
-        self._estimate_lag(found, self._clock.subset(has.tolist()), model, _as_fits(chosen), calibration)
+        start, calibration = found
+        has = np.flatnonzero(self._clock.has_readings(start))
+        model = self._clock.model_at(self.model, start).subset(has)
+        chosen, _ = choose_modes(model, [self._modes[i] for i in has], calibration)
+        self._estimate_lag(start, self._clock.subset(has), model, _as_fits(chosen), calibration)
         if self.lag is None or not self.lag.applied:
             return
         value = self._lag_value()
@@ -190,9 +189,7 @@ class Alternation:
         """Return the lag in the unit of the clock."""
         assert self.lag is not None
         assert self._clock is not None
-        return (self.lag.frames if self.lag.seconds is None else self.lag.seconds) * (
-            1.0 if self.lag.seconds is not None else self._clock.series.interval
-        )
+        return self.lag.frames * self._clock.series.interval
 
     def _estimate_lag(
         self, start: float, clock: Clock, model: SessionModel, fits: FrameFits, calibration: Calibration

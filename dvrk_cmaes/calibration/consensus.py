@@ -57,6 +57,11 @@ class Consensus:
         """Whether each frame has a mode that agrees with the calibration, (N,)."""
         return np.asarray(self.misfit < INLIER_MISFIT)
 
+    @property
+    def mean_misfit(self) -> float:
+        """Mean of the frames' misfits, each at most `INLIER_MISFIT`."""
+        return float(np.minimum(self.misfit, INLIER_MISFIT).mean())
+
 
 def _evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
     """Return at most ``most`` evenly spaced indices below ``count``, in increasing order."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, ROLL_OFFSET_LONG
@@ -39,11 +39,6 @@ def check_motion(model: SessionModel) -> None:
         raise InputError(
             "session: yaw, pitch, insertion, roll: expected readings of an arm that moves, got the same in all frames"
         )
-
-
-def _mean_misfit(consensus: Consensus) -> float:
-    """Return the mean of the frames' misfits, each at most `INLIER_MISFIT`."""
-    return float(np.minimum(consensus.misfit, INLIER_MISFIT).mean())
 
 
 @dataclass(frozen=True)
@@ -103,14 +98,14 @@ def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: 
         The consensus is clearly better with another length; the message states the difference, mm.
     """
     differences = ROLL_OFFSET_LONG - ROLL_OFFSET, INSERTION_OFFSET["si"] - INSERTION_OFFSET["classic"]
-    misfit = _mean_misfit(consensus)
+    misfit = consensus.mean_misfit
     if misfit < _GOOD_MISFIT:
         return
     for difference in differences:
         outer = model.outer.copy()
         outer[:, 2] += difference
         other = find_consensus(model.of_readings(outer, model.joints), modes, offset_std)
-        if _mean_misfit(other) < _IMPROVEMENT * misfit:
+        if other.mean_misfit < _IMPROVEMENT * misfit:
             than = "longer" if difference > 0 else "shorter"
             raise InputError(
                 f"session: the readings fit an arm or tool {abs(difference) * 1e3:.0f} mm {than}"

@@ -8,14 +8,14 @@ lag is where they agree best, and the curvature of their disagreement there give
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, robust_cost, solve
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -103,53 +103,50 @@ class Lag:
         return f"images are {amount} {'later' if self.frames > 0 else 'earlier'} than the readings{std}"
 
 
+@dataclass(frozen=True, eq=False)
 class Clock:
     """Readings of a session's frames at any lag.
 
-    Parameters
-    ----------
-    series
-        The readings as functions of time, and the times of at least the frames given.
-    names
-        The frames, in the order of the model.
+    ``times`` (N,) are those of the frames' images on the clock of the ``series``. ``interpolable`` tells whether the
+    readings may be interpolated, because the rows follow each other closely in time. ``step`` is that of the search for
+    the lag, in the unit of the series; for readings that cannot be interpolated it is the time between their rows, None
+    if that is not constant.
     """
 
-    def __init__(self, series: ReadingSeries, names: Sequence[str]) -> None:
-        self.series = series
-        self._times = np.array([series.frames[name] for name in names])
+    series: ReadingSeries
+    times: Float64
+    interpolable: bool
+    step: float | None
 
-    def subset(self, index: Sequence[int]) -> Clock:
+    @classmethod
+    def of(cls, series: ReadingSeries, names: Sequence[str], outer_std: Float64) -> Clock:
+        """Create the clock of frames in the order of their model; ``outer_std`` (4,) are of the outer readings."""
+        low, high = _RANGE[series.unit]
+        interpolable = series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
+        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
+        return cls(series, np.array([series.frames[name] for name in names]), interpolable, step)
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Clock:
         """Return the clock of some of the frames."""
-        clock = Clock(self.series, ())
-        clock._times = self._times[list(index)]
-        return clock
+        return replace(self, times=self.times[np.asarray(index, dtype=np.intp)])
 
     def model_at(self, model: SessionModel, lag: float) -> SessionModel:
         """Return the model with the readings of the times of the images less the lag."""
-        outer, joints = (self.series.at(names, self._times - lag) for names in (OUTER_JOINTS, model.names))
+        outer, joints = (self.series.at(names, self.times - lag) for names in (OUTER_JOINTS, model.names))
         return model.of_readings(outer, joints, model.deviations, model.inflation)
 
     def has_readings(self, lag: float) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
-        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self._times - lag)).any(axis=1))
-
-    def is_interpolable(self, model: SessionModel) -> bool:
-        """Whether the readings of the outer joints may be interpolated: the rows follow each other closely in time."""
-        return self.series.is_interpolable(OUTER_JOINTS, _ROUGH * model.deviations.outer)
-
-    def step(self, model: SessionModel) -> float | None:
-        """Step of the search for the lag, in the unit of the series.
-
-        For readings that cannot be interpolated it is the time between their rows; None if that is not constant.
-        """
-        low, high = _RANGE[self.series.unit]
-        if not self.is_interpolable(model):
-            return self.series.spacing(OUTER_JOINTS[0])
-        return max(min(_STEP[self.series.unit], self.series.interval), (high - low) / (_MOST_STEPS - 1))
+        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self.times - lag)).any(axis=1))
 
 
-def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> float | None:
-    """Find the lag at which the frames' modes agree best, to a step of the search, in the unit of the series.
+def search_lag(
+    clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64
+) -> tuple[float, Calibration] | None:
+    """Find the lag at which the frames' modes agree best, and the calibration on which they agree there.
+
+    The lag is found to a step of the search, in the unit of the series.
 
     Returns None if there are too few frames or the best lag is at the end of the range. Readings that cannot be
     interpolated must be at regular times, and the lag must halve the mean misfit; otherwise the result is None, too.
@@ -157,33 +154,34 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     if len(modes) < _LEAST_FRAMES:
         return None
     low, high = _RANGE[clock.series.unit]
-    step = clock.step(model)
+    step = clock.step
     if step is None:
         return None
     lags = step * np.arange(round(low / step), round(high / step) + 1)
-    costs = np.array([_disagreement(clock, model, modes, offset_std, lag) for lag in lags])
+    found = [_consensus_at(clock, model, modes, offset_std, lag) for lag in lags]
+    costs = np.array([np.inf if one is None else one.mean_misfit for one in found])
     best = int(np.argmin(costs))
     synchronous = int(np.argmin(np.abs(lags)))
-    if not clock.is_interpolable(model) and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
+    if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
         return None
-    return None if best in (0, len(lags) - 1) or not np.isfinite(costs[best]) else float(lags[best])
+    consensus = found[best]
+    return None if best in (0, len(lags) - 1) or consensus is None else (float(lags[best]), consensus.calibration)
 
 
-def _disagreement(
+def _consensus_at(
     clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, lag: float
-) -> float:
-    """Return the frames' mean misfit from their consensus at a lag, each at most `INLIER_MISFIT`."""
+) -> Consensus | None:
+    """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
     has = np.flatnonzero(clock.has_readings(lag))
     if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
-        return float(np.inf)
-    consensus = find_consensus(
+        return None
+    return find_consensus(
         clock.model_at(model, lag).subset(has),
         [modes[int(i)] for i in has],
         offset_std,
         hypothesis_frames=_HYPOTHESIS_FRAMES,
         test_frames=_TEST_FRAMES,
     )
-    return float(np.minimum(consensus.misfit, INLIER_MISFIT).mean())
 
 
 def refine_lag(
@@ -200,15 +198,15 @@ def refine_lag(
     the next lag. Only frames with readings within a step on either side of the start are used. Returns None if there
     are too few, or if the cost has no minimum there. A lag of readings that cannot be interpolated is left as it is.
     """
-    step, lag = clock.step(model), start
+    step, lag = clock.step, start
     if step is None:
         return None
-    if not clock.is_interpolable(model):
+    if not clock.interpolable:
         return lag, float(step / np.sqrt(12))
     has = np.flatnonzero(clock.has_readings(start - step) & clock.has_readings(start + step))
     if len(has) < _LEAST_AT_LAG:
         return None
-    near, used, outlines = clock.subset(has.tolist()), model.subset(has), fits.subset(has)
+    near, used, outlines = clock.subset(has), model.subset(has), fits.subset(has)
 
     def cost(at: float) -> float:
         shifted = near.model_at(used, at)

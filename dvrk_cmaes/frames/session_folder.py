@@ -17,7 +17,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.camera import Camera
@@ -41,14 +41,26 @@ class Session:
     """A session: its folder, its camera, and its frames sorted by name.
 
     ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
+    ``joint_files`` are the files of readings, ``image_times`` the times of the images by frame, ns, None if unknown.
     """
 
     folder: Path
     camera: Camera
     frames: tuple[FrameFiles, ...]
     truth: SessionTruth
-    series: ReadingSeries | None = None
     notes: tuple[str, ...] = ()
+    joint_files: tuple[JointFile, ...] = ()
+    image_times: Mapping[str, int | None] = field(default_factory=dict)
+
+    def reading_series(self) -> ReadingSeries | None:
+        """Return all readings as functions of time, with the frames' times; None where there is no common clock.
+
+        None, too, for a wrong cell, which is the ``problem`` of its frame.
+        """
+        try:
+            return ReadingSeries.of_files(self.joint_files, self.image_times)
+        except InputError:
+            return None
 
 
 def read_session(
@@ -91,10 +103,10 @@ def read_session(
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
     if _is_session_layout(root) or not is_published_layout(root):
-        frames, series, notes = _session_frames(root, tuple(known), joints, tolerance)
+        frames, readings, times, notes = _session_frames(root, tuple(known), joints, tolerance)
         notes = ("a session folder", *notes)
     else:
-        frames, series = find_published_frames(root), None
+        frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
     path = camera or root / "camera.yaml"
     if camera is None and not path.exists() and notes[0] != "a session folder":
@@ -106,8 +118,9 @@ def read_session(
         camera=lens.camera,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
         truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
-        series=series,
         notes=(*notes, f"camera: {lens.kind}", *lens.notes),
+        joint_files=readings,
+        image_times=times,
     )
 
 
@@ -118,8 +131,8 @@ def _is_session_layout(root: Path) -> bool:
 
 def _session_frames(
     root: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
-) -> tuple[tuple[FrameFiles, ...], ReadingSeries | None, tuple[str, ...]]:
-    """Find the frames of the session layout; also return all readings, and notes on the formats of the readings."""
+) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
+    """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     masks, images, ignore = (_image_files(root / name) for name in ("masks", "images", "ignore"))
     if not masks and not images:
         raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
@@ -127,11 +140,12 @@ def _session_frames(
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
+    image_times = {name: times.get(name, time_in_name(name)) for name in sorted({*masks, *images})}
     frames, farthest = [], None
-    for name in sorted({*masks, *images}):
+    for name, time in image_times.items():
         frame = FrameFiles(name, masks.get(name), {}, images.get(name), ignore.get(name), tips.get(name))
         try:
-            found = frame_readings(files, name, time=times.get(name, time_in_name(name)), tolerance=tolerance)
+            found = frame_readings(files, name, time=time, tolerance=tolerance)
         except InputError as error:
             frames.append(replace(frame, problem=str(error)))
             continue
@@ -139,11 +153,8 @@ def _session_frames(
         farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
-    try:
-        series = ReadingSeries.of_files(files, {f.name: times.get(f.name, time_in_name(f.name)) for f in frames})
-    except InputError:  # a wrong cell, which is the problem of its frame
-        series = None
-    return tuple(frames), series, (*_described(files), *_interpolation(farthest, tolerance))
+    notes = (*_described(files), *_interpolation(farthest, tolerance))
+    return tuple(frames), tuple(files), image_times, notes
 
 
 def _joint_files(root: Path) -> list[Path]:

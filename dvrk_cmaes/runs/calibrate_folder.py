@@ -108,7 +108,7 @@ def calibrate_folder(
         frames.append(SessionFrame(name, reader, result, one.keypoints))
     with _workers(workers, instrument, config) as run:
         solved = calibrate_session(
-            frames, instrument, series=session.series, arm=arm, config=config, run=run, progress=progress
+            frames, instrument, series=session.reading_series(), arm=arm, config=config, run=run, progress=progress
         )
         progress("drawing", len(solved.leave_one_out))
         (out / SESSION).unlink(missing_ok=True)

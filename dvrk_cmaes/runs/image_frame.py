@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -89,9 +90,16 @@ def segment_and_estimate(
         )
     started = perf_counter()
 
-    def solve(mask: Bool) -> Result:
-        return estimate(mask, frame.camera, readings, body, ignore=frame.ignore, arm=arm, frame=name, config=config)
-
+    solve = partial(
+        estimate,
+        camera=frame.camera,
+        joints=readings,
+        instrument=body,
+        ignore=frame.ignore,
+        arm=arm,
+        frame=name,
+        config=config,
+    )
     result: Result | None = None  # of the last mask, without keypoints and session
     try:
         found = segment_first(frame.image, frame.ignore, settings=settings, hints=hints, threads=config.threads)
@@ -109,18 +117,7 @@ def segment_and_estimate(
     data = frame.with_mask(found.mask, found.notes)
     seconds = perf_counter() - started
     if result is None or keypoints is not None or session is not None:
-        result = estimate(
-            data.mask,
-            data.camera,
-            readings,
-            body,
-            ignore=data.ignore,
-            keypoints=keypoints,
-            arm=arm,
-            session=session,
-            frame=name,
-            config=config,
-        )
+        result = solve(found.mask, keypoints=keypoints, session=session)
         seconds += result.seconds
     result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
     return SegmentedFrame(data, found, _with_doubts(result, data, frame.image, found, body))

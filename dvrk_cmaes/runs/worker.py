@@ -82,10 +82,9 @@ class FrameOutcome:
     mask: bytes | None = field(default=None, repr=False)
 
 
-def prepare_process(packed: PackedSetup) -> int:
-    """Unpickle a setup and build its scenes, before the first frame; returns the process id."""
+def prepare_process(packed: PackedSetup) -> None:
+    """Unpickle a setup and build its scenes, before the first frame."""
     _unpacked(packed)
-    return os.getpid()
 
 
 def run_task(packed: PackedSetup, files: FrameFiles) -> FrameOutcome:

@@ -42,7 +42,7 @@ def moving_world(lag: float, seed: int, *, every: int = 6) -> tuple[World, Clock
     )
     shown = true_readings(frames - lag)
     poses, joints = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
-    clock = Clock(series, list(series.frames))
+    clock = Clock.of(series, list(series.frames), blank.model.deviations.outer)
     read = series.at((*OUTER_JOINTS, *NAMES), frames)
     world = World(SessionModel(read[:, :4], read[:, 4:], NAMES, blank.model.deviations), blank.truth, poses, joints)
     return world, clock, world.modes(rng)
@@ -52,9 +52,8 @@ def found_lag(world: World, clock: Clock, modes: list[list[Mode]]) -> tuple[floa
     coarse = search_lag(clock, world.model, modes, EXPECTED_OFFSETS)
     if coarse is None:
         return None
-    model = clock.model_at(world.model, coarse)
-    calibration = find_consensus(model, modes, EXPECTED_OFFSETS).calibration
-    return refine_lag(clock, model, fits_of(modes), calibration, PRIOR, coarse)
+    lag, calibration = coarse
+    return refine_lag(clock, clock.model_at(world.model, lag), fits_of(modes), calibration, PRIOR, lag)
 
 
 def fits_of(modes: list[list[Mode]]) -> FrameFits:
@@ -96,7 +95,7 @@ def test_wrong_frames_do_not_change_the_lag() -> None:
 def test_arm_that_hardly_moves_determines_no_lag() -> None:
     world, clock, modes = moving_world(3.0, seed=3)
     slow = {name: values.mean() + 1e-3 * (values - values.mean()) for name, values in clock.series.values.items()}
-    still = Clock(replace(clock.series, values=slow), list(clock.series.frames))
+    still = Clock.of(replace(clock.series, values=slow), list(clock.series.frames), world.model.deviations.outer)
     model = still.model_at(world.model, 0.0)
     poses, joints = model.predict(world.truth)
     held = replace(world, model=model, poses=poses, joints=joints)
