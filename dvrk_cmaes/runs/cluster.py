@@ -13,7 +13,6 @@ from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.runs.executor import ExternalExecutor
 
 _TIMEOUT: Final = 15  # s, for the connection to the scheduler, and then for its first worker
-_TASKS_PER_THREAD: Final = 2  # submitted at a time, so that no thread of a worker waits for its next task
 
 
 @contextmanager
@@ -56,7 +55,9 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[ExternalExecutor
         _check_workers(client, Path(folder).absolute())
 
         def at_once() -> int:
-            return _TASKS_PER_THREAD * max(1, int(sum(client.nthreads().values())))
+            # One task a thread. The scheduler counts a worker's death against every task the worker holds: a task that
+            # waits behind one that kills its workers would be given up with it.
+            return max(1, int(sum(client.nthreads().values())))
 
         yield ExternalExecutor(client.get_executor(pure=False), at_once, (KilledWorker,))
 

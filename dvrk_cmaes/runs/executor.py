@@ -19,8 +19,8 @@ R = TypeVar("R")
 class ExternalExecutor:
     """An executor and its properties.
 
-    ``at_once()`` is how many tasks to submit at a time: more than it has workers, so that no worker waits. ``gives_up``
-    are the exceptions of a future whose worker has died so often that the executor gave the task up.
+    ``at_once()`` is how many tasks to submit at a time: at least as many as it has workers. ``gives_up`` are the
+    exceptions of a future whose worker has died so often that the executor gave the task up.
     """
 
     executor: Executor
