@@ -78,7 +78,7 @@ def _names_foreign_masks(outcome: Outcome, found: SessionCalibration) -> bool:
 
 def _names_lag(outcome: Outcome, found: SessionCalibration) -> bool:
     """Check that the lag was found."""
-    return found.lag is not None and abs(found.lag.frames + _LATE_BY) < 0.5
+    return found.lag is not None and abs(found.lag.in_unit("frames") + _LATE_BY) < 0.5
 
 
 def _names_move(outcome: Outcome, found: SessionCalibration) -> bool:

@@ -27,8 +27,8 @@ from dvrk_cmaes.calibration.frame_task import (
     gather_task,
     report_task,
 )
-from dvrk_cmaes.calibration.lag import Clock, Lag, describe_lag, refine_lag, search_lag
-from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out, solve
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.config import EstimateConfig
@@ -64,8 +64,8 @@ class Alternation:
     """State of the alternating estimation.
 
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
-    the frames' current fits. ``warnings`` are texts about faults of the session as a whole; ``lag`` is that of the
-    images behind the readings, None where it is not determined.
+    the frames' current fits. ``warnings`` are texts about faults of the session as a whole; ``lag`` is the
+    estimate of the lag of the images behind the readings.
 
     Parameters
     ----------
@@ -98,8 +98,6 @@ class Alternation:
         self._run = run
         self._progress = progress
         self.warnings: list[str] = []
-        self.lag: Lag | None = None
-        self._clock: Clock | None = None
         self._left_out: dict[str, str] = {}
         names = instrument.joint_names
         joints = np.array([[f.result.readings.get(name, np.nan) for name in names] for f in frames])
@@ -112,8 +110,7 @@ class Alternation:
         self._prior = np.zeros((8 + len(names),) * 2)
         self._prior[6:, 6:] = np.diag(1 / self._offset_std**2)
         self._modes = [self._modes_of(frame.result) for frame in frames]
-        if series is not None and all(frame.name in series.frames for frame in frames):
-            self._clock = Clock.of(series, [frame.name for frame in frames], deviations.outer)
+        self.lag = LagEstimate(series, [frame.name for frame in frames], deviations.outer)
 
     def _joints(self, joints: dict[str, float]) -> Float64:
         """Return joints by name as an array (J,) in the instrument's order."""
@@ -150,28 +147,23 @@ class Alternation:
         calibration = consensus.calibration
         chosen, _ = choose_modes(self.model, self._modes, calibration)
         for _ in range(_MODE_ITERATIONS):
-            self.solution = solve(self.model, _as_fits(chosen), calibration, self._prior)
+            self.solution = solve(self.model, FrameFits.of_modes(chosen), calibration, self._prior)
             calibration, previous = self.solution.calibration, chosen
             chosen, _ = choose_modes(self.model, self._modes, calibration)
             if all(a is b for a, b in zip(chosen, previous, strict=True)):
                 break
 
+    def search_lag(self) -> None:
+        """Find the lag from the frames' own modes, without correcting the readings."""
+        self.lag.search(self.model, self._modes, self._offset_std, self._prior)
+
     def _initialise_lag(self) -> None:
-        """Estimate the lag from the frames' own modes, and correct the readings if it differs from zero."""
-        if self._clock is None:
+        """Find the lag from the frames' own modes, and correct the readings if it differs from zero."""
+        self.search_lag()
+        applied = self.lag.applied
+        if applied is None:
             return
-        found = search_lag(self._clock, self.model, self._modes, self._offset_std)
-        if found is None:
-            return
-        start, calibration = found
-        has = np.flatnonzero(self._clock.has_readings(start))
-        model = self._clock.model_at(self.model, start).subset(has)
-        chosen, _ = choose_modes(model, [self._modes[i] for i in has], calibration)
-        self._estimate_lag(start, self._clock.subset(has), model, _as_fits(chosen), calibration)
-        if self.lag is None or not self.lag.applied:
-            return
-        value = self._lag_value()
-        kept = self._clock.has_readings(value)
+        kept = self.lag.has_readings(applied)
         self._left_out |= {
             frame.name: "no readings once the lag is taken out"
             for frame, has_readings in zip(self.frames, kept, strict=True)
@@ -180,30 +172,16 @@ class Alternation:
         self._select(np.flatnonzero(kept).tolist())
         if len(self.frames) < LEAST_FRAMES:
             raise InputError(
-                f"session: {self.lag.describe()}, which leaves {len(self.frames)} frames with readings; "
+                f"session: {applied.describe()}, which leaves {len(self.frames)} frames with readings; "
                 f"expected at least {LEAST_FRAMES}"
             )
-        self._correct_lag(value)
+        self._correct_lag()
 
-    def _lag_value(self) -> float:
-        """Return the lag in the unit of the clock."""
-        assert self.lag is not None
-        assert self._clock is not None
-        return self.lag.frames * self._clock.series.interval
-
-    def _estimate_lag(
-        self, start: float, clock: Clock, model: SessionModel, fits: FrameFits, calibration: Calibration
-    ) -> None:
-        """Refine a lag against outline fits, and store it where it is determined; one that is applied stays so."""
-        refined = refine_lag(clock, model, fits, calibration, self._prior, start)
-        found = None if refined is None else describe_lag(clock, *refined)
-        if found is not None:
-            self.lag = replace(found, applied=found.applied or (self.lag is not None and self.lag.applied))
-
-    def _correct_lag(self, value: float) -> None:
-        """Give each frame the readings of the time of its image less the lag, in the unit of the clock."""
-        assert self._clock is not None
-        self.model = self._clock.model_at(self.model, value)
+    def _correct_lag(self) -> None:
+        """Give each frame the readings of the time of its image less the lag that is taken out, if there is one."""
+        if self.lag.applied is None:
+            return
+        self.model = self.lag.corrected(self.model)
         for i, frame in enumerate(self.frames):
             names = (*OUTER_JOINTS, *self._instrument.joint_names)
             values = (*self.model.outer[i], *self.model.joints[i])
@@ -215,8 +193,7 @@ class Alternation:
         self.frames = [self.frames[i] for i in kept]
         self._modes = [self._modes[i] for i in kept]
         self.model = self.model.subset(kept)
-        if self._clock is not None:
-            self._clock = self._clock.subset(kept)
+        self.lag.select(kept)
 
     def iterate(self) -> None:
         """Gather each frame's evidence, then alternate between fitting all frames and estimating the calibration.
@@ -259,12 +236,14 @@ class Alternation:
                 self.solution = solve(self.model, stacked, calibration, self._prior)
                 calibration = self.solution.calibration
                 self.model = estimate_variances(self.model, stacked, calibration, self.solution.weights, session)
-            if self._clock is not None and self.lag is not None and self.lag.applied:
-                self._estimate_lag(self._lag_value(), self._clock, self.model, stacked, calibration)
-                self._correct_lag(self._lag_value())
+            self.lag.refine(self.model, stacked, calibration, self._prior)
+            self._correct_lag()
         self.solution = solve(self.model, stacked, calibration, self._prior)
-        if self.lag is not None and self.lag.applied:
-            self.warnings.append(f"{self.lag.describe()}: taken out")
+        self.lag.estimate_joints(self.model, stacked, self.solution.calibration, self._prior)
+        if self.lag.applied is not None:
+            self.warnings.append(
+                f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
+            )
 
     def report(self) -> tuple[list[FrameReport], dict[str, str]]:
         """Return the reports of the frames in use, and by name the reason for each frame that is left out.
@@ -342,14 +321,6 @@ def _explains(fit: FrameFit) -> bool:
 def _rolled(pose: Float64, degrees: float) -> Float64:
     """Rotate a pose (4, 4) about the shaft."""
     return moved(pose, np.array([0, 0, 0, 0, 0, np.deg2rad(degrees)]))
-
-
-def _as_fits(modes: Sequence[Mode]) -> FrameFits:
-    """Convert one mode of each frame to a fit with zero slope and the inverse of the mode's covariance."""
-    information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
-    poses = np.array([mode.camera_from_root for mode in modes])
-    joints = np.array([mode.joints for mode in modes])
-    return FrameFits(poses, joints, information, np.zeros(information.shape[:2]))
 
 
 def _stacked(fits: Sequence[FrameFit]) -> FrameFits:

@@ -23,6 +23,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.parallel import map_threaded
@@ -92,9 +93,7 @@ def calibrate_session(
         run = partial(_in_threads, body, settings)
     usable, left_out = _usable(frames, body.instrument)
     if series is None:
-        series = ReadingSeries.of_frames(
-            {frame.name: frame.result.readings for frame in usable}, {frame.name: frame.time for frame in usable}
-        )
+        series = _series_of(usable)
     alternation = Alternation(usable, series, body.instrument, arm, settings, run, progress)
     alternation.initialise()
     alternation.iterate()
@@ -105,6 +104,8 @@ def calibrate_session(
     used = [results[frame.name].quality for frame in alternation.frames if frame.name not in left_out]
     qualities = [quality for quality in used if quality is not None]
     described = describe_solution(alternation.model, alternation.solution, settings)
+    if alternation.lag.lag is None:
+        described["untold"] += (f"lag between images and readings: {alternation.lag.untold}",)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
@@ -118,7 +119,8 @@ def calibrate_session(
         },
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
-        lag=alternation.lag,
+        lag=alternation.lag.lag,
+        lag_curve=alternation.lag.curve,
         warnings=tuple(alternation.warnings),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": describe_limits(body.instrument, arm)},
@@ -126,6 +128,42 @@ def calibrate_session(
     )
     predicted = {frame.name: one.leave_one_out for frame, one in zip(alternation.frames, reports, strict=True)}
     return SolvedSession(calibration, results, predicted)
+
+
+def find_lag(
+    frames: Sequence[SessionFrame],
+    instrument: Instrument | Body | str = "lnd",
+    *,
+    series: ReadingSeries | None = None,
+    arm: Arm = "classic",
+    config: EstimateConfig | None = None,
+) -> tuple[Lag | None, str]:
+    """Estimate the lag of a session's images behind its readings from the frames' own results, without fitting them.
+
+    Parameters and errors are those of `calibrate_session`; the masks are not needed.
+
+    Returns
+    -------
+    (Lag or None, str)
+        The lag; or None and a text that says why the frames do not determine it.
+    """
+    settings = EstimateConfig() if config is None else config
+    check_config(settings)
+    body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    usable, _ = _usable(frames, body.instrument)
+    if series is None:
+        series = _series_of(usable)
+    run = partial(_in_threads, body, settings)
+    alternation = Alternation(usable, series, body.instrument, arm, settings, run, lambda stage, count: None)
+    alternation.search_lag()
+    return alternation.lag.lag, alternation.lag.untold
+
+
+def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:
+    """Return the frames' own readings as functions of time."""
+    return ReadingSeries.of_frames(
+        {frame.name: frame.result.readings for frame in frames}, {frame.name: frame.time for frame in frames}
+    )
 
 
 def _in_threads(

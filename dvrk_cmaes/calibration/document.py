@@ -12,7 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes._version import __version__
-from dvrk_cmaes.calibration.lag import Lag, LagDocument
+from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.config import EstimateConfig
@@ -31,6 +31,7 @@ from dvrk_cmaes.io.typed_document import (
     present_fields,
     read_covariance,
 )
+from dvrk_cmaes.joints.lag import Lag, LagDocument
 
 Float64 = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ class _Parts(Struct):
     left_out: tuple[_LeftOut, ...] = ()
     leave_one_out: dict[str, _LeaveOneOut] = {}
     lag: LagDocument | None = None
+    lag_curve: LagCurveDocument | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,7 @@ class SessionCalibration:
     the other frames predict.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
+    lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
@@ -95,6 +98,7 @@ class SessionCalibration:
     iou: Number = 0.0
     contour_px_95: Number = 0.0
     lag: Lag | None = None
+    lag_curve: LagCurve | None = None
     untold: Texts = ()
     warnings: Texts = ()
     arm: Arm = "classic"
@@ -140,6 +144,7 @@ class SessionCalibration:
             },
             "quality": {"iou": rounded(self.iou), "contour_px_95": rounded(self.contour_px_95)},
             "lag": None if self.lag is None else self.lag.to_dict(),
+            "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "arm": self.arm,
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
@@ -169,8 +174,12 @@ class SessionCalibration:
             "iou": parts.quality.iou,
             "contour_px_95": parts.quality.contour_px_95,
         }
-        fields.pop("lag", None)
-        return replace(convert_document(where, fields, cls), lag=Lag.from_document(parts.lag))
+        fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve")}
+        return replace(
+            convert_document(where, fields, cls),
+            lag=Lag.from_document(parts.lag),
+            lag_curve=LagCurve.from_document(parts.lag_curve),
+        )
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.

@@ -1,13 +1,14 @@
-"""The lag between the images and the joint readings of a session.
+"""Estimation of the lag between the images and the joint readings of a session.
 
-The lag is positive if the images are late: the image of time t shows the arm as it was read at t - lag. A wrong lag
-gives a moving arm readings of another moment, so that the frames' poses no longer agree on one camera_from_base. The
-lag is where they agree best, and the curvature of their disagreement there gives its standard deviation.
+A wrong lag gives a moving arm readings of another moment, so that the frames' poses no longer agree on one
+camera_from_base. The lag is where they agree best, and the curvature of their disagreement there gives its standard
+deviation. Clocks that run at different rates make the lag drift; the drift is estimated in the same way, and so is the
+lag of the readings of wrist and jaw in addition to that of the outer joints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,168 +16,135 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.clock import RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, robust_cost, solve
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.rounding import rounded
+from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.io.typed_document import Number
-from dvrk_cmaes.joints.series import ReadingSeries, Unit
+from dvrk_cmaes.joints.lag import Lag, Unit
 
 Float64 = NDArray[np.float64]
 
-SIGN = "images late"
 _LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
 _LEAST_AT_LAG = 4  # frames that must have readings at a lag
-_RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}  # of the search
-_STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
-_MOST_STEPS = 61
 _LEAST_SHARE = 0.5  # of the frames that must have readings at a lag
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
 _REFINEMENTS = 4
 _LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
-_ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
 _IMPROVEMENT = 0.5  # largest ratio of mean misfits at which a lag of readings that cannot be interpolated is applied
 _SIGNIFICANT = 2.0  # standard deviations
-_LEAST_LAG = 0.3  # frames, below which a lag is not corrected
+_LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the session, is not corrected
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
 _LARGEST_STD = 1.0  # frames, above which the lag is not determined
+_JOINT_STEPS = 6  # of the search for the additional lag of wrist and jaw, to both sides
+_DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
+_DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
+_MOVE = "a recording in which the arm moves quickly would determine it"
 
 
-class LagDocument(Struct):
-    """The lag in ``session.json``; documents without ``sign`` count readings that are late as positive."""
+class LagCurveDocument(Struct):
+    """The curve of disagreement in ``session.json``; each point is a lag and a misfit."""
 
-    frames: Number
-    seconds: Number | None = None
-    std_frames: Number | None = None
-    std_seconds: Number | None = None
-    sign: str | None = None
-    applied: bool = True
-
-
-@dataclass(frozen=True)
-class Lag:
-    """Lag of the images behind the readings and its standard deviation, in frames and, if times are known, in seconds.
-
-    ``applied`` tells whether it was taken out of the readings; a lag that does not differ significantly from zero is
-    not.
-    """
-
-    frames: float
-    std_frames: float | None
-    seconds: float | None = None
-    std_seconds: float | None = None
-    applied: bool = True
-
-    @classmethod
-    def of(cls, value: float, std: float, unit: Unit, interval: float, *, applied: bool) -> Lag:
-        """Create a lag from a value and standard deviation in the unit of a series with a time between images."""
-        seconds, std_seconds = (value, std) if unit == "s" else (None, None)
-        return cls(value / interval, std / interval, seconds, std_seconds, applied)
-
-    @classmethod
-    def from_document(cls, document: LagDocument | None) -> Lag | None:
-        """Take a lag from its document."""
-        if document is None:
-            return None
-        sign = 1.0 if document.sign == SIGN else -1.0
-        seconds = None if document.seconds is None else sign * document.seconds
-        return cls(sign * document.frames, document.std_frames, seconds, document.std_seconds, document.applied)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the lag in the documented schema, ready for JSON."""
-        values = {
-            "frames": self.frames,
-            "std_frames": self.std_frames,
-            "seconds": self.seconds,
-            "std_seconds": self.std_seconds,
-        }
-        numbers = {name: rounded(value) for name, value in values.items() if value is not None}
-        return {**numbers, "sign": SIGN, "applied": self.applied}
-
-    def describe(self) -> str:
-        """Describe the lag in words: its amount in frames and seconds, its sign, and its standard deviation."""
-        amount = f"{abs(self.frames):.2f} frames"
-        if self.seconds is not None:
-            amount += f" ({abs(self.seconds):.3f} s)"
-        std = "" if self.std_frames is None else f", std {self.std_frames:.2f} frames"
-        return f"images are {amount} {'later' if self.frames > 0 else 'earlier'} than the readings{std}"
+    unit: Unit
+    points: tuple[tuple[Number, Number], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
-    """Readings of a session's frames at any lag.
+class LagCurve:
+    """Disagreement of the frames as a function of the lag.
 
-    ``times`` (N,) are those of the frames' images on the clock of the ``series``. ``interpolable`` tells whether the
-    readings may be interpolated, because the rows follow each other closely in time. ``step`` is that of the search for
-    the lag, in the unit of the series; for readings that cannot be interpolated it is the time between their rows, None
-    if that is not constant.
+    ``lags`` (L,) are in a ``unit``, s or frames. ``misfit`` (L,) is the mean of the frames' squared Mahalanobis
+    distances from their consensus by degree of freedom, each at most `INLIER_MISFIT`.
     """
 
-    series: ReadingSeries
-    times: Float64
-    interpolable: bool
-    step: float | None
+    unit: Unit
+    lags: Float64
+    misfit: Float64
 
     @classmethod
-    def of(cls, series: ReadingSeries, names: Sequence[str], outer_std: Float64) -> Clock:
-        """Create the clock of frames in the order of their model; ``outer_std`` (4,) are of the outer readings."""
-        low, high = _RANGE[series.unit]
-        interpolable = series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
-        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
-        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
-        return cls(series, np.array([series.frames[name] for name in names]), interpolable, step)
+    def from_document(cls, document: LagCurveDocument | None) -> LagCurve | None:
+        """Take a curve from its document."""
+        if document is None:
+            return None
+        points = np.array(document.points, dtype=np.float64).reshape(-1, 2)
+        return cls(document.unit, points[:, 0], points[:, 1])
 
-    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Clock:
-        """Return the clock of some of the frames."""
-        return replace(self, times=self.times[np.asarray(index, dtype=np.intp)])
-
-    def model_at(self, model: SessionModel, lag: float) -> SessionModel:
-        """Return the model with the readings of the times of the images less the lag."""
-        outer, joints = (self.series.at(names, self.times - lag) for names in (OUTER_JOINTS, model.names))
-        return model.of_readings(outer, joints, model.deviations, model.inflation)
-
-    def has_readings(self, lag: float) -> NDArray[np.bool_]:
-        """Whether each frame has readings of all outer joints at a lag, (N,)."""
-        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self.times - lag)).any(axis=1))
+    def to_dict(self) -> dict[str, Any]:
+        """Return the curve in the documented schema, ready for JSON."""
+        return {"unit": self.unit, "points": rounded_array(np.stack([self.lags, self.misfit], axis=1))}
 
 
-def search_lag(
-    clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64
-) -> tuple[float, Calibration] | None:
+@dataclass(frozen=True, eq=False)
+class LagSearch:
+    """Result of the search for a lag.
+
+    ``lag`` is to a step of the search, in the unit of the clock, and ``calibration`` is that on which the frames agree
+    there; both are None if the search does not determine it, and ``untold`` says why. ``curve`` is None if there was
+    nothing to search.
+    """
+
+    lag: float | None = None
+    calibration: Calibration | None = None
+    curve: LagCurve | None = None
+    untold: str = ""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A value and its standard deviation, in the unit of the clock."""
+
+    value: float
+    std: float
+
+
+def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> LagSearch:
     """Find the lag at which the frames' modes agree best, and the calibration on which they agree there.
 
-    The lag is found to a step of the search, in the unit of the series.
-
-    Returns None if there are too few frames or the best lag is at the end of the range. Readings that cannot be
-    interpolated must be at regular times, and the lag must halve the mean misfit; otherwise the result is None, too.
+    The lag is not determined by too few frames, nor if the best lag is at the end of the range. Readings that cannot be
+    interpolated must be at regular times, and the lag must halve the mean misfit.
     """
     if len(modes) < _LEAST_FRAMES:
-        return None
-    low, high = _RANGE[clock.series.unit]
+        return LagSearch(untold=f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed")
+    low, high = RANGE[clock.series.unit]
     step = clock.step
     if step is None:
-        return None
+        return LagSearch(
+            untold="the readings are too far apart in time to be interpolated, and at uneven times: give all rows of "
+            "the recording, not only those of the frames"
+        )
     lags = step * np.arange(round(low / step), round(high / step) + 1)
-    found = [_consensus_at(clock, model, modes, offset_std, lag) for lag in lags]
+    found = [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags]
     costs = np.array([np.inf if one is None else one.mean_misfit for one in found])
+    known = np.isfinite(costs)
+    curve = LagCurve(clock.series.unit, lags[known], costs[known])
     best = int(np.argmin(costs))
     synchronous = int(np.argmin(np.abs(lags)))
-    if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
-        return None
     consensus = found[best]
-    return None if best in (0, len(lags) - 1) or consensus is None else (float(lags[best]), consensus.calibration)
+    if consensus is None:
+        return LagSearch(curve=curve, untold="too few frames have readings at any lag")
+    if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
+        return LagSearch(
+            curve=curve,
+            untold="the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
+            "than none: give all rows of the recording",
+        )
+    if best in (0, len(lags) - 1):
+        return LagSearch(
+            curve=curve, untold=f"the frames agree best at the end of the range that was searched; {_MOVE}"
+        )
+    return LagSearch(float(lags[best]), consensus.calibration, curve)
 
 
 def _consensus_at(
-    clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, lag: float
+    clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, delay: Delay
 ) -> Consensus | None:
     """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
-    has = np.flatnonzero(clock.has_readings(lag))
+    has = np.flatnonzero(clock.has_readings(delay))
     if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
         return None
     return find_consensus(
-        clock.model_at(model, lag).subset(has),
+        clock.model_at(model, delay).subset(has),
         [modes[int(i)] for i in has],
         offset_std,
         hypothesis_frames=_HYPOTHESIS_FRAMES,
@@ -184,52 +152,134 @@ def _consensus_at(
     )
 
 
-def refine_lag(
-    clock: Clock,
-    model: SessionModel,
-    fits: FrameFits,
-    calibration: Calibration,
-    prior: Float64,
-    start: float,
-) -> tuple[float, float] | None:
-    """Refine a lag to a fraction of a step, and estimate its standard deviation, both in the unit of the series.
+class LagRefiner:
+    """Refines a lag, its drift, and the additional lag of wrist and jaw to a fraction of a step of the search.
 
-    The calibration is solved at three lags at a time; the minimum of the parabola through the three robust costs is
-    the next lag. Only frames with readings within a step on either side of the start are used. Returns None if there
-    are too few, or if the cost has no minimum there. A lag of readings that cannot be interpolated is left as it is.
+    Each is found by solving the calibration at three values at a time: the minimum of the parabola through the three
+    robust costs is the next value. Only frames with readings within the range of these values are used.
+
+    Parameters
+    ----------
+    clock, model, fits
+        The clock, the model and the outline fits of the same N frames.
+    calibration, prior
+        As in `solve`.
+    start
+        The lag to start from.
     """
-    step, lag = clock.step, start
-    if step is None:
-        return None
-    if not clock.interpolable:
-        return lag, float(step / np.sqrt(12))
-    has = np.flatnonzero(clock.has_readings(start - step) & clock.has_readings(start + step))
-    if len(has) < _LEAST_AT_LAG:
-        return None
-    near, used, outlines = clock.subset(has), model.subset(has), fits.subset(has)
 
-    def cost(at: float) -> float:
-        shifted = near.model_at(used, at)
-        return robust_cost(solve(shifted, outlines, calibration, prior).misfit, 6 + len(model.names))
+    def __init__(
+        self, clock: Clock, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64, start: Delay
+    ) -> None:
+        self.delay = start
+        self._clock, self._model, self._fits = clock, model, fits
+        self._calibration, self._prior = calibration, prior
+        self._step = clock.step or 0.0
 
-    width = step
-    for _ in range(_REFINEMENTS):
-        before, here, after = cost(lag - width), cost(lag), cost(lag + width)
-        curvature = (before - 2 * here + after) / width**2
-        if curvature <= 0:
+    def refine_value(self) -> Refined | None:
+        """Refine the lag; None if too few frames have readings, or if the cost has no minimum near the start.
+
+        A lag of readings that cannot be interpolated is left as it is.
+        """
+        if self._step and not self._clock.interpolable:
+            return Refined(self.delay.value, float(self._step / np.sqrt(12)))
+        found = self._minimum(lambda value: replace(self.delay, value=value), self.delay.value, self._step)
+        if found is not None:
+            self.delay = replace(self.delay, value=found.value)
+        return found
+
+    def refine_drift(self) -> Refined | None:
+        """Refine the drift; None as in `refine_value`, or if it is not significant or too small to matter."""
+        half = self._clock.half_duration
+        if half * _DRIFT_STD < _LEAST_LAG * self._clock.series.interval / 4:
             return None
-        lag += float(np.clip((before - after) / (2 * width * curvature), -width, width))
-        lag = float(np.clip(lag, start - step / 2, start + step / 2))
-        width = max(width / 2, _LEAST_STEP * step)
-        if abs(lag - start) + width > step:
-            width = step - abs(lag - start)
-    return lag, _SHARED_ERRORS * float(np.sqrt(2 / curvature))
-
-
-def describe_lag(clock: Clock, lag: float, std: float) -> Lag | None:
-    """Decide whether a lag is to be corrected; None where it is not determined."""
-    interval = clock.series.interval
-    if std > _LARGEST_STD * interval:
+        step, weight = _DRIFT_STEPS * self._step / half, (_SHARED_ERRORS / _DRIFT_STD) ** 2
+        found = self._minimum(lambda drift: replace(self.delay, drift=drift), self.delay.drift, step, weight=weight)
+        if found is not None and self._matters(found, half):
+            self.delay = replace(self.delay, drift=found.value)
+            return found
+        self.delay = replace(self.delay, drift=0.0)
         return None
-    significant = abs(lag) > max(_SIGNIFICANT * std, _LEAST_LAG * interval)
-    return Lag.of(lag, std, clock.series.unit, interval, applied=significant)
+
+    def _matters(self, drift: Refined, half: float) -> bool:
+        """Whether a drift differs significantly from zero and changes the lag noticeably in half of the session."""
+        least = _LEAST_LAG * self._clock.series.interval / half
+        return abs(drift.value) > max(_SIGNIFICANT * drift.std, least)
+
+    def estimate_joints(self) -> Refined | None:
+        """Estimate the lag of the readings of wrist and jaw in addition to that of the outer joints.
+
+        None if its standard deviation exceeds a frame, or if the cost has no minimum within the range of the search.
+        """
+
+        def at(value: float) -> Delay:
+            return replace(self.delay, joints=value)
+
+        reach = _JOINT_STEPS * self._step
+        cost = self._cost(at, -reach - self._step, reach + self._step)
+        if cost is None:
+            return None
+        values = self._step * np.arange(-_JOINT_STEPS, _JOINT_STEPS + 1)
+        best = int(np.argmin([cost(value) for value in values]))
+        if best in (0, len(values) - 1):
+            return None
+        # Whole steps only: between two readings, noise of the readings themselves would be averaged, and the cost less.
+        found = self._minimum(at, float(values[best]), self._step, iterations=1)
+        return None if found is None or found.std > _LARGEST_STD * self._clock.series.interval else found
+
+    def _cost(self, at: Callable[[float], Delay], low: float, high: float) -> Callable[[float], float] | None:
+        """Return the robust cost as a function of a value from ``low`` to ``high``; None with too few frames."""
+        if not (self._clock.interpolable and self._step > 0):
+            return None
+        has = np.flatnonzero(self._clock.has_readings(at(low)) & self._clock.has_readings(at(high)))
+        if len(has) < _LEAST_AT_LAG:
+            return None
+        clock, model, fits = self._clock.subset(has), self._model.subset(has), self._fits.subset(has)
+
+        def cost(value: float) -> float:
+            solution = solve(clock.model_at(model, at(value)), fits, self._calibration, self._prior)
+            return robust_cost(solution.misfit, 6 + len(model.names))
+
+        return cost
+
+    def _minimum(
+        self,
+        at: Callable[[float], Delay],
+        start: float,
+        step: float,
+        *,
+        weight: float = 0.0,
+        iterations: int = _REFINEMENTS,
+    ) -> Refined | None:
+        """Find the minimum of the cost and of a prior about zero with a weight, at most half a step from the start."""
+        robust = self._cost(at, start - step, start + step)
+        if robust is None:
+            return None
+
+        def cost(value: float) -> float:
+            return robust(value) + weight * value**2
+
+        value, width = start, step
+        for _ in range(iterations):
+            before, here, after = cost(value - width), cost(value), cost(value + width)
+            curvature = (before - 2 * here + after) / width**2
+            if not curvature > 0:
+                return None
+            value += float(np.clip((before - after) / (2 * width * curvature), -width, width))
+            value = float(np.clip(value, start - step / 2, start + step / 2))
+            width = max(width / 2, _LEAST_STEP * step)
+            if abs(value - start) + width > step:
+                width = step - abs(value - start)
+        return Refined(value, _SHARED_ERRORS * float(np.sqrt(2 / curvature)))
+
+
+def describe_lag(clock: Clock, lag: Refined, drift: Refined | None = None) -> Lag | str:
+    """Decide whether a lag is to be corrected; returns a text that says why where it is not determined."""
+    interval = clock.series.interval
+    if lag.std > _LARGEST_STD * interval:
+        return f"standard deviation {lag.std / interval:.1f} frames; {_MOVE}"
+    significant = abs(lag.value) > max(_SIGNIFICANT * lag.std, _LEAST_LAG * interval) or drift is not None
+    found = Lag.of(lag.value, lag.std, clock.series.unit, interval, applied=significant)
+    if drift is None:
+        return found
+    return replace(found, drift=drift.value, std_drift=drift.std, middle=clock.middle + clock.series.origin)

@@ -8,11 +8,13 @@ frames. Frames with large misfits are down-weighted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.consensus import Mode
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import change_between
 
@@ -37,6 +39,14 @@ class FrameFits:
     joints: Float64
     information: Float64
     slope: Float64
+
+    @classmethod
+    def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
+        """Take one mode of each frame as a fit with zero slope and the inverse of the mode's covariance."""
+        information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
+        poses = np.array([mode.camera_from_root for mode in modes])
+        joints = np.array([mode.joints for mode in modes])
+        return cls(poses, joints, information, np.zeros(information.shape[:2]))
 
     def subset(self, index: NDArray[np.integer] | list[int]) -> FrameFits:
         """Return the fits of the frames at some indices."""

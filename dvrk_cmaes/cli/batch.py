@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_SEGMENT,
+    METHOD,
     OUTPUT,
     CameraOptions,
     Flag,
@@ -23,15 +25,19 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     SessionOption,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration import SessionCalibration
+    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.worklist import Shard
 
 FOLDER = Group("Folder", sort_key=0)  # sorted before the groups shared by commands
 WORKERS = Group("Workers", sort_key=0)
+
+AUTO = "auto"
 
 _MOST_LISTED = 10
 _INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
@@ -52,6 +58,7 @@ def batch(
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     scheduler: Annotated[str | None, Parameter(group=WORKERS)] = None,
     time_limit: Annotated[float, Parameter(group=WORKERS)] = 600.0,
+    lag: Annotated[str | None, Parameter(group=METHOD, allow_leading_hyphen=True)] = None,
     calibration: SessionOption = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -105,6 +112,10 @@ def batch(
         Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
     time_limit
         Seconds after which a frame is stopped and marked as failed; for local processes only.
+    lag
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames: each frame gets the
+        readings of that much earlier. With auto it is found from up to 60 frames, which are estimated first. By default
+        it is that of --session, otherwise none.
     calibration
         A session.json written by `calibrate`: start each frame from the pose that it predicts, and search globally only
         if that pose does not explain the mask.
@@ -134,6 +145,8 @@ def batch(
         raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
     if label is not None and not 0 <= label <= 255:
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    if lag == AUTO and calibration is None and shard is not None:
+        raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
     from dvrk_cmaes.calibration.document import read_calibration
 
     part = None if shard is None else Shard.parse(shard)
@@ -153,6 +166,7 @@ def batch(
         retry_failed=retry_failed,
         workers=workers,
         time_limit=time_limit,
+        lag=lag,
         calibration=None if calibration is None else read_calibration(calibration),
     )
     _report(done.document, done.folder, json, shard=part)
@@ -174,13 +188,22 @@ def _run(
     joints: tuple[Path, ...],
     label: int | None,
     scheduler: str | None,
+    lag: str | None,
+    calibration: SessionCalibration | None,
+    pattern: str | None,
+    shard: Shard | None,
+    resume: bool,
+    retry_failed: bool,
     **options: Any,
 ) -> BatchSummary:
     """Read the session and run the batch, with progress on stderr."""
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import run_batch
+    from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
+    given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = method.resolve()
     model = instrument.load().instrument
     session = camera.read_session(folder, known=model.joint_names, joints=joints)
@@ -188,18 +211,35 @@ def _run(
         session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-        return run_batch(
-            session,
-            out,
-            model,
-            config=settings,
-            arm=instrument.arm,
-            threads=method.threads or 1,
-            executor=executor,
-            stop=stack.enter_context(stopping_on_interrupt()),
-            progress=stack.enter_context(progress()),
-            **options,
-        )
+        stop = stack.enter_context(stopping_on_interrupt())
+
+        def run(session: Session, out: Path, **more: Any) -> BatchSummary:
+            return run_batch(
+                session,
+                out,
+                model,
+                config=settings,
+                arm=instrument.arm,
+                threads=method.threads or 1,
+                executor=executor,
+                stop=stop,
+                calibration=calibration,
+                resume=resume,
+                **options,
+                **more,
+            )
+
+        if given is not None:
+            session = session.with_lag(given)
+        elif calibration is not None:
+            session = with_calibrated_lag(session, calibration)
+        elif lag == AUTO:
+            with progress() as reporter:
+                found = find_batch_lag(session, out, partial(run, progress=reporter), model, settings, instrument.arm)
+            warn(found.text)
+            session = session if found.lag is None else session.with_lag(found.lag)
+        reporter = stack.enter_context(progress())
+        return run(session, out, pattern=pattern, shard=shard, retry_failed=retry_failed, progress=reporter)
 
 
 def _merge(out: Path, json: bool) -> int:

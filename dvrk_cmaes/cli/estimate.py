@@ -32,6 +32,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings
 
 EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
@@ -104,7 +105,8 @@ def estimate(
         Prompts for the segmentation.
     calibration
         A session.json written by `calibrate`: start from the pose that it predicts, and search globally only if that
-        pose does not explain the mask.
+        pose does not explain the mask. If it has a lag between images and readings, files of readings are read at the
+        frame's time less the lag; readings given as values are not changed.
     camera
         The camera.
     instrument
@@ -141,10 +143,11 @@ def estimate(
     camera_file = camera.read(lambda: frame_size(files))
     data = read_any_frame(files, camera_file.camera)
     body = instrument.load()
-    found = _readings(joints, frame, named.stem, time, body.instrument.joint_names)
+    known = None if calibration is None else read_calibration(calibration)
+    lag = None if known is None or known.lag is None or not known.lag.applied else known.lag
+    found = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
     files = replace(files, readings=found.readings)
     data = replace(data, notes=(*camera_file.notes, *found.notes, *data.notes))
-    known = None if calibration is None else read_calibration(calibration)
     run = run_frame(
         files,
         data,
@@ -166,7 +169,7 @@ def estimate(
 
 
 def _readings(
-    joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str]
+    joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str], lag: Lag | None
 ) -> FrameReadings:
     """Read the readings of a frame; empty if ``--joints none`` is given."""
     from dvrk_cmaes.joints.reading import FrameReadings, read_frame_joints
@@ -175,4 +178,4 @@ def _readings(
     if tuple(joints) == (NO_READINGS,):
         return FrameReadings()
     moment = None if time is None else parse_time("--time", time)
-    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known)
+    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known, lag=lag)

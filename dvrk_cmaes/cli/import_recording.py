@@ -65,6 +65,7 @@ def import_recording(
     start: Annotated[float, Parameter(group=SELECTION)] = 0.0,
     end: Annotated[float, Parameter(group=SELECTION)] = math.inf,
     tolerance: Annotated[float, Parameter(group=SELECTION)] = 0.05,
+    lag: Annotated[float, Parameter(group=SELECTION, allow_leading_hyphen=True)] = 0.0,
     camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
@@ -98,6 +99,9 @@ def import_recording(
     tolerance
         Largest distance in time, in seconds, between an image and the readings before and after it; an image without
         readings this near gets none.
+    lag
+        Lag of the images behind the readings, in seconds, as stated by `calibrate`: each image gets the readings of
+        that much earlier.
     camera
         Camera file. Required for a video; for a ROS recording it replaces the camera_info.
     joints
@@ -112,12 +116,16 @@ def import_recording(
     json
         Print only a summary, as JSON, on stdout.
     """
+    from dvrk_cmaes.joints.lag import LARGEST_SECONDS
+
     if every < 1:
         raise InputError(f"--every: expected a whole number of at least 1, got {every}")
     if not 0 < tolerance < math.inf:
         raise InputError(f"--tolerance: expected a time in seconds above 0, got {tolerance:g}")
     if not (0 <= start < end):
         raise InputError(f"--start, --end: expected 0 <= start < end in seconds, got {start:g} and {end:g}")
+    if not abs(lag) <= LARGEST_SECONDS:
+        raise InputError(f"--lag: expected at most {LARGEST_SECONDS:g} seconds in magnitude, got {lag:g}")
     if not math.isfinite(video_start):
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
     from dvrk_cmaes.io.atomic import json_text
@@ -129,6 +137,7 @@ def import_recording(
             out,
             selection=Selection(every, start, end),
             tolerance=tolerance,
+            lag=lag,
             overwrite=overwrite,
         )
     for one in summary.readings:

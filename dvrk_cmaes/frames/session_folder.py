@@ -28,6 +28,7 @@ from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
@@ -61,6 +62,31 @@ class Session:
             return ReadingSeries.of_files(self.joint_files, self.image_times)
         except InputError:
             return None
+
+    def with_lag(self, lag: Lag) -> Session:
+        """Return the session with each frame's readings of the time of its image less the lag.
+
+        A frame without readings at that time has none, and a note that says so.
+
+        Raises
+        ------
+        InputError
+            Readings and images have no common clock, the lag is not known in its unit, or a cell of the readings is
+            wrong.
+        """
+        series = ReadingSeries.of_files(self.joint_files, self.image_times)
+        if series is None:
+            raise InputError(
+                f"{self.folder}: lag: expected readings of numbered frames, or times of images (images.csv) and "
+                "readings, to take it out of, got neither"
+            )
+        note = f"readings of {lag.text} before the image"
+        frames = []
+        for files in self.frames:
+            found = series.of_frame(files.name, lag) if files.name in series.frames else {}
+            notes = (*files.notes, note if found else f"no readings of {lag.text} before the image")
+            frames.append(replace(files, readings=found, notes=notes, problem=None if found else files.problem))
+        return replace(self, frames=tuple(frames), notes=(*self.notes, note))
 
 
 def read_session(

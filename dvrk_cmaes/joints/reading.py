@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError, nearest_first
@@ -18,9 +18,11 @@ from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, read_joint_csv
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
 from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
 
 __all__ = [
@@ -186,6 +188,7 @@ def read_frame_joints(
     image: str,
     time: int | None = None,
     known: Iterable[str] = (),
+    lag: Lag | None = None,
 ) -> FrameReadings:
     """Read the readings of a frame that is not part of a session folder.
 
@@ -202,11 +205,14 @@ def read_frame_joints(
         The image's time, ns; by default the time at the end of the image's name, if any.
     known
         As in ``read_joints``.
+    lag
+        Lag of the images behind the readings: the readings are interpolated at the image's time less the lag. A note
+        states it where it cannot be taken out, because the readings are those of a single moment.
 
     Raises
     ------
     InputError
-        As for ``frame_readings``, or the frame has no row.
+        As for ``frame_readings``; the frame has no row; there are no readings at its time less the lag.
     """
     files = [read_joint_file(source, known=known) for source in sources]
     name = image if frame is None else frame
@@ -215,7 +221,16 @@ def read_frame_joints(
         only = len(file.rows) == 1 and (frame is None or file.labels == "number")
         if file.labels != "message" and not only and not (image_time is not None and file.timed):
             _required_row(file, name)  # raises InputError if the frame has no row
-    return frame_readings(files, name, time=image_time, single=True)
+    if lag is None:
+        return frame_readings(files, name, time=image_time, single=True)
+    series = ReadingSeries.of_files(files, {name: image_time})
+    if series is None or name not in series.frames:
+        single = frame_readings(files, name, time=image_time, single=True)
+        return replace(single, notes=(*single.notes, f"the lag of {lag.text} is not taken out of single readings"))
+    found = series.of_frame(name, lag)
+    if not found:
+        raise InputError(f"{files[0].path}: frame {name}: expected readings {lag.text} before the image, got none")
+    return FrameReadings(found, (f"readings of {lag.text} before the image",))
 
 
 def is_written_out(text_or_path: str | Path) -> bool:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import JointFile
 
 Float64 = NDArray[np.float64]
-Unit = Literal["s", "frames"]
 
 _NUMBER = re.compile(r"\d+$")
+_GAP_SPACINGS = 3.0  # largest gap between readings that is interpolated, in median spacings of the joint's readings,
+_GAP_SECONDS = 0.1  # unless it is at most this, s
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class ReadingSeries:
 
     ``times`` (M,), strictly increasing, and ``values`` (M,), rad or m, are by joint name. ``frames`` are the frames'
     times by name. Times are in seconds, or in frames where only their order is known. ``interval`` is the time between
-    consecutive images, in the same unit.
+    consecutive images, in the same unit. ``origin`` is the zero of the times on the recording's own clock, s.
     """
 
     unit: Unit
@@ -33,14 +34,44 @@ class ReadingSeries:
     values: Mapping[str, Float64]
     frames: Mapping[str, float]
     interval: float
+    origin: float = 0.0
 
     def at(self, names: Sequence[str], times: Float64) -> Float64:
-        """Interpolate the readings of J joints linearly at times (N,); returns (N, J), NaN outside the series."""
+        """Interpolate the readings of J joints linearly at times (N,).
+
+        Returns (N, J), NaN outside the series, and in gaps of more than three times the usual spacing of the joint's
+        readings and, with times, of more than a tenth of a second.
+        """
         out = np.full((len(times), len(names)), np.nan)
         for k, name in enumerate(names):
             if name in self.times:
                 out[:, k] = np.interp(times, self.times[name], self.values[name], left=np.nan, right=np.nan)
+                out[self._in_gap(name, times), k] = np.nan
         return out
+
+    def _in_gap(self, name: str, times: Float64) -> NDArray[np.bool_]:
+        """Whether times (N,) lie in too long a gap between two readings of a joint, (N,)."""
+        stamps = self.times[name]
+        if len(stamps) < 3:
+            return np.zeros(len(times), dtype=np.bool_)
+        gaps = np.diff(stamps)
+        longest = max(_GAP_SPACINGS * float(np.median(gaps)), _GAP_SECONDS if self.unit == "s" else 0.0)
+        after = np.searchsorted(stamps, times)  # the first reading at or after each time
+        between = (after > 0) & (after < len(stamps)) & (stamps[np.minimum(after, len(stamps) - 1)] != times)
+        return np.asarray(between & (gaps[np.clip(after - 1, 0, len(gaps) - 1)] > longest))
+
+    def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
+        """Return the readings at the time of a frame's image less the lag, by joint; without those that are not there.
+
+        Raises
+        ------
+        InputError
+            The lag is not known in the unit of the series.
+        """
+        time = np.array([self.frames[name]])
+        at = time - lag.at(time + self.origin, self.unit)
+        found = self.at(tuple(self.values), at)[0]
+        return {joint: float(value) for joint, value in zip(self.values, found, strict=True) if not np.isnan(value)}
 
     def is_interpolable(self, names: Sequence[str], tolerance: Float64) -> bool:
         """Whether the readings of J joints change smoothly from row to row.
@@ -79,7 +110,8 @@ class ReadingSeries:
         seconds = np.array([np.nan if time is None else time for time in given])
         timed = bool((np.diff(seconds) > 0).all())
         clock = seconds - seconds[0] if timed else np.arange(len(names), dtype=np.float64)
-        return cls._of_rows("s" if timed else "frames", names, clock, [readings[name] for name in names])
+        series = cls._of_rows("s" if timed else "frames", names, clock, [readings[name] for name in names])
+        return replace(series, origin=float(seconds[0])) if timed else series
 
     @classmethod
     def of_files(cls, files: Sequence[JointFile], images: Mapping[str, int | None]) -> ReadingSeries | None:
@@ -94,6 +126,8 @@ class ReadingSeries:
         stamps = {name: rows[name].time if time is None and name in rows else time for name, time in images.items()}
         known = {name: time for name, time in stamps.items() if time is not None}
         every = sorted({*known.values(), *(row.time for row in rows.values() if row.time is not None)})
+        if known and len(known) == len(stamps) and len(every) == 1:  # one image among readings without names
+            every = sorted({time for file in files for timed in file.timed for time in timed.times.tolist()})
         if len(every) > 1 and len(known) == len(stamps) and all(file.timed for file in files):
             origin = min(known.values())
             readings = [timed for file in files for timed in file.timed]
@@ -104,6 +138,7 @@ class ReadingSeries:
                 {one.joints[0]: one.values[:, 0] for one in readings},
                 frames,
                 float(np.median(np.diff(every))) / NANOSECONDS,
+                origin / NANOSECONDS,
             )
         if len(files) != 1 or not rows or len(rows) < 2:
             return None

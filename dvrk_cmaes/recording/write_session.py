@@ -70,7 +70,7 @@ class ImportSummary:
     """Summary of a written session.
 
     ``images`` is the number of images read from the recording, ``frames`` that of images written, ``size`` their width
-    and height, px.
+    and height, px. ``lag_s`` is the lag of the images that was taken out of the readings.
     """
 
     session: Path
@@ -80,6 +80,7 @@ class ImportSummary:
     tolerance_s: float
     readings: tuple[InterpolationSummary, ...]
     notes: tuple[str, ...]
+    lag_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -89,13 +90,20 @@ class ImportSummary:
             "frames": self.frames,
             "size": list(self.size),
             "tolerance_s": self.tolerance_s,
+            "lag_s": self.lag_s,
             "readings": [{**vars(one), "joints": list(one.joints)} for one in self.readings],
             "notes": list(self.notes),
         }
 
 
 def write_session(
-    recording: Recording, out: Path, *, selection: Selection, tolerance: float, overwrite: bool = False
+    recording: Recording,
+    out: Path,
+    *,
+    selection: Selection,
+    tolerance: float,
+    lag: float = 0.0,
+    overwrite: bool = False,
 ) -> ImportSummary:
     """Write the session folder of a recording, with one image at a time in memory.
 
@@ -109,6 +117,8 @@ def write_session(
         The images to write.
     tolerance
         Largest distance in time between an image and the readings before and after it, s.
+    lag
+        Lag of the images behind the readings, s: an image gets the readings of this much earlier.
     overwrite
         Replace an existing session.
 
@@ -125,14 +135,16 @@ def write_session(
     with whole_folder(out, sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times)
-        tables, columns, summaries = _interpolate(recording, times, round(tolerance * NANOSECONDS))
+        read_at = [time - round(lag * NANOSECONDS) for time in times]
+        tables, columns, summaries = _interpolate(recording, read_at, round(tolerance * NANOSECONDS))
         time_cells = [f"{Decimal(time).scaleb(-9):f}" for time in times]
         write_bytes(folder / "camera.yaml", recording.camera)
         write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, time_cells, strict=True)))
         rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
         write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))
         read_session(folder)  # raises InputError if the written folder is not a valid session
-    return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, recording.notes)
+    notes = (*recording.notes, f"readings of {lag:g} s before each image") if lag else recording.notes
+    return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, notes, lag)
 
 
 class _ImageCounter:

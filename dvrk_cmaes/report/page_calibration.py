@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
+from dvrk_cmaes.report.page_lag_plot import LagPlot, lag_plot
 from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, offset_estimates, offset_panels
 from dvrk_cmaes.report.page_session import KeyFigure, correction
 from dvrk_cmaes.report.page_shafts_plot import ShaftsPlot, shafts_plot
@@ -56,7 +58,8 @@ class CalibrationView:
     figures : key figures. base, offsets : rows of tables. matrix : camera_from_base as text, m.
     offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
-    lag : delay of the readings as text, empty if there is none.
+    lag : lag of the images that was taken out of the readings, as text; empty if there is none.
+    lag_plot : plot of the frames' disagreement as a function of the lag, None if no lag was searched.
     alone : address of the page of the same frames solved one by one, None if it does not exist.
     """
 
@@ -71,6 +74,7 @@ class CalibrationView:
     pictures: tuple[Prediction, ...]
     left_out: tuple[tuple[str, str, bool], ...]
     lag: str
+    lag_plot: LagPlot | None
     alone: str | None
 
     @property
@@ -128,6 +132,7 @@ def calibration_view(
         pictures=tuple([one for one in predictions if one.picture][:MOST_PICTURES]),
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
         lag=_lag(calibration),
+        lag_plot=lag_plot(calibration),
         alone=f"{ALONE}/report.html" if (folder.folder / ALONE / "report.html").is_file() else None,
     )
 
@@ -169,6 +174,19 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         f"{np.degrees(std[3:6].max()):.2f}°",
         "about the base's least certain axis",
     )
+    if calibration.lag is not None:
+        yield _lag_figure(calibration.lag)
+
+
+def _lag_figure(lag: Lag) -> KeyFigure:
+    """Return the lag and what was done about it."""
+    std = "" if lag.std_frames is None else f"standard deviation {lag.std_frames:.2f} frames; "
+    done = "taken out of the readings" if lag.applied else "zero within its error, not taken out"
+    return KeyFigure("Images later than readings", _frames_or_seconds(lag), f"{std}{done}")
+
+
+def _frames_or_seconds(lag: Lag) -> str:
+    return f"{lag.seconds:.3f} s" if lag.frames is None else f"{lag.frames:.2f} frames"
 
 
 def _base(calibration: SessionCalibration) -> Iterator[TableRow]:

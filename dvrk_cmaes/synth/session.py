@@ -7,7 +7,8 @@ session. With another number of frames, the poses may differ from the first fram
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -27,14 +28,17 @@ from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, wr
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.levels import LEVELS, Level
 from dvrk_cmaes.synth.masks import simulate_segmentation
+from dvrk_cmaes.synth.motion import SECONDS_BETWEEN, ArmMotion
 from dvrk_cmaes.synth.occluders import dilate_region, outside_lens_circle, tissue_over_jaw
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session, free_poses
-from dvrk_cmaes.synth.readings import sample_readings
+from dvrk_cmaes.synth.readings import sample_readings, sample_video_readings
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Motion = Literal["free", "rcm"]
+Motion = Literal["free", "rcm", "video"]
+
+MOTIONS: Final[tuple[Motion, ...]] = ("free", "rcm", "video")
 
 PLAN_FILE: Final = "synth.json"
 """File of a synthetic session's parameters; its presence marks a folder as a synthetic session."""
@@ -74,7 +78,9 @@ class SessionPlan:
     """Parameters of a synthetic session.
 
     body, camera : instrument and camera. level : difficulty.
-    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses.
+    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses, ``video`` for an arm that
+        moves smoothly from frame to frame.
+    rate, lag : of a video, frames a second, and the frames by which its images are later than the readings.
     frames : number of frames. seed : seed of all random numbers.
     markers : markers painted on the instrument, by name; may be empty.
     arm : kinematics of the arm.
@@ -88,12 +94,15 @@ class SessionPlan:
     seed: int
     markers: Mapping[str, Marker]
     arm: Arm = "classic"
+    rate: float = 30.0
+    lag: float = 0.0
 
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""
         return {
             "level": self.level.to_dict(),
             "motion": self.motion,
+            **({"rate": self.rate, "lag": self.lag} if self.motion == "video" else {}),
             "frames": self.frames,
             "seed": self.seed,
             "instrument": self.body.instrument.name,
@@ -108,8 +117,21 @@ def default_camera(level: Level) -> Camera:
     return Camera(640, 480, fx=1026.0, fy=1026.0, cx=322.0, cy=238.0, distortion=level.distortion)
 
 
-def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
-    """Draw the session's true poses: ``camera_from_base`` (4, 4), None for free motion, and the truth of each frame.
+@dataclass(frozen=True, eq=False)
+class SessionTruths:
+    """True poses of a session.
+
+    ``camera_from_base`` (4, 4) is None for free motion. ``shown`` are the truths that the frames' images show, ``read``
+    those of the moments at which the frames' readings were taken.
+    """
+
+    camera_from_base: Float64 | None
+    shown: Sequence[Truth]
+    read: Sequence[Truth]
+
+
+def make_truths(plan: SessionPlan) -> SessionTruths:
+    """Draw the session's true poses.
 
     Raises
     ------
@@ -129,15 +151,35 @@ def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
     )
     rng = _generator(plan, 0)
     if plan.motion == "free":
-        return None, free_poses(plan.body, plan.camera, rng, plan.frames, view)
-    return arm_session(plan.body, plan.camera, rng, plan.frames, view, arm=plan.arm)
+        poses = free_poses(plan.body, plan.camera, rng, plan.frames, view)
+        return SessionTruths(None, poses, poses)
+    if plan.motion == "rcm":
+        base, poses = arm_session(plan.body, plan.camera, rng, plan.frames, view, arm=plan.arm)
+        return SessionTruths(base, poses, poses)
+    return _video_truths(plan, view, rng)
 
 
-def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[SyntheticFrame]:
+def _video_truths(plan: SessionPlan, view: ViewLimits, rng: np.random.Generator) -> SessionTruths:
+    """Draw a smooth motion and take its truths at the times of readings and, less the lag, of images."""
+    late = plan.lag / plan.rate
+    begin, end = max(late, 0.0), max(-late, 0.0)  # the motion covers both readings and images
+    seconds = begin + (plan.frames - 1) / plan.rate + end
+    count = 2 + math.ceil(seconds / SECONDS_BETWEEN[0])
+    base, passed = arm_session(plan.body, plan.camera, rng, count, view, arm=plan.arm)
+    motion = ArmMotion.through(base, passed, plan.arm, rng)
+    read_at = begin + np.arange(plan.frames) / plan.rate
+    return SessionTruths(base, [motion.at(time - late) for time in read_at], [motion.at(time) for time in read_at])
+
+
+def make_frames(plan: SessionPlan, truths: SessionTruths) -> Iterator[SyntheticFrame]:
     """Yield the frames of a session with given true poses; errors as in `sample_readings`."""
-    readings = sample_readings(truths, _generator(plan, 1), plan.level, one_session=plan.motion == "rcm")
+    rng = _generator(plan, 1)
+    if plan.motion == "video":
+        readings = sample_video_readings(truths.read, rng, plan.level, plan.rate)
+    else:
+        readings = sample_readings(truths.read, rng, plan.level, one_session=plan.motion == "rcm")
     digits = max(4, len(str(plan.frames - 1)))
-    for k, (truth, reading) in enumerate(zip(truths, readings, strict=True)):
+    for k, (truth, reading) in enumerate(zip(truths.shown, readings, strict=True)):
         yield _frame(plan, f"{k:0{digits}d}", truth, reading, _generator(plan, 2, k))
 
 
@@ -154,7 +196,8 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
         As in `make_truths` and `make_frames`.
     """
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
-        camera_from_base, truths = make_truths(plan)
+        truths = make_truths(plan)
+        camera_from_base = truths.camera_from_base
         readings: dict[str, Mapping[str, float]] = {}
         tips, markers, golden = [], [], {}
         for frame in make_frames(plan, truths):
@@ -170,7 +213,8 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
         write_camera_info(folder / "camera.yaml", plan.camera, "synth")
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
-        write_joints(folder / "joints.csv", readings, columns)
+        times = [k / plan.rate for k in range(plan.frames)] if plan.motion == "video" else None
+        write_joints(folder / "joints.csv", readings, columns, times=times)
         if plan.body.instrument.jaw_tips:
             write_text(folder / "keypoints.csv", _csv("frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v", tips))
         if plan.markers:
@@ -194,7 +238,8 @@ def _csv(header: str, rows: list[str]) -> str:
 
 def _generator(plan: SessionPlan, *stream: int) -> np.random.Generator:
     """Return a random generator that depends on seed, level, motion and ``stream``; each part has its own stream."""
-    return np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), plan.motion == "rcm", *stream])
+    motion = MOTIONS.index(plan.motion)
+    return np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), motion, *stream])
 
 
 def _frame(

@@ -290,7 +290,8 @@ def test_lag_of_readings_is_corrected_and_reported(made: Made, timed: bool) -> N
     assert lag.applied
     assert lag.frames == pytest.approx(-1.0, abs=0.1)
     assert lag.seconds == (pytest.approx(-1 / 30, abs=0.003) if timed else None)
-    assert solved.calibration.warnings == (f"{lag.describe()}: taken out",)
+    option = "--lag -0.033s" if timed else "--lag -1frames"
+    assert solved.calibration.warnings == (f"{lag.describe()}: taken out; other commands take it out with {option}",)
     assert solved.calibration.left_out["0007"] == "no readings once the lag is taken out"
     assert solved.results["0002"].readings["yaw"] == right[2].result.readings["yaw"]
 

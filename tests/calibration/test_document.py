@@ -13,11 +13,11 @@ from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.calibration.lag import Lag
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.joints.lag import Lag
 
 WORLD = make_world(4)
 OFFSETS = dict(zip(("insertion", "roll", *WORLD.model.names), WORLD.truth.offsets.tolist(), strict=True))

@@ -97,7 +97,8 @@ def make_frames_in_memory(
     Returns camera_from_base (4, 4), the frames' truth, and the frames.
     """
     plan = SessionPlan(body, camera, LEVELS[level], "rcm", frames, seed, {})
-    base, truths = make_truths(plan)
+    truths = make_truths(plan)
+    base = truths.camera_from_base
     assert base is not None
     rng = np.random.default_rng(seed)
     made = [
@@ -108,7 +109,7 @@ def make_frames_in_memory(
         )
         for one in make_frames(plan, truths)
     ]
-    return base, truths, made
+    return base, list(truths.shown), made
 
 
 def near_the_truth(

@@ -9,6 +9,7 @@ import pytest
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.series import ReadingSeries
 
@@ -85,3 +86,25 @@ def test_unrelated_rows_are_not_interpolable() -> None:
     for values, expected in ((smooth, True), (rng.uniform(-0.3, 0.3, 40), False), (1e-4 * smooth, True)):
         series = ReadingSeries("frames", {"yaw": clock}, {"yaw": values}, {}, 1.0)
         assert series.is_interpolable(("yaw",), np.array([0.01])) is expected
+
+
+def test_long_gap_in_the_readings_is_not_interpolated() -> None:
+    clock = np.array([0.0, 1.0, 2.0, 3.0, 9.0, 10.0])
+    series = ReadingSeries("frames", {"yaw": clock}, {"yaw": clock / 10}, {}, 1.0)
+    found = series.at(("yaw",), np.array([2.5, 3.0, 5.0, 9.0, 9.5]))[:, 0]
+    np.testing.assert_allclose(found, [0.25, 0.3, np.nan, 0.9, 0.95])
+    in_seconds = ReadingSeries("s", {"yaw": clock / 100}, {"yaw": clock / 10}, {}, 0.01)
+    np.testing.assert_allclose(in_seconds.at(("yaw",), np.array([0.05]))[:, 0], [0.5])
+
+
+def test_readings_of_a_frame_are_those_of_its_time_less_the_lag(tmp_path: Path) -> None:
+    rows = "".join(f"{k:04d},{100 + k / 10:.1f},{k / 10}\n" for k in range(10))
+    series = series_of(tmp_path, f"frame,time,yaw\n{rows}", {"0003": None, "0006": None})
+    assert series is not None
+    assert series.origin == pytest.approx(100.3)
+    assert series.of_frame("0006", Lag(None, seconds=0.25)) == {"yaw": pytest.approx(0.35)}
+    drifting = Lag(None, seconds=0.25, drift=0.1, middle=99.6)
+    assert series.of_frame("0006", drifting) == {"yaw": pytest.approx(0.25)}
+    assert series.of_frame("0003", Lag(None, seconds=0.5)) == {}
+    with pytest.raises(InputError, match="expected a lag in seconds"):
+        series.of_frame("0003", Lag(2.0))

@@ -115,6 +115,17 @@ written: session
     )
 
 
+def test_lag_gives_images_earlier_readings(imported: Import, tmp_path: Path) -> None:
+    summary = imported(write_bag(tmp_path / "bag", KINDS[0], good()), "--lag", "0.05")
+    assert summary["lag_s"] == 0.05
+    assert "readings of 0.05 s before each image" in summary["notes"]
+    frames = read_session("session").frames
+    time = BEGIN + 2 * SECOND // 10
+    expected = dict(zip(ARM, sweep(time - SECOND // 20), strict=True))
+    assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
+    assert [row["time"] for row in rows("joints.csv")] == [row["time"] for row in rows("images.csv")]
+
+
 def test_subset_of_images_keeps_numbers(imported: Import, tmp_path: Path) -> None:
     summary = imported(write_bag(tmp_path / "bag", "mcap", good(12)), "--every", 3, "--start", 0.15, "--end", 0.95)
     assert [row["frame"] for row in rows("images.csv")] == ["000002", "000005", "000008"]

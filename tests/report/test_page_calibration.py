@@ -13,10 +13,12 @@ import pytest
 from helpers.page_calibrations import BASE, BASE_STD, OFFSETS, SPREADS, STD, calibration, solved, write_calibrated
 from helpers.page_results import failed, page_of, write_results
 
-from dvrk_cmaes.calibration.lag import Lag
+from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page import render_page, write_page
 from dvrk_cmaes.report.page_calibration import MOST_PICTURES, CalibrationView, calibration_view, left_out_views
+from dvrk_cmaes.report.page_lag_plot import lag_plot
 from dvrk_cmaes.report.page_shafts_plot import ShaftsView, shafts_plot
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.result import Result
@@ -75,6 +77,29 @@ def test_undetermined_offsets_and_warnings_come_first(tmp_path: Path) -> None:
     said = "Of the session as a whole: the arm's base or the camera moved between frames b and c"
     assert part.index(said) < part.index("This session cannot tell: offset of <b>roll</b>") < part.index("Frames used")
     assert "images are 2.00 frames (0.080 s) later than the readings, std 0.10 frames, which is taken out" in part
+
+
+def test_lag_is_shown_with_the_curve_of_disagreement(tmp_path: Path) -> None:
+    frames = solved(NAMES)
+    lags = np.arange(-5.0, 16.0)
+    curve = LagCurve("frames", lags, np.minimum(0.2 * (lags - 4) ** 2, 4.0))
+    page = page_of(write_calibrated(tmp_path, frames, calibration(frames, lag=Lag(3.9, 0.1), lag_curve=curve)))
+    assert (
+        "Images later than readings 3.90 frames standard deviation 0.10 frames; taken out of the readings" in page.text
+    )
+    assert "How late the images are" in page.text
+    plot = lag_plot(calibration(frames, lag=Lag(3.9, 0.1), lag_curve=curve))
+    assert plot is not None
+    assert plot.found == pytest.approx(plot.across.at(3.9))
+    assert plot.points[9] == pytest.approx((plot.across.at(4.0), plot.up.at(0.0)))
+    assert lag_plot(calibration(frames)) is None
+
+
+def test_lag_that_is_zero_within_its_error_is_not_taken_out(tmp_path: Path) -> None:
+    frames = solved(NAMES)
+    page = page_of(write_calibrated(tmp_path, frames, calibration(frames, lag=Lag(0.1, 0.2, applied=False))))
+    assert "0.10 frames standard deviation 0.20 frames; zero within its error, not taken out" in page.text
+    assert "How late the images are" not in page.text
 
 
 def test_left_out_frames_are_listed_with_reason_and_link(tmp_path: Path) -> None:

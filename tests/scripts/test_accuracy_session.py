@@ -12,9 +12,9 @@ import pytest
 from helpers.places import ROOT, SCRIPTS
 
 from dvrk_cmaes.calibration import SessionCalibration, SolvedSession
-from dvrk_cmaes.calibration.lag import Lag
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.joints.lag import Lag
 
 BASE = moved(np.eye(4), [0.01, 0.02, 0.15, 0.9, 1.8, -0.4])
 SPREAD = np.array([1e-4, 2e-4, 3e-4, 0.001, 0.002, 0.003])

@@ -1,0 +1,91 @@
+"""Readings of a session's frames at any lag of the images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.series import ReadingSeries
+
+Float64 = NDArray[np.float64]
+
+RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
+"""Least and largest lag of the search, by unit."""
+
+_STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
+_MOST_STEPS = 61
+_ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A trial lag in the unit of a clock.
+
+    ``value`` is the lag in the middle of the frames, ``drift`` its change by time, and ``joints`` the lag of the
+    readings of wrist and jaw in addition to that of the outer joints.
+    """
+
+    value: float = 0.0
+    drift: float = 0.0
+    joints: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Readings of a session's frames at any lag.
+
+    ``times`` (N,) are those of the frames' images on the clock of the ``series``, ``middle`` is the middle of the times
+    of all frames. ``interpolable`` tells whether the readings may be interpolated, because the rows follow each other
+    closely in time. ``step`` is that of the search for the lag, in the unit of the series; for readings that cannot be
+    interpolated it is the time between their rows, None if that is not constant.
+    """
+
+    series: ReadingSeries
+    times: Float64
+    middle: float
+    interpolable: bool
+    step: float | None
+
+    @classmethod
+    def of(cls, series: ReadingSeries, names: Sequence[str], outer_std: Float64) -> Clock:
+        """Create the clock of frames in the order of their model; ``outer_std`` (4,) are of the outer readings."""
+        low, high = RANGE[series.unit]
+        interpolable = series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
+        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
+        times = np.array([series.frames[name] for name in names])
+        return cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
+
+    @property
+    def half_duration(self) -> float:
+        """Half of the time between the first and the last image."""
+        return float(np.ptp(self.times)) / 2
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Clock:
+        """Return the clock of some of the frames."""
+        return replace(self, times=self.times[np.asarray(index, dtype=np.intp)])
+
+    def delay_of(self, lag: Lag) -> Delay:
+        """Return a lag as a delay of this clock."""
+        middle = np.array([self.middle + self.series.origin])
+        return Delay(float(lag.at(middle, self.series.unit)[0]), lag.drift)
+
+    def model_at(self, model: SessionModel, delay: Delay) -> SessionModel:
+        """Return the model with the readings of the times of the images less the lag."""
+        read = self._read_times(delay)
+        outer, joints = self.series.at(OUTER_JOINTS, read), self.series.at(model.names, read - delay.joints)
+        return model.of_readings(outer, joints, model.deviations, model.inflation)
+
+    def has_readings(self, delay: Delay) -> NDArray[np.bool_]:
+        """Whether each frame has readings of all outer joints at a lag, (N,)."""
+        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self._read_times(delay))).any(axis=1))
+
+    def _read_times(self, delay: Delay) -> Float64:
+        """Return the times (N,) at which the arm was read as the images show it."""
+        return np.asarray(self.times - delay.value - delay.drift * (self.times - self.middle))

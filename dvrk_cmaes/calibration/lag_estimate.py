@@ -1,0 +1,123 @@
+"""The lag of a session while it is calibrated: found from the frames' own modes, then refined with their fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.clock import Clock, Delay
+from dvrk_cmaes.calibration.consensus import Mode, choose_modes
+from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, describe_lag, search_lag
+from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.series import ReadingSeries
+
+Float64 = NDArray[np.float64]
+
+
+class LagEstimate:
+    """Estimate of the lag of a session's N frames.
+
+    ``lag`` is None where it is not determined, and ``untold`` then says why; ``curve`` is the disagreement of the
+    frames as a function of the lag.
+
+    Parameters
+    ----------
+    series
+        Readings as functions of time, with the frames' times; None if there are none.
+    names
+        The names of the frames in the order of their model.
+    outer_std : (4,)
+        Standard deviations of the readings of the outer joints.
+    """
+
+    def __init__(self, series: ReadingSeries | None, names: Sequence[str], outer_std: Float64) -> None:
+        self.lag: Lag | None = None
+        self.untold = ""
+        self.curve: LagCurve | None = None
+        self._clock: Clock | None = None
+        if series is not None and all(name in series.frames for name in names):
+            self._clock = Clock.of(series, names, outer_std)
+        else:
+            self.untold = (
+                "the frames have no order: name them by numbers, or give the times of images (images.csv) and readings"
+            )
+
+    @property
+    def applied(self) -> Lag | None:
+        """The lag that is taken out of the readings; None if none is."""
+        return self.lag if self.lag is not None and self.lag.applied else None
+
+    def search(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, prior: Float64) -> None:
+        """Find the lag from the frames' own modes.
+
+        Parameters
+        ----------
+        model, modes, offset_std
+            As in `find_consensus`.
+        prior
+            As in `solve`.
+        """
+        if self._clock is None:
+            return
+        found = search_lag(self._clock, model, modes, offset_std)
+        self.curve, self.untold = found.curve, found.untold
+        if found.lag is None or found.calibration is None:
+            return
+        start = Delay(found.lag)
+        has = np.flatnonzero(self._clock.has_readings(start))
+        shifted = self._clock.model_at(model, start).subset(has)
+        chosen, _ = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
+        clock = self._clock.subset(has)
+        self._refine(LagRefiner(clock, shifted, FrameFits.of_modes(chosen), found.calibration, prior, start))
+
+    def refine(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
+        """Refine a lag that is taken out with the frames' fits; arguments as in `solve`."""
+        if self.applied is not None and self._clock is not None:
+            start = self._clock.delay_of(self.applied)
+            self._refine(LagRefiner(self._clock, model, fits, calibration, prior, start))
+
+    def estimate_joints(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
+        """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`."""
+        if self.lag is None or self._clock is None:
+            return
+        delay = Delay() if self.applied is None else self._clock.delay_of(self.applied)
+        found = LagRefiner(self._clock, model, fits, calibration, prior, delay).estimate_joints()
+        if found is not None:
+            frame = self._clock.series.interval
+            self.lag = replace(self.lag, wrist_frames=found.value / frame, std_wrist_frames=found.std / frame)
+
+    def has_readings(self, lag: Lag) -> NDArray[np.bool_]:
+        """Whether each frame has readings of all outer joints at a lag, (N,)."""
+        assert self._clock is not None
+        return self._clock.has_readings(self._clock.delay_of(lag))
+
+    def corrected(self, model: SessionModel) -> SessionModel:
+        """Return the model with the readings of the times of the images less the lag that is taken out."""
+        if self.applied is None or self._clock is None:
+            return model
+        return self._clock.model_at(model, self._clock.delay_of(self.applied))
+
+    def select(self, kept: Sequence[int]) -> None:
+        """Keep only the frames at some indices."""
+        if self._clock is not None:
+            self._clock = self._clock.subset(kept)
+
+    def _refine(self, refiner: LagRefiner) -> None:
+        """Refine the lag and its drift, and store them where they are determined; a lag that is applied stays so."""
+        value, before = refiner.refine_value(), refiner.delay.drift
+        drift = refiner.refine_drift()
+        if refiner.delay.drift != before:
+            value = refiner.refine_value()
+        found: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
+        if value is not None:
+            assert self._clock is not None
+            found = describe_lag(self._clock, value, drift)
+        if isinstance(found, Lag):
+            self.lag = replace(found, applied=found.applied or self.applied is not None)
+        elif self.lag is None:
+            self.untold = found

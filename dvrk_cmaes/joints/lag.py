@@ -1,0 +1,176 @@
+"""The lag of a recording's images behind its joint readings.
+
+The lag is positive if the images are late: the image of time t shows the arm as it was read at t - lag.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.rounding import rounded
+from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.typed_document import Number
+
+Float64 = NDArray[np.float64]
+Unit = Literal["s", "frames"]
+
+SIGN = "images late"
+LARGEST_SECONDS, LARGEST_FRAMES = 60.0, 1800.0
+"""Largest magnitudes of a lag that is given by hand."""
+
+_TEXT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?) ?(s|frames?)?")
+
+
+class LagDocument(Struct):
+    """The lag in ``session.json``; documents without ``sign`` count readings that are late as positive."""
+
+    frames: Number | None = None
+    seconds: Number | None = None
+    std_frames: Number | None = None
+    std_seconds: Number | None = None
+    drift: Number | None = None
+    std_drift: Number | None = None
+    middle: Number | None = None
+    wrist_frames: Number | None = None
+    std_wrist_frames: Number | None = None
+    sign: str | None = None
+    applied: bool = True
+
+
+@dataclass(frozen=True)
+class Lag:
+    """Lag of the images behind the readings, in frames, in seconds, or in both.
+
+    ``std_frames`` and ``std_seconds`` are its standard deviations. ``drift`` is the change of the lag by time, which is
+    not zero where the two clocks run at different rates; the lag is that of the time ``middle``, in seconds or, without
+    times, in frames. ``wrist_frames`` is the lag of the readings of wrist and jaw in addition to that of the outer
+    joints; it is stated, but never taken out. ``applied`` tells whether the lag was taken out of the readings; a lag
+    that does not differ significantly from zero is not.
+    """
+
+    frames: float | None
+    std_frames: float | None = None
+    seconds: float | None = None
+    std_seconds: float | None = None
+    applied: bool = True
+    drift: float = 0.0
+    std_drift: float | None = None
+    middle: float = 0.0
+    wrist_frames: float | None = None
+    std_wrist_frames: float | None = None
+
+    @classmethod
+    def of(cls, value: float, std: float, unit: Unit, interval: float, *, applied: bool) -> Lag:
+        """Create a lag from a value and standard deviation in a unit, and the time between images in that unit."""
+        seconds, std_seconds = (value, std) if unit == "s" else (None, None)
+        return cls(value / interval, std / interval, seconds, std_seconds, applied)
+
+    @classmethod
+    def parse(cls, option: str, text: str) -> Lag:
+        """Parse a lag such as ``0.13``, in seconds, or ``4frames``; InputError names the option."""
+        match = _TEXT.fullmatch(text.strip())
+        expected = "a number of seconds such as 0.13, or of frames such as 4frames"
+        if match is None:
+            raise InputError(f"{option}: expected {expected}, got {shown(text)}")
+        try:
+            value = float(match[1])
+        except ValueError:
+            raise InputError(f"{option}: expected {expected}, got {shown(text)}") from None
+        in_frames = (match[2] or "s").startswith("frame")
+        most = LARGEST_FRAMES if in_frames else LARGEST_SECONDS
+        if not math.isfinite(value) or abs(value) > most:
+            unit = "frames" if in_frames else "seconds"
+            raise InputError(f"{option}: expected at most {most:g} {unit} in magnitude, got {shown(text)}")
+        return cls(value) if in_frames else cls(None, seconds=value)
+
+    @classmethod
+    def from_document(cls, document: LagDocument | None) -> Lag | None:
+        """Take a lag from its document; None, too, for a document with neither frames nor seconds."""
+        if document is None or (document.frames is None and document.seconds is None):
+            return None
+        sign = 1.0 if document.sign == SIGN else -1.0
+
+        def signed(value: float | None) -> float | None:
+            return None if value is None else sign * value
+
+        return cls(
+            signed(document.frames),
+            document.std_frames,
+            signed(document.seconds),
+            document.std_seconds,
+            document.applied,
+            document.drift or 0.0,
+            document.std_drift,
+            document.middle or 0.0,
+            document.wrist_frames,
+            document.std_wrist_frames,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the lag in the documented schema, ready for JSON."""
+        drifts = self.drift != 0.0
+        values = {
+            "frames": self.frames,
+            "std_frames": self.std_frames,
+            "seconds": self.seconds,
+            "std_seconds": self.std_seconds,
+            "drift": self.drift if drifts else None,
+            "std_drift": self.std_drift,
+            "middle": self.middle if drifts else None,
+            "wrist_frames": self.wrist_frames,
+            "std_wrist_frames": self.std_wrist_frames,
+        }
+        numbers = {name: rounded(value) for name, value in values.items() if value is not None}
+        return {**numbers, "sign": SIGN, "applied": self.applied}
+
+    def in_unit(self, unit: Unit) -> float:
+        """Return the lag at ``middle`` in a unit; InputError if it is not known in this unit."""
+        value = self.seconds if unit == "s" else self.frames
+        if value is not None:
+            return value
+        if unit == "s":
+            raise InputError(
+                f"lag: expected a lag in seconds, such as 0.13, since the images have times, got {self.frames:g} frames"
+            )
+        raise InputError(
+            f"lag: expected a lag in frames, such as 4frames, since the images have no times, got {self.seconds:g} s"
+        )
+
+    def in_frames(self, rate: float) -> float:
+        """Return the lag at ``middle`` in frames of a recording with a number of frames a second."""
+        return self.frames if self.frames is not None else (self.seconds or 0.0) * rate
+
+    def at(self, times: Float64, unit: Unit) -> Float64:
+        """Return the lag at times (N,) of images, all in a unit; errors as `in_unit`."""
+        return np.asarray(self.in_unit(unit) + self.drift * (times - self.middle))
+
+    def describe(self) -> str:
+        """Describe the lag in words: its amount in frames and seconds, its sign, and its standard deviation."""
+        value = self.frames if self.frames is not None else self.seconds
+        assert value is not None
+        seconds = None if self.seconds is None else f"{abs(self.seconds):.3f} s"
+        amount = f"{abs(self.frames):.2f} frames" if self.frames is not None else seconds
+        if self.frames is not None and seconds is not None:
+            amount = f"{amount} ({seconds})"
+        std = "" if self.std_frames is None else f", std {self.std_frames:.2f} frames"
+        drift = f", drifting by {1e3 * self.drift:+.2f} parts per thousand" if self.drift else ""
+        return f"images are {amount} {'later' if value > 0 else 'earlier'} than the readings{std}{drift}"
+
+    @property
+    def text(self) -> str:
+        """The lag with its unit: ``0.131 s`` or ``3.94 frames``."""
+        value, unit = (self.seconds, "s") if self.seconds is not None else (self.frames, "frames")
+        return f"{round(value or 0.0, 3 if unit == 's' else 2):g} {unit}"
+
+    @property
+    def option(self) -> str:
+        """The lag as an option of the command line: ``--lag 0.131s`` or ``--lag 3.94frames``."""
+        return f"--lag {self.text.replace(' ', '')}"

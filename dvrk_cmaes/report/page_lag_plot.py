@@ -1,0 +1,47 @@
+"""Plot of a session's disagreement as a function of the lag between images and readings.
+
+As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.report.page_axes import Axis, value_axis
+
+_WIDTH, _HEIGHT = 560.0, 260.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 546.0, 8.0, 204.0
+_UNIT = {"s": "lag of the images, s", "frames": "lag of the images, frames"}
+
+
+@dataclass(frozen=True)
+class LagPlot:
+    """The curve as points, the coordinate of no lag, and that of the lag found with one standard deviation, or None."""
+
+    width: float
+    height: float
+    across: Axis
+    up: Axis
+    points: tuple[tuple[float, float], ...]
+    zero: float
+    found: float | None
+    std: tuple[float, float] | None
+
+
+def lag_plot(calibration: SessionCalibration) -> LagPlot | None:
+    """Plot the disagreement of a calibration's frames; None if no lag was searched."""
+    curve, lag = calibration.lag_curve, calibration.lag
+    if curve is None or len(curve.lags) < 2:
+        return None
+    low, high = min(0.0, float(curve.lags.min())), max(0.0, float(curve.lags.max()))
+    across = value_axis(_UNIT[curve.unit], low, high, start=_LEFT, end=_RIGHT, to_ticks=False)
+    up = value_axis("disagreement", 0.0, max(float(curve.misfit.max()), 1.0), start=_BOTTOM, end=_TOP, most=5)
+    points = tuple((across.at(float(x)), up.at(float(y))) for x, y in zip(curve.lags, curve.misfit, strict=True))
+    found, std = None, None
+    if lag is not None:
+        value, by = (lag.seconds, lag.std_seconds) if curve.unit == "s" else (lag.frames, lag.std_frames)
+        if value is not None:
+            found = across.clamped(value)
+            std = None if by is None else (across.clamped(value - by), across.clamped(value + by))
+    return LagPlot(_WIDTH, _HEIGHT, across, up, points, across.at(0.0), found, std)
