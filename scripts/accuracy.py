@@ -6,6 +6,7 @@
     python scripts/accuracy.py bound SESSION...        errors and scatter compared with the Cramer-Rao bound
     python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
+    python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
 golden.json, errors and bound report what can be measured without truth. data/demo is such a folder, and `dvrk-cmaes
@@ -28,6 +29,7 @@ from accuracy_bound import bound_report
 from accuracy_calibration import calibration_report
 from accuracy_cases import Case, Run, read_cases, run_cases
 from accuracy_errors import error_report, frame_errors, frame_rows
+from accuracy_lag import find_lags, lag_report
 from accuracy_lies import doubt_report, falsified_cases, load_others
 from accuracy_session import Outcome, Trial, original_trials, read_bases, run_trials, session_report
 from accuracy_session_lies import falsified_report, falsified_session_cases, falsified_trials
@@ -197,6 +199,13 @@ def session_lies(arguments: argparse.Namespace) -> Report:
     return falsified_report(_solve(arguments, falsified_trials(originals, runs[len(cases) :])))
 
 
+def lag(arguments: argparse.Namespace) -> Report:
+    """Report the errors of the lags found in synthetic videos."""
+    runs = _run(arguments, _original(arguments))
+    config = _config(arguments)
+    return lag_report(find_lags(arguments.sessions, runs, instrument=arguments.instrument, config=config))
+
+
 COMMANDS: Final = {
     "errors": errors,
     "calibration": calibration,
@@ -204,6 +213,7 @@ COMMANDS: Final = {
     "bound": bound,
     "sessions": sessions,
     "session-lies": session_lies,
+    "lag": lag,
 }
 
 
