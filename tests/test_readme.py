@@ -89,7 +89,7 @@ def test_shown_commands_exist() -> None:
 
 def test_named_options_exist() -> None:
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9_-]*", MANUAL))
-    of_others = {"--local-dir", "--multimask_output"}  # of the programs that make and fetch SAM 2 exports
+    of_others = {"--local-dir", "--multimask_output", "--once"}  # of the makers of SAM 2 exports, and of ros2 topic
     assert named - of_others <= {*options(app), "--help"}
 
 

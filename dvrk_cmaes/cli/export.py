@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.export.formats import Exported
 
 NAMES = Group.create_ordered("Names")
+DVRK = Group.create_ordered("dVRK")
 
 
 def export(
@@ -29,6 +30,8 @@ def export(
     base_frame: Annotated[str | None, Parameter(group=NAMES)] = None,
     scene: Annotated[int, Parameter(group=NAMES)] = 0,
     object_id: Annotated[int, Parameter(group=NAMES)] = 1,
+    dvrk_version: Annotated[Literal["2.4", "2.3"], Parameter(group=DVRK)] = "2.4",
+    ecm_pose: Annotated[Path | None, Parameter(group=DVRK)] = None,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -37,7 +40,8 @@ def export(
     Formats, with the transform and its units (a_from_b maps points of b into a):
 
     - dvrk: camera_from_base, m; two JSON files, named as by dvrk_camera_registration, for the camera axes of OpenCV
-    (x right, y down) and of the dVRK (x left, y up: multiplied by diag(-1,-1,1,1) on the left).
+    (x right, y down) and of the dVRK (x left, y up: multiplied by diag(-1,-1,1,1) on the left). The latter is the
+    arm's base_frame in system.json. With --ecm-pose there is suj-fixed.json instead.
     - easy-handeye: base_from_camera, m; a .calib file of easy_handeye2, type eye_on_base.
     - tf: camera_from_base, m; a command line of ROS 2's static_transform_publisher, parent camera, child base. It is
     printed on stdout, and with --out it is also written to a file.
@@ -73,6 +77,12 @@ def export(
         scene_id in the format bop.
     object_id
         obj_id in the format bop.
+    dvrk_version
+        Version of the dVRK that reads the arm's base frame: 2.4 in system.json, 2.3 or older in console.json.
+    ecm_pose
+        For an endoscope held by an arm (ECM): file of its local/measured_cp while the frames were recorded, as printed
+        by `ros2 topic echo --once /ECM/local/measured_cp`, or JSON with measured_cp, 4 rows of 4 numbers. The format
+        dvrk then has suj-fixed.json: the pose of the arm's base in that of the ECM.
     out
         Folder for the files written; by default "exports" in the folder of the results (tf: no file).
     json
@@ -80,14 +90,19 @@ def export(
     """
     if scene < 0 or object_id < 0:
         raise InputError(f"--scene, --object-id: expected whole numbers of at least 0, got {scene}, {object_id}")
-    from dvrk_cmaes.export.formats import DIRECTIONS
+    if ecm_pose is not None and to != "dvrk":
+        raise InputError(f"--ecm-pose: expected the format dvrk, got --to {to}")
+    from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
+    from dvrk_cmaes.export.formats import DIRECTIONS, FormatOptions
     from dvrk_cmaes.export.formats import export as exported_files
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.export.source import read_source
     from dvrk_cmaes.io.atomic import json_text, write_bytes
 
     names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
-    exported = exported_files(read_source(results, frame), to, names, scene=scene, obj=object_id)
+    pose = None if ecm_pose is None else read_cartesian_pose(ecm_pose)
+    options = FormatOptions(scene, object_id, dvrk_version, pose)
+    exported = exported_files(read_source(results, frame), to, names, options)
     folder = _results_folder(results) / "exports" if out is None else out
     to_stdout = to == "tf" and out is None
     written = [] if to_stdout else [folder / name for name in exported.files]

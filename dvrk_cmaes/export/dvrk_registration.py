@@ -1,14 +1,21 @@
-"""Export of ``camera_from_base`` as the dVRK's camera registration, ``ARM-registration-*.json``.
+"""Export of ``camera_from_base`` to the dVRK: the files of dvrk_camera_registration, or the fixed setup joints.
 
-As with dvrk_camera_registration, there are two files. ``open-cv`` has the camera axes used in this package: x right,
-y down, z forward. ``dVRK``, which the console's configuration uses as ``base-frame``, has the camera axes x left, y up,
-z forward: ``camera_from_base`` is multiplied by diag(-1, -1, 1, 1) from the left. Both transforms map points from the
-frame of the arm's base to the camera frame, in m.
+``ARM-registration-open-cv.json``, which dvrk_camera_registration reads back, has the camera axes used in this package:
+x right, y down, z forward. The dVRK's camera axes are x left, y up, z forward: ``camera_from_base`` is multiplied by
+diag(-1, -1, 1, 1) from the left.
+
+- For a camera on a stand, ``ARM-registration-dVRK.json`` is the entry of an arm in the dVRK's configuration: in
+  ``system.json`` of version 2.4 ``base_frame``, in ``console.json`` up to 2.3 ``base-frame``. It has no other keys,
+  since the dVRK refuses keys that it does not know.
+- For a camera held by an endoscope arm (ECM), ``suj-fixed.json`` describes setup joints that do not move: the pose of
+  the arm's base in that of the ECM, so that it holds while the ECM moves.
+
+All transforms are in m.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +23,60 @@ from numpy.typing import NDArray
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.io.atomic import json_text
 
+DvrkVersion = Literal["2.4", "2.3"]
+
 DVRK_FROM_OPEN_CV: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Transform from OpenCV's camera axes to the dVRK's, which have x and y reversed."""
 
+SUJ_FIXED: Final = "suj-fixed.json"
 
-def registration_files(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
-    """Return the texts of both files by file name, from ``camera_from_base`` (4, 4) in OpenCV's camera axes, m."""
-    return {
-        f"{names.arm}-registration-open-cv.json": _registration(
-            camera_from_base, names.camera, "OpenCV: camera_from_base, m; camera x right, y down, z forward"
-        ),
-        f"{names.arm}-registration-dVRK.json": _registration(
-            DVRK_FROM_OPEN_CV @ camera_from_base,
-            names.camera,
-            "dVRK: camera_from_base, m; camera x left, y up, z forward",
-        ),
-    }
+_KEYS: Final[dict[DvrkVersion, tuple[str, str]]] = {
+    "2.4": ("base_frame", "reference_frame"),
+    "2.3": ("base-frame", "reference-frame"),
+}
+_OPEN_CV_KEYS: Final = _KEYS["2.3"]  # those that dvrk_camera_registration reads with every version of the dVRK
 
 
-def _registration(camera_from_base: NDArray[np.float64], camera: str, convention: str) -> str:
-    """Return the text of one file."""
-    rows = (camera_from_base + 0.0).tolist()  # turns -0.0 into 0.0
-    return json_text({"base-frame": {"reference-frame": camera, "transform": rows}, "convention": convention})
+def registration_files(
+    camera_from_base: NDArray[np.float64],
+    names: FrameNames,
+    *,
+    version: DvrkVersion = "2.4",
+    ecm_pose: NDArray[np.float64] | None = None,
+) -> dict[str, str]:
+    """Return the texts of both files by file name.
+
+    Parameters
+    ----------
+    camera_from_base : (4, 4)
+        The pose of the arm's base in the camera, in OpenCV's axes.
+    names
+        Names of the arm and of the camera's frame.
+    version
+        Version of the dVRK that reads the entry; suj-fixed.json is the same in both.
+    ecm_pose : (4, 4)
+        ``local/measured_cp`` of the ECM that holds the camera, while the frames were recorded; None without an ECM.
+    """
+    stated = "OpenCV: camera_from_base, m; camera x right, y down, z forward"
+    open_cv = {**_entry(camera_from_base, names.camera, _OPEN_CV_KEYS), "convention": stated}
+    files = {f"{names.arm}-registration-open-cv.json": json_text(open_cv)}
+    in_dvrk_axes = DVRK_FROM_OPEN_CV @ camera_from_base
+    if ecm_pose is None:
+        files[f"{names.arm}-registration-dVRK.json"] = json_text(_entry(in_dvrk_axes, names.camera, _KEYS[version]))
+    else:
+        poses = {"ECM": np.eye(4), names.arm: ecm_pose @ in_dvrk_axes}
+        arms = [{"name": name, "measured_cp": _rows(pose)} for name, pose in poses.items()]
+        files[SUJ_FIXED] = json_text({"arms": arms})
+    return files
+
+
+def _entry(transform: NDArray[np.float64], camera: str, keys: tuple[str, str]) -> dict[str, Any]:
+    """Return the entry of an arm's base frame."""
+    base_frame, reference_frame = keys
+    return {base_frame: {reference_frame: camera, "transform": _rows(transform)}}
+
+
+def _rows(transform: NDArray[np.float64]) -> list[list[float]]:
+    """Return the rows of a transform, with 0.0 for -0.0."""
+    rows: list[list[float]] = (transform + 0.0).tolist()
+    return rows

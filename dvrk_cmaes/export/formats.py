@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dvrk_cmaes.export.base_choice import ChosenBase
 from dvrk_cmaes.export.bop import bop_files
-from dvrk_cmaes.export.dvrk_registration import registration_files
+from dvrk_cmaes.export.dvrk_registration import DvrkVersion, registration_files
 from dvrk_cmaes.export.easy_handeye import calibration_file
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.pose_table import pose_rows, table_text
@@ -26,7 +29,30 @@ DIRECTIONS: Final[dict[Format, str]] = {
     "tracker": "camera_from_root, axis times angle in rad, translation in m",
 }
 
-_BASE_FILES = {"dvrk": registration_files, "easy-handeye": calibration_file, "tf": publisher_file}
+_BASE_FILES = {"easy-handeye": calibration_file, "tf": publisher_file}
+
+
+@dataclass(frozen=True, eq=False)
+class FormatOptions:
+    """Options of single formats.
+
+    Parameters
+    ----------
+    scene, obj
+        The ids in the format bop.
+    dvrk_version
+        Version of the dVRK in the format dvrk.
+    ecm_pose : (4, 4)
+        In the format dvrk, ``local/measured_cp`` of the endoscope arm that holds the camera; None without one.
+    """
+
+    scene: int = 0
+    obj: int = 1
+    dvrk_version: DvrkVersion = "2.4"
+    ecm_pose: NDArray[np.float64] | None = None
+
+
+_NO_OPTIONS = FormatOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,23 +68,28 @@ class Exported:
     left_out: tuple[str, ...] = ()
 
 
-def export(source: ExportSource, to: Format, names: FrameNames, *, scene: int = 0, obj: int = 1) -> Exported:
-    """Make the files of a format; ``scene`` and ``obj`` are the ids in the BOP format.
+def export(source: ExportSource, to: Format, names: FrameNames, options: FormatOptions = _NO_OPTIONS) -> Exported:
+    """Make the files of a format.
 
     Raises
     ------
     InputError
         The source has no ``camera_from_base`` or no frames and the format requires them, or a name is not valid in it.
     """
-    if to in _BASE_FILES:
+    if to == "dvrk" or to in _BASE_FILES:
         base = source.base()
-        texts = _BASE_FILES[to](base.camera_from_base, names)
+        if to == "dvrk":
+            texts = registration_files(
+                base.camera_from_base, names, version=options.dvrk_version, ecm_pose=options.ecm_pose
+            )
+        else:
+            texts = _BASE_FILES[to](base.camera_from_base, names)
         return Exported({name: text.encode() for name, text in texts.items()}, base)
     results = source.poses()
     left_out = tuple(result.frame for result in results if result.camera_from_root is None)
     if to == "tracker":
         return Exported(tracker_files(results), left_out=left_out)
     if to == "bop":
-        texts = bop_files(results, scene=scene, obj=obj)
+        texts = bop_files(results, scene=options.scene, obj=options.obj)
         return Exported({name: text.encode() for name, text in texts.items()}, left_out=left_out)
     return Exported({"poses.csv": table_text(pose_rows(results)).encode()})

@@ -34,6 +34,15 @@ class _Registration(Struct, rename="kebab"):
     convention: str | None = None
 
 
+class _Arm(Struct):
+    name: str
+    measured_cp: Transform | None = None
+
+
+class _Arms(Struct):
+    arms: tuple[_Arm, ...]
+
+
 class _Summary(Struct):
     counts: dict[str, Any] | None = None
 
@@ -64,7 +73,7 @@ def inspect_json(path: Path, options: Options) -> Finding:
 
 def _registration(path: Path, document: Mapping[str, Any]) -> Finding:
     """Describe a dVRK camera registration."""
-    registration = convert_document(str(path), document, _Registration)
+    registration = convert_document(str(path), _with_hyphens(document), _Registration)
     pose, reference = registration.base_frame.transform, registration.base_frame.reference_frame or ""
     convention = registration.convention
     notes = () if convention else ("the camera's axes are not stated: OpenCV's, or the dVRK's with x and y reversed",)
@@ -74,6 +83,25 @@ def _registration(path: Path, document: Mapping[str, Any]) -> Finding:
         {"reference_frame": reference, "transform": pose.tolist(), "convention": convention or None},
         notes,
     )
+
+
+def _with_hyphens(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entry ``base_frame`` of version 2.4 of the dVRK with the keys of older versions."""
+    if "base_frame" not in document:
+        return dict(document)
+    entry = document["base_frame"]
+    if isinstance(entry, dict):
+        entry = {key.replace("reference_frame", "reference-frame"): value for key, value in entry.items()}
+    return {"base-frame": entry}
+
+
+def _arms(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe a dVRK's system file, or its fixed setup joints (suj-fixed.json), which have poses of the arms."""
+    arms = convert_document(str(path), document, _Arms).arms
+    poses = {arm.name: arm.measured_cp for arm in arms if arm.measured_cp is not None}
+    kind = "dVRK fixed setup joints (suj-fixed.json)" if poses else "dVRK system"
+    lines = (f"arms: {listed(arm.name for arm in arms)}", *(f"{name}: {_pose_text(p)}" for name, p in poses.items()))
+    return Finding(kind, lines, {"arms": [arm.name for arm in arms]})
 
 
 def _result(path: Path, document: Mapping[str, Any]) -> Finding:
@@ -128,6 +156,8 @@ def _session(path: Path, document: Mapping[str, Any]) -> Finding:
 
 _BY_KEY: dict[str, Callable[[Path, Mapping[str, Any]], Finding]] = {
     "base-frame": _registration,
+    "base_frame": _registration,
+    "arms": _arms,
     "camera_from_root": _result,
     "rcm": _session,
     "frames": _golden,

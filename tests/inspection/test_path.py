@@ -121,6 +121,11 @@ def test_instrument_is_summarised() -> None:
             "dVRK registration",
         ),
         (
+            "b.json",
+            '{"base_frame": {"reference_frame": "c", "transform": [[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}',
+            "dVRK registration",
+        ),
+        (
             "session.json",
             '{"schema": 1, "rcm": [0, 0, 0.1], "offsets": {"jaw": 0.1}}',
             "session calibration (session.json)",
@@ -176,6 +181,8 @@ def test_real_files_are_recognised(shared: Path) -> None:
         "kinematic/*": "dVRK kinematics",
         "tool/*": "dVRK tool",
         "registration/*": "dVRK registration",
+        "dvrk-2.4/system-*": "dVRK system",
+        "dvrk-2.4/suj-fixed.json": "dVRK fixed setup joints (suj-fixed.json)",
         "recording/*": "joint readings",
         "published_layout": "session",
         "published_layout/0/frame*": "image",
