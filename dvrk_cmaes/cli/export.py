@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,16 +15,59 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.export.formats import Exported
+    from dvrk_cmaes.export.ros_topics import ToolTip
 
 NAMES = Group.create_ordered("Names")
 DVRK = Group.create_ordered("dVRK")
+BAG = Group.create_ordered("ROS recording")
+
+
+@Parameter(name="*", group=BAG)
+@dataclass(frozen=True, kw_only=True)
+class BagOptions:
+    """Options of ROS recordings.
+
+    Parameters
+    ----------
+    times
+        Table of the frames' times (images.csv with the columns frame and time), or a session folder with one. By
+        default the times at the end of the frames' names, or if there are none, one second between frames.
+    tool
+        Description of the tool in the dVRK's format (JSON), whose tip measured_cp is the pose of. A Large Needle Driver
+        400006 by default.
+    """
+
+    times: Path | None = None
+    tool: Path | None = None
+
+    def read_times(self, frames: Sequence[str]) -> dict[str, int]:
+        """Return the times of frames, ns, from the table or from their names; empty if some have none."""
+        from dvrk_cmaes.joints.times import read_image_times, time_in_name
+
+        if self.times is not None:
+            return read_image_times(self.times / "images.csv" if self.times.is_dir() else self.times)
+        named = {frame: time for frame in frames if (time := time_in_name(frame)) is not None}
+        return named if len(named) == len(frames) else {}
+
+    def read_tip(self) -> ToolTip:
+        """Return the tool tip frame of the tool."""
+        from dvrk_cmaes.export.ros_topics import ToolTip
+        from dvrk_cmaes.instrument.dvrk_description import read_tool
+
+        if self.tool is None:
+            return ToolTip()
+        tool = read_tool(self.tool)
+        return ToolTip(tool.wrist_length, tool.tooltip_offset)
+
+
+_DEFAULT_BAG = BagOptions()
 
 
 def export(
     results: Path,
     /,
     *,
-    to: Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker"],
+    to: Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker", "ros1-bag", "ros2-bag"],
     frame: str | None = None,
     arm: Annotated[str, Parameter(group=NAMES)] = "PSM1",
     camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera",
@@ -32,6 +76,7 @@ def export(
     object_id: Annotated[int, Parameter(group=NAMES)] = 1,
     dvrk_version: Annotated[Literal["2.4", "2.3"], Parameter(group=DVRK)] = "2.4",
     ecm_pose: Annotated[Path | None, Parameter(group=DVRK)] = None,
+    bag: BagOptions = _DEFAULT_BAG,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -50,6 +95,9 @@ def export(
     - csv: camera_from_root and camera_from_base, mm, deg and quaternions xyzw; poses.csv, one row for each frame.
     - tracker: camera_from_root, m and rad; FRAME/optimized_ctr.npy and optimized_joint_angles.npy, as read by
     online_dvrk_tracking.
+    - ros1-bag, ros2-bag: camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag, or a folder ARM
+    (sqlite3), with PoseStamped, JointState and tf messages for each frame; `dvrk-cmaes help exports` lists the topics.
+    Needs the library rosbags.
 
     camera_from_base is that of the session calibration (session.json) if there is one, otherwise that of the frame if
     there is only one, otherwise the median of the ok frames, whose scatter is printed (with fewer than three ok frames,
@@ -83,6 +131,8 @@ def export(
         For an endoscope held by an arm (ECM): file of its local/measured_cp while the frames were recorded, as printed
         by `ros2 topic echo --once /ECM/local/measured_cp`, or JSON with measured_cp, 4 rows of 4 numbers. The format
         dvrk then has suj-fixed.json: the pose of the arm's base in that of the ECM.
+    bag
+        The frames' times and the tool.
     out
         Folder for the files written; by default "exports" in the folder of the results (tf: no file).
     json
@@ -92,6 +142,8 @@ def export(
         raise InputError(f"--scene, --object-id: expected whole numbers of at least 0, got {scene}, {object_id}")
     if ecm_pose is not None and to != "dvrk":
         raise InputError(f"--ecm-pose: expected the format dvrk, got --to {to}")
+    if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag"):
+        raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.export.formats import DIRECTIONS, FormatOptions
     from dvrk_cmaes.export.formats import export as exported_files
@@ -101,8 +153,10 @@ def export(
 
     names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
     pose = None if ecm_pose is None else read_cartesian_pose(ecm_pose)
-    options = FormatOptions(scene, object_id, dvrk_version, pose)
-    exported = exported_files(read_source(results, frame), to, names, options)
+    source = read_source(results, frame)
+    times = bag.read_times([result.frame for result in source.results])
+    options = FormatOptions(scene, object_id, dvrk_version, pose, times, bag.read_tip())
+    exported = exported_files(source, to, names, options)
     folder = _results_folder(results) / "exports" if out is None else out
     to_stdout = to == "tf" and out is None
     written = [] if to_stdout else [folder / name for name in exported.files]
@@ -159,6 +213,7 @@ def _warnings(exported: Exported) -> Iterator[str]:
     """Yield the warnings about the base, and one that lists frames without a pose."""
     if exported.base is not None:
         yield from exported.base.warnings
+    yield from exported.notes
     if exported.left_out:
         from dvrk_cmaes.io.short_text import listed
 

@@ -6,10 +6,9 @@ published.csv: the paper's poses as a table of axis-angle vectors and translatio
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, Arm
+from dvrk_cmaes.instrument.arm import Arm, stated_kinematics
 from dvrk_cmaes.joints.reading import read_joint_table
 from dvrk_cmaes.results.folder import ALONE, read_results
-from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 Readings = Mapping[str, Mapping[str, float]]
@@ -94,6 +92,7 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
     posed = {name: result.camera_from_root for name, result in results.items() if result.camera_from_root is not None}
     if not posed:
         raise InputError(f"{path}: camera_from_root: expected a pose in at least one frame, got none")
+    arm, roll_offset = stated_kinematics(results[name].config for name in posed) or (None, None)
     together = sum(results[name].source == "session" for name in posed)
     solved = f"{together} of {len(posed)} {TOGETHER}"
     if together in (0, len(posed)):
@@ -107,19 +106,9 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
         failed=tuple(name for name in results if name not in posed),
         doubtful=tuple(name for name in posed if results[name].status == "doubtful"),
         alone=str(path / ALONE) if together and (path / ALONE / "frames").is_dir() else None,
-        **_stated_kinematics(results[name] for name in posed),
+        arm=arm,
+        roll_offset=roll_offset,
     )
-
-
-def _stated_kinematics(results: Iterable[Result]) -> dict[str, Any]:
-    """Return ``arm`` and ``roll_offset`` of the first result that states both; empty if none does."""
-    for result in results:
-        stated = result.config.get("instrument")
-        if isinstance(stated, dict) and stated.get("arm") in INSERTION_OFFSET:
-            offset = stated.get("roll_offset")
-            if isinstance(offset, float):
-                return {"arm": stated["arm"], "roll_offset": offset}
-    return {}
 
 
 def read_readings(path: Path) -> Readings:

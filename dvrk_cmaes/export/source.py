@@ -47,6 +47,11 @@ class ExportSource:
             check_frame_name(result.frame)
         return self.results
 
+    def has_base(self) -> bool:
+        """Whether there is a session calibration, or a frame with a ``camera_from_base`` that did not fail."""
+        known = (result.camera_from_base is not None and result.status != "failed" for result in self.results)
+        return self.session is not None or any(known)
+
     def base(self) -> ChosenBase:
         """Choose ``camera_from_base`` by the rules of ``base_choice``; InputError if there is none."""
         if self.session is not None:

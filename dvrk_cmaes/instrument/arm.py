@@ -11,9 +11,9 @@ tools' files). Right angles are exact here; the files round them to 1.5708.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import pi
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +34,12 @@ ROLL_OFFSET_LONG: Final = 0.467
 
 INSERTION_OFFSET: Final[Mapping[str, float]] = {"classic": -0.4318, "si": -0.4826}
 """Constant added to the insertion reading to give d of the insertion joint, m, by arm."""
+
+WRIST_LENGTH: Final = 0.0091
+"""DH parameter a of the wrist yaw joint of the Large Needle Driver 400006, m: distance between the wrist axes."""
+
+TOOLTIP_OFFSET: Final = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
+"""Pose of the dVRK's tool tip frame in the wrist yaw frame (DH frame 6), of the Large Needle Driver 400006."""
 
 
 class DHJoint(NamedTuple):
@@ -100,6 +106,36 @@ def base_from_root(
     return pose
 
 
+def root_from_tip(
+    wrist_pitch: float,
+    wrist_yaw: float,
+    *,
+    wrist_length: float = WRIST_LENGTH,
+    tooltip_offset: NDArray[np.float64] = TOOLTIP_OFFSET,
+) -> NDArray[np.float64]:
+    """Compute the pose (4, 4) of the dVRK's tool tip frame in the root link, from the wrist's angles, rad.
+
+    ``base_from_root @ root_from_tip`` is the arm's ``local/measured_cp``. ``wrist_length`` (A of the wrist yaw joint,
+    m) and ``tooltip_offset`` (4, 4) are those of the tool's description.
+    """
+    pitch = DHJoint(alpha=-pi / 2, a=0.0, theta=-pi / 2, d=0.0)
+    yaw = DHJoint(alpha=-pi / 2, a=wrist_length, theta=-pi / 2, d=0.0)
+    return np.asarray(
+        _row_transform(pitch, np.float64(wrist_pitch)) @ _row_transform(yaw, np.float64(wrist_yaw)) @ tooltip_offset
+    )
+
+
+def stated_kinematics(configs: Iterable[Mapping[str, Any]]) -> tuple[Arm, float] | None:
+    """Return arm and roll offset (m) of the first of several results' settings that state both; None if none does."""
+    for config in configs:
+        stated = config.get("instrument")
+        if isinstance(stated, dict) and stated.get("arm") in INSERTION_OFFSET:
+            offset = stated.get("roll_offset")
+            if isinstance(offset, float):
+                return stated["arm"], offset
+    return None
+
+
 def find_camera_from_base(
     camera_from_root: NDArray[np.float64], readings: Mapping[str, float], arm: Arm, *, roll_offset: float
 ) -> NDArray[np.float64] | None:
@@ -129,7 +165,7 @@ def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> NDArray[np.float64]:
     return values
 
 
-def _row_transform(row: DHJoint, value: NDArray[np.float64]) -> NDArray[np.float64]:
+def _row_transform(row: DHJoint, value: NDArray[np.float64] | np.float64) -> NDArray[np.float64]:
     """Compute the transforms (..., 4, 4) of one DH row at joint values (...)."""
     theta = np.full_like(value, row.theta) if row.prismatic else row.theta + value
     d = row.d + value if row.prismatic else np.full_like(value, row.d)

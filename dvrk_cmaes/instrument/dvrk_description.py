@@ -12,13 +12,15 @@ from math import isclose
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from msgspec import Meta, Struct, field
+from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.io.typed_document import Number, convert_document, refused
+from dvrk_cmaes.io.typed_document import Number, Transform, convert_document, refused
 
 TOOL = "a dVRK tool description (JSON)"
 KINEMATIC = "a dVRK kinematic description (JSON)"
@@ -52,9 +54,10 @@ class _Table(Struct):
 class _Description(Struct, rename={"dh": "DH"}):
     dh: _Table
     jaw: _Limits | None = None
+    tooltip_offset: Transform | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tool:
     """Kinematic parameters of a tool.
 
@@ -68,12 +71,15 @@ class Tool:
         Lower and upper limits of roll, the wrist joints and, if described, the jaw, rad, by joint name.
     wrist_length
         Distance between the two wrist axes, m.
+    tooltip_offset : (4, 4)
+        Pose of the tool tip frame in the wrist yaw frame, m.
     """
 
     name: str
     roll_offset: float
     limits: Mapping[str, tuple[float, float]]
     wrist_length: float
+    tooltip_offset: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,8 @@ def read_tool(path: str | Path) -> Tool:
     limits = {name: (joint.qmin, joint.qmax) for name, joint in joints.items()}
     if description.jaw is not None:
         limits["jaw"] = description.jaw.qmin, description.jaw.qmax
-    return Tool(Path(path).name, roll.d, limits, joints["wrist_yaw"].a)
+    offset = np.eye(4) if description.tooltip_offset is None else description.tooltip_offset
+    return Tool(Path(path).name, roll.d, limits, joints["wrist_yaw"].a, offset)
 
 
 def read_kinematics(path: str | Path) -> Kinematics:

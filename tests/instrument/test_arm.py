@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET_LONG, Arm, base_from_root, dh_table
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET_LONG, Arm, base_from_root, dh_table, root_from_tip
+from dvrk_cmaes.instrument.dvrk_description import read_tool
+from dvrk_cmaes.instrument.kinematics import Chain
 
 OUTER = np.array([0.31, -0.22, 0.14, 0.87])
 angles = st.floats(-1.5, 1.5)
 outer_joints = st.tuples(angles, angles, st.floats(0.03, 0.24), angles)
+
+
+@cache
+def lnd_chain() -> Chain:
+    return load_instrument("lnd").chain
 
 
 def turn(axis: str, angle: float) -> RigidTransform:
@@ -134,3 +143,18 @@ def test_one_base_explains_all_true_poses(shared: Path, level: str) -> None:
     truth = [frame["T_camera_roll_link"] for frame in golden["frames"].values()]
     outer = [[frame["joints"][name] for name in OUTER_JOINTS] for frame in golden["frames"].values()]
     np.testing.assert_allclose(np.array(golden["camera_from_base"]) @ base_from_root(outer), truth, atol=1e-6)
+
+
+@given(angles, angles)
+def test_tool_tip_is_frame_of_wrist_yaw_link_with_offset(pitch: float, yaw: float) -> None:
+    chain = lnd_chain()
+    index = next(k for k, joint in enumerate(chain.joints) if joint.name == "wrist_yaw")
+    (link,) = chain.forward([pitch, yaw, 0.0], [index])
+    offset = [[0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]]
+    np.testing.assert_allclose(root_from_tip(pitch, yaw), link @ offset, atol=1e-12)
+
+
+def test_tool_tip_is_that_of_real_description(shared: Path) -> None:
+    tool = read_tool(shared / "formats" / "tool" / "LARGE_NEEDLE_DRIVER_400006.json")
+    described = root_from_tip(0.3, -0.4, wrist_length=tool.wrist_length, tooltip_offset=tool.tooltip_offset)
+    np.testing.assert_allclose(root_from_tip(0.3, -0.4), described, atol=1e-12)

@@ -50,6 +50,7 @@ def written(folder: Path, text: str = TOOL) -> Path:
 def test_tool_states_limits_and_roll_offset(tmp_path: Path) -> None:
     tool = read_tool(written(tmp_path))
     assert (tool.roll_offset, tool.wrist_length) == (0.467, 0.0091)
+    assert tool.tooltip_offset.tolist() == np.eye(4).tolist()
     assert tool.limits == {"roll": (-1, 1), "wrist_pitch": (-1.2, 1.2), "wrist_yaw": (-1.3, 1.3), "jaw": (-0.7, 1.4)}
 
 

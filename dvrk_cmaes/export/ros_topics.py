@@ -1,0 +1,125 @@
+"""Export of results as the messages of ROS topics, under CRTK's names.
+
+What the readings say has the names of the arm's own topics; what was found has the same names in the namespace
+``/dvrk_cmaes``. Per frame with a pose, in the camera's optical frame (x right, y down, z forward):
+
+- ``/ARM/measured_cp`` (PoseStamped): the tool tip by the readings and the arm's kinematics, from ``camera_from_base``;
+- ``/ARM/measured_js`` and ``/ARM/jaw/measured_js`` (JointState): the readings;
+- ``/dvrk_cmaes/ARM/measured_cp`` (PoseStamped): the tool tip by the pose and the joints found;
+- ``/dvrk_cmaes/ARM/camera_from_root`` (PoseStamped): the pose of the root link;
+- ``/dvrk_cmaes/ARM/measured_js`` (JointState): the joints found;
+- ``/tf``: the root link, and the arm's base where it is known, in the camera.
+
+A pose or joints that are not known have no message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message
+from dvrk_cmaes.instrument.arm import (
+    ROLL_OFFSET,
+    TOOLTIP_OFFSET,
+    WRIST_LENGTH,
+    Arm,
+    base_from_root,
+    root_from_tip,
+    stated_kinematics,
+)
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.names import ARM_ORDER, OUTER_JOINTS
+from dvrk_cmaes.results.result import Result
+
+FOUND = "/dvrk_cmaes"
+"""Namespace of the topics with what was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolTip:
+    """The tool tip frame of the dVRK: distance of the wrist axes, m, and pose (4, 4) in the wrist yaw frame."""
+
+    wrist_length: float = WRIST_LENGTH
+    tooltip_offset: NDArray[np.float64] = field(default_factory=TOOLTIP_OFFSET.copy)
+
+    def in_root(self, joints: Mapping[str, float]) -> NDArray[np.float64] | None:
+        """Return the pose (4, 4) of the tip in the root link; None without both wrist angles."""
+        if "wrist_pitch" not in joints or "wrist_yaw" not in joints:
+            return None
+        return root_from_tip(
+            joints["wrist_pitch"],
+            joints["wrist_yaw"],
+            wrist_length=self.wrist_length,
+            tooltip_offset=self.tooltip_offset,
+        )
+
+
+def result_messages(
+    results: Sequence[Result],
+    times: Mapping[str, int],
+    names: FrameNames,
+    camera_from_base: NDArray[np.float64] | None,
+    tip: ToolTip,
+) -> list[RosMessage]:
+    """Return the messages of all results with a pose, by time; ``times`` are those of the frames, ns."""
+    arm, roll_offset = stated_kinematics(result.config for result in results) or ("classic", ROLL_OFFSET)
+    messages: list[RosMessage] = []
+    for result in sorted(results, key=lambda result: times[result.frame]):
+        time = times[result.frame]
+        messages += _read(result, time, names, camera_from_base, tip, arm, roll_offset)
+        messages += _found(result, time, names, camera_from_base, tip)
+    return messages
+
+
+def numbered_times(results: Sequence[Result]) -> dict[str, int]:
+    """Return times that number the frames, for frames of unknown times: one second apart, from 1 s, ns."""
+    return {result.frame: number * NANOSECONDS for number, result in enumerate(results, start=1)}
+
+
+def _read(
+    result: Result,
+    time: int,
+    names: FrameNames,
+    camera_from_base: NDArray[np.float64] | None,
+    tip: ToolTip,
+    arm: Arm,
+    roll_offset: float,
+) -> Iterator[RosMessage]:
+    """Yield the messages of the readings of a frame."""
+    if result.camera_from_root is None:
+        return
+    readings = result.readings
+    root_from_read_tip = tip.in_root(readings)
+    if camera_from_base is not None and root_from_read_tip is not None and set(OUTER_JOINTS) <= set(readings):
+        root = camera_from_base @ base_from_root(readings, arm, roll_offset=roll_offset)
+        yield pose_message(f"/{names.arm}/measured_cp", time, names.camera, root @ root_from_read_tip)
+    arm_readings = {name: readings[name] for name in ARM_ORDER if name in readings}
+    if arm_readings:
+        yield joint_message(f"/{names.arm}/measured_js", time, arm_readings)
+    if "jaw" in readings:
+        yield joint_message(f"/{names.arm}/jaw/measured_js", time, {"jaw": readings["jaw"]})
+
+
+def _found(
+    result: Result, time: int, names: FrameNames, camera_from_base: NDArray[np.float64] | None, tip: ToolTip
+) -> Iterator[RosMessage]:
+    """Yield the messages of what was found in a frame."""
+    pose = result.camera_from_root
+    if pose is None:
+        return
+    found = f"{FOUND}/{names.arm}"
+    yield pose_message(f"{found}/camera_from_root", time, names.camera, pose)
+    root_from_found_tip = tip.in_root(result.joints)
+    if root_from_found_tip is not None:
+        yield pose_message(f"{found}/measured_cp", time, names.camera, pose @ root_from_found_tip)
+    if result.joints:
+        yield joint_message(f"{found}/measured_js", time, result.joints)
+    children = {f"{names.arm}_{result.root_link}": pose}
+    if camera_from_base is not None:
+        children[names.base] = camera_from_base
+    yield tf_message(time, names.camera, children)

@@ -1,0 +1,219 @@
+"""`dvrk-cmaes export --to ros1-bag|ros2-bag`, read back by rosbags: poses, times, names of frames and of joints."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.canned_results import BASE, canned, failed, write_results
+from helpers.commands import Ran, run_command
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from dvrk_cmaes.export.ros_topics import ToolTip
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.io.atomic import write_json
+
+KINDS = {"ros1-bag": "PSM1.bag", "ros2-bag": "PSM1"}
+TIMES = {"0000": 1_795_000_000_123_456_789, "0001": 1_795_000_000_156_789_012, "0002": 1_795_000_000_190_000_001}
+JOINT_TOPICS = ("/PSM1/measured_js", "/PSM1/jaw/measured_js")
+FOUND = "/dvrk_cmaes/PSM1"
+SESSION_BASE = moved(BASE, [0.002, -0.001, 0.001, 0.01, 0.02, -0.03])
+
+Run = Callable[..., Ran]
+Messages = dict[str, list[Any]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run ``dvrk-cmaes export``."""
+    return partial(run_command, capsys, "export")
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Write three frames with poses and a failed one, a session calibration, and the frames' times."""
+    out = write_results(tmp_path / "out", *(canned(name, k) for k, name in enumerate(TIMES)), failed("0003"))
+    write_json(out / "session.json", {"schema": 1, "camera_from_base": SESSION_BASE.tolist(), "frames": list(TIMES)})
+    rows = [f"{name},{time // 10**9}.{time % 10**9:09d}" for name, time in TIMES.items()]
+    (tmp_path / "images.csv").write_text("\n".join(["frame,time", *rows, ""]))
+    return out
+
+
+def read_bag(path: Path) -> Messages:
+    """Read all messages by topic, as (time of recording, message)."""
+    messages: Messages = {}
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for connection, time, data in reader.messages():
+            messages.setdefault(connection.topic, []).append((time, reader.deserialize(data, connection.msgtype)))
+    return messages
+
+
+def exported(run: Run, results: Path, kind: str, *arguments: object) -> Messages:
+    ran = run(results, "--to", kind, "--times", results.parent / "images.csv", *arguments)
+    assert ran.code == 0, ran.err
+    return read_bag(results / "exports" / KINDS[kind])
+
+
+def matrix(position: Any, orientation: Any) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_quat([orientation.x, orientation.y, orientation.z, orientation.w]).as_matrix()
+    out[:3, 3] = position.x, position.y, position.z
+    return out
+
+
+def poses(messages: Messages, topic: str) -> list[np.ndarray]:
+    return [matrix(message.pose.position, message.pose.orientation) for _, message in messages[topic]]
+
+
+def stamps(messages: Messages, topic: str) -> list[int]:
+    return [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for _, message in messages[topic]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_poses_times_and_frames_are_read_back(kind: str, run: Run, results: Path) -> None:
+    messages = exported(run, results, kind)
+    topic = f"{FOUND}/camera_from_root"
+    expected = [canned(name, k).camera_from_root for k, name in enumerate(TIMES)]
+    np.testing.assert_allclose(poses(messages, topic), np.array(expected), atol=1e-9)
+    for one in messages:
+        assert [time for time, _ in messages[one]] == list(TIMES.values())
+        if one != "/tf":
+            assert stamps(messages, one) == list(TIMES.values())
+    for one in (topic, "/PSM1/measured_cp", f"{FOUND}/measured_cp"):
+        assert {message.header.frame_id for _, message in messages[one]} == {"camera"}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tf_has_root_and_base_in_camera(kind: str, run: Run, results: Path) -> None:
+    messages = exported(run, results, kind, "--camera-frame", "left_optical", "--base-frame", "PSM1_rcm")
+    roots = poses(messages, f"{FOUND}/camera_from_root")
+    for k, (_, message) in enumerate(messages["/tf"]):
+        root, base = message.transforms
+        assert {one.header.frame_id for one in (root, base)} == {"left_optical"}
+        assert (root.child_frame_id, base.child_frame_id) == ("PSM1_roll_link", "PSM1_rcm")
+        assert [one.header.stamp.nanosec for one in (root, base)] == [list(TIMES.values())[k] % 10**9] * 2
+        found = [matrix(one.transform.translation, one.transform.rotation) for one in (root, base)]
+        np.testing.assert_allclose(found, [roots[k], SESSION_BASE], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joints_are_read_back(kind: str, run: Run, results: Path) -> None:
+    messages = exported(run, results, kind)
+    for k, name in enumerate(TIMES):
+        result = canned(name, k)
+        found, arm, jaw = (
+            dict(zip(message.name, message.position, strict=True))
+            for message in (messages[topic][k][1] for topic in (f"{FOUND}/measured_js", *JOINT_TOPICS))
+        )
+        assert found == pytest.approx(result.joints, abs=1e-9)
+        assert {**arm, **jaw} == pytest.approx(result.readings, abs=1e-9)
+        assert list(arm) == ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"]
+
+
+def test_measured_cp_is_tip_by_readings_beside_tip_found(run: Run, results: Path) -> None:
+    """The tip of the driver lies on the wrist yaw axis: 9.1 mm from the root, in a direction that the wrist gives."""
+    messages = exported(run, results, "ros2-bag")
+    for k, name in enumerate(TIMES):
+        result = canned(name, k)
+        read, found = (poses(messages, topic)[k] for topic in ("/PSM1/measured_cp", f"{FOUND}/measured_cp"))
+        assert result.camera_from_root is not None
+        for tip, root, joints in (
+            (read, SESSION_BASE @ base_from_root(result.readings), result.readings),
+            (found, result.camera_from_root, result.joints),
+        ):
+            pitch = joints["wrist_pitch"]
+            np.testing.assert_allclose(
+                np.linalg.inv(root) @ tip[:, 3], [0.0091 * np.sin(pitch), 0, 0.0091 * np.cos(pitch), 1], atol=1e-9
+            )
+
+
+def test_tip_is_that_of_tool_description(run: Run, results: Path, shared: Path) -> None:
+    tool = shared / "formats" / "tool" / "PROGRASP_FORCEPS_400093.json"
+    default = poses(exported(run, results, "ros2-bag"), f"{FOUND}/measured_cp")
+    other = poses(exported(run, results, "ros2-bag", "--tool", tool), f"{FOUND}/measured_cp")
+    roots = poses(read_bag(results / "exports" / "PSM1"), f"{FOUND}/camera_from_root")
+    lengths = [
+        [float(np.linalg.norm(tip[:3, 3] - root[:3, 3])) for tip, root in zip(tips, roots, strict=True)]
+        for tips in (default, other)
+    ]
+    assert lengths[0] == pytest.approx([0.0091] * 3)
+    assert lengths[1] == pytest.approx([0.0107] * 3)
+
+
+def test_recording_is_the_same_every_time(run: Run, results: Path) -> None:
+    for kind, name in KINDS.items():
+        folder = results / "exports"
+        exported(run, results, kind)
+        paths = [path for path in (folder / name, *(folder / name).rglob("*")) if path.is_file()]
+        first = [path.read_bytes() for path in paths]
+        exported(run, results, kind)
+        assert [path.read_bytes() for path in paths] == first
+
+
+def test_without_times_frames_are_numbered_with_warning(run: Run, results: Path) -> None:
+    ran = run(results, "--to", "ros1-bag")
+    assert ran.code == 0
+    assert "the frames' times are not known (--times images.csv): they are numbered, one second apart" in ran.err
+    assert stamps(read_bag(results / "exports" / "PSM1.bag"), "/PSM1/measured_js") == [10**9, 2 * 10**9, 3 * 10**9]
+
+
+def test_times_in_names_are_used(run: Run, tmp_path: Path) -> None:
+    names = [f"left_{time // 10**9}.{time % 10**9:09d}" for time in TIMES.values()]
+    out = write_results(tmp_path / "out", *(canned(name, k) for k, name in enumerate(names)))
+    ran = run(out, "--to", "ros1-bag")
+    assert ran.err == ""
+    messages = read_bag(out / "exports" / "PSM1.bag")
+    assert stamps(messages, f"{FOUND}/camera_from_root") == list(TIMES.values())
+
+
+def test_base_that_is_not_known_is_left_out(run: Run, tmp_path: Path) -> None:
+    out = write_results(tmp_path / "out", canned("0001", camera_from_base=None))
+    ran = run(out, "--to", "ros2-bag")
+    assert "camera_from_base is not known: no measured_cp by the readings, and no base in tf" in ran.err
+    messages = read_bag(out / "exports" / "PSM1")
+    assert "/PSM1/measured_cp" not in messages
+    assert [one.child_frame_id for one in messages["/tf"][0][1].transforms] == ["PSM1_roll_link"]
+
+
+def test_wrong_input_is_refused(run: Run, results: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.csv"
+    short.write_text("frame,time\n0000,1\n")
+    assert run(results, "--to", "ros2-bag", "--times", short).refusal == (
+        "--times: expected a time of every frame, got none of 0001, 0002"
+    )
+    assert run(results, "--to", "csv", "--times", short).refusal == (
+        "--times, --tool: expected the format ros1-bag or ros2-bag, got --to csv"
+    )
+    assert run(results, "--to", "ros2-bag", "--camera-frame", "/camera").code == 2
+    none = write_results(tmp_path / "none", failed("0001"))
+    assert run(none, "--to", "ros1-bag").refusal == (
+        f"{none}: camera_from_root: expected a pose in at least one frame, got none"
+    )
+
+
+def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, run: Run, results: Path) -> None:
+    load = builtins.__import__
+
+    def without(name: str, *rest: Any, **options: Any) -> Any:
+        if name.startswith("rosbags"):
+            raise ImportError(name)
+        return load(name, *rest, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert run(results, "--to", "ros1-bag").refusal == (
+        "--to ros1-bag: ROS recordings are written by the library rosbags, which is not installed; "
+        "run: pip install 'rosbags>=0.11,<0.12'"
+    )
+
+
+def test_tip_needs_both_wrist_angles() -> None:
+    assert ToolTip().in_root({"wrist_pitch": 0.1}) is None
+    assert ToolTip().in_root({"wrist_pitch": 0.1, "wrist_yaw": 0.2}) is not None
