@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 SELECTION = Group.create_ordered("Selection")
 TOPICS = Group.create_ordered("ROS recording")
 VIDEO = Group.create_ordered("Video")
+FOLDER = Group.create_ordered("Stereo endoscope")
 
 
 @Parameter(name="*", group=TOPICS)
@@ -69,11 +70,13 @@ def import_recording(
     camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
+    side: Annotated[Literal["left", "right"], Parameter(group=FOLDER)] = "left",
+    arm: Annotated[str | None, Parameter(group=FOLDER)] = None,
     topics: TopicOptions = _DEFAULT_TOPICS,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Convert a ROS recording (no ROS needed), or a video and its joint readings, to a session folder.
+    """Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
 
     Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, but no
     masks.
@@ -84,10 +87,13 @@ def import_recording(
 
     `dvrk-cmaes import suturing.mp4 --camera camera.yaml --joints joints.csv --video-start 12.4 --out session`
 
+    `dvrk-cmaes import online_data/2 --arm PSM1 --out session`
+
     Parameters
     ----------
     recording
-        ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads.
+        ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
+        clip in SurgSync's raw layout, or a folder with the videos of a stereo endoscope (left.mp4 and right.mp4).
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     every
@@ -103,12 +109,16 @@ def import_recording(
         Lag of the images behind the readings, in seconds, as stated by `calibrate`: each image gets the readings of
         that much earlier.
     camera
-        Camera file. Required for a video; for a ROS recording it replaces the camera_info.
+        Camera file. Required for a video; for other recordings it replaces their own.
     joints
-        File of readings with times, e.g. CSV with a column time (s). Required for a video; for a ROS recording it
-        replaces the topics of the joints.
+        File of readings with times, e.g. CSV with a column time (s). Required for a video; for other recordings it
+        replaces their own.
     video_start
         Time of the video's first image on the clock of the readings, in seconds.
+    side
+        Camera of a stereo endoscope whose images are imported.
+    arm
+        Arm of a SurgSync clip whose readings are imported, e.g. PSM1.
     topics
         The topics.
     overwrite
@@ -131,7 +141,7 @@ def import_recording(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
-    with _opened(recording, topics, camera, joints, video_start) as opened:
+    with _opened(recording, topics, camera, joints, video_start, side, arm) as opened:
         summary = write_session(
             _with_progress(opened),
             out,
@@ -151,18 +161,36 @@ def import_recording(
 
 
 def _opened(
-    path: Path, topics: TopicOptions, camera: Path | None, joints: Path | None, video_start: float
+    path: Path,
+    topics: TopicOptions,
+    camera: Path | None,
+    joints: Path | None,
+    video_start: float,
+    side: Literal["left", "right"],
+    arm: str | None,
 ) -> AbstractContextManager[Recording]:
-    """Open a ROS recording (a folder, or a file with its extension), or a video otherwise."""
+    """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
+    from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
+    from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.video import open_video
 
-    if path.is_dir() or path.suffix.lower() in SUFFIXES:
+    clip = path.is_dir() and is_surgsync(path)
+    stereo = clip or (path.is_dir() and has_stereo_videos(path))
+    if arm is not None and not clip:
+        raise InputError(f"{path}: --arm: expected a clip in SurgSync's raw layout, with image and kinematic folders")
+    if side != "left" and not stereo:
+        raise InputError(f"{path}: --side: expected a SurgSync clip, or a folder with left and right videos")
+    if not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES):
         requested = TopicRequest(topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic)
         return open_bag(path, requested, recorded_times=topics.recorded_times, camera=camera, joints=joints)
     if topics != _DEFAULT_TOPICS:
         raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
+    if clip:
+        return open_surgsync(path, side=side, arm=arm, camera=camera, joints=joints)
+    if stereo:
+        return open_stereo_videos(path, side=side, camera=camera, joints=joints, start=video_start)
     return open_video(path, camera=camera, joints=joints, start=video_start)
 
 

@@ -1,4 +1,4 @@
-"""Read JSON files whose document is an object."""
+"""Read JSON files."""
 
 from __future__ import annotations
 
@@ -33,14 +33,19 @@ def read_json_object(path: str | Path, *, expected: str, comments: bool = False)
     InputError
         The file is not readable, larger than 100 MB, not JSON, nested too deeply, or not an object.
     """
-    text = read_text(path, expected=expected, largest=_LARGEST)
-    try:
-        document = json.loads(_without_comments(text) if comments else text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected {expected}, got no valid JSON ({error})") from None
+    document = read_json(path, expected=expected, comments=comments)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected {expected}, got {shown(document)}")
     return document
+
+
+def read_json(path: str | Path, *, expected: str, comments: bool = False) -> Any:
+    """Read a JSON file of any document; parameters and errors as in ``read_json_object``."""
+    text = read_text(path, expected=expected, largest=_LARGEST)
+    try:
+        return json.loads(_without_comments(text) if comments else text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected {expected}, got no valid JSON ({error})") from None
 
 
 def _without_comments(text: str) -> str:

@@ -80,9 +80,16 @@ def encode_png(pixels: NDArray[np.uint8]) -> ImageFile:
 def _compressed(message: Any, where: str) -> ImageFile:
     """Return the file of a sensor_msgs/CompressedImage."""
     data = bytes(np.asarray(message.data, np.uint8))
+    if read_header(data) is None:
+        raise InputError(f"{where}: format: expected a PNG or JPEG, got {shown(message.format)}")
+    return stored_image(data, where)
+
+
+def stored_image(data: bytes, where: str) -> ImageFile:
+    """Return the bytes of a PNG or JPEG file as they are; InputError, which begins with ``where``, for others."""
     header = read_header(data)
     if header is None:
-        raise InputError(f"{where}: format: expected a PNG or JPEG, got {shown(message.format)}")
+        raise InputError(f"{where}: expected a PNG or JPEG, got something else or a damaged file")
     _check_size(header.width, header.height, where)
     if not header.whole:
         raise InputError(f"{where}: expected a whole PNG or JPEG, got one that is cut off or damaged")

@@ -1,9 +1,9 @@
-"""Common interface of ROS bags and videos: a sequence of images, time series of readings, and a camera."""
+"""Common interface of all recordings: a sequence of images, time series of readings, and a camera."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from dvrk_cmaes.joints.interpolation import TimedReadings
@@ -49,6 +49,8 @@ class Recording:
         A time series for each source, e.g. one topic of the arm and one of the jaw.
     notes
         The choices that were made, e.g. of topics and time source, one sentence each.
+    kept
+        Further files that are copied to the session folder: their bytes by their path in it.
     """
 
     path: Path
@@ -57,3 +59,4 @@ class Recording:
     camera: bytes
     readings: tuple[TimedReadings, ...]
     notes: tuple[str, ...]
+    kept: Mapping[str, bytes] = field(default_factory=dict)

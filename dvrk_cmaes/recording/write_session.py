@@ -139,6 +139,8 @@ def write_session(
         tables, columns, summaries = _interpolate(recording, read_at, round(tolerance * NANOSECONDS))
         time_cells = [f"{Decimal(time).scaleb(-9):f}" for time in times]
         write_bytes(folder / "camera.yaml", recording.camera)
+        for name, data in recording.kept.items():
+            write_bytes(folder / name, data)
         write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, time_cells, strict=True)))
         rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
         write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))

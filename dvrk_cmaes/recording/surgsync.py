@@ -1,0 +1,160 @@
+"""Reader of clips in the raw layout of SurgSync, the dVRK's recorder of synchronised images and kinematics.
+
+Frame N of a clip has the files::
+
+    image/left/N.png, image/right/N.png
+    kinematic/ARM/N.json     readings of the arm (measured_js) and of its jaw
+    time_syn/N.json          times of the image and of the readings
+
+``camera_calibration`` has left.yaml and right.yaml, ``hand_eye_calibration`` the arms' registrations, which are kept
+for comparison. The recorder takes the readings that are nearest in time to each image; here they are interpolated
+between those of neighbouring frames to the image's time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from dvrk_cmaes.camera.files import Side
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.messages import stored_image
+from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
+from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_positions, read_times
+
+_CAMERAS: Final = "camera_calibration"
+_REGISTRATIONS: Final = "hand_eye_calibration"
+_LARGEST: Final = 400_000_000  # bytes of an image
+_LARGEST_REGISTRATION: Final = 1_000_000  # bytes
+_FARTHEST: Final = NANOSECONDS // 20  # of the readings of a frame from its image
+_WIDEST_GAP: Final = NANOSECONDS // 4  # between readings that are interpolated
+_IMAGES: Final = (".png", ".jpg")
+
+
+def is_surgsync(path: Path) -> bool:
+    """Whether a folder has the raw layout."""
+    return (path / "image").is_dir() and (path / "kinematic").is_dir()
+
+
+@contextmanager
+def open_surgsync(
+    path: Path, *, side: Side = "left", arm: str | None = None, camera: Path | None = None, joints: Path | None = None
+) -> Iterator[Recording]:
+    """Open a clip; times and readings are read at once, images during iteration.
+
+    Parameters
+    ----------
+    path
+        The clip's folder.
+    side
+        The camera whose images are read.
+    arm
+        Name of the arm, e.g. PSM1; None for a clip of one patient-side arm.
+    camera, joints
+        A camera file, and a file of time-stamped readings, to use instead of the clip's.
+
+    Raises
+    ------
+    InputError
+        A file is missing or not valid, or several arms were recorded and none was chosen.
+    """
+    images = _images(path, side)
+    lens = camera or path / _CAMERAS / f"{side}.yaml"
+    chosen = None if joints is not None else _chosen_arm(path, arm)
+    times = {number: read_times(path / "time_syn" / f"{number}.json", side, chosen) for number in images}
+    notes = [f"images: image/{side}", f"camera: {lens}", "times: those of the images in time_syn"]
+    if chosen is None:
+        readings = () if joints is None else read_timed_joints(joints)
+        notes += [f"{' '.join(one.joints)}: {joints}" for one in readings]
+    else:
+        readings = _readings(path / "kinematic" / chosen, times)
+        notes += [f"{' '.join(one.joints)}: kinematic/{chosen}" for one in readings]
+    kept = {
+        f"{_REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=_LARGEST_REGISTRATION)
+        for file in sorted((path / _REGISTRATIONS).glob("*.json"))
+    }
+    if kept:
+        notes.append(f"registrations, kept: {listed(kept, 8)}")
+    recorded = (
+        RecordedImage(number, times[number].image, lambda file=file: _load(file))  # type: ignore[misc]
+        for number, file in images.items()
+    )
+    yield Recording(path, recorded, len(images), read_camera_bytes(lens), readings, tuple(notes), kept)
+
+
+def _images(path: Path, side: Side) -> dict[int, Path]:
+    """Find the images of a camera by frame number, in order; InputError if there are none."""
+    folder = path / "image" / side
+    files = [file for file in folder.iterdir() if file.suffix.lower() in _IMAGES] if folder.is_dir() else []
+    images = {int(file.stem): file for file in files if file.stem.isascii() and file.stem.isdigit()}
+    if not images:
+        raise InputError(f"{folder}: expected images N.png, got none")
+    return dict(sorted(images.items()))
+
+
+def _load(file: Path) -> ImageFile:
+    """Read an image; its file is copied unchanged."""
+    return stored_image(read_bytes(file, expected="an image (PNG or JPEG)", largest=_LARGEST), str(file))
+
+
+def _chosen_arm(path: Path, arm: str | None) -> str:
+    """Return the requested arm, or the only patient-side one."""
+    arms = sorted(folder.name for folder in (path / "kinematic").iterdir() if folder.is_dir())
+    if arm is not None and arm not in arms:
+        raise InputError(f"{path}: --arm: expected one of {listed(arms) or 'no arms'}, got {shown(arm)}")
+    patient_side = [name for name in arms if name.startswith("PSM")]
+    if arm is None and len(patient_side) != 1:
+        there = listed(patient_side) or f"none in {path / 'kinematic'}"
+        raise InputError(f"{path}: --arm: expected the name of the arm to import, for this clip has {there}")
+    return arm or patient_side[0]
+
+
+def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadings, ...]:
+    """Read the readings of all frames: a series of the arm's joints and one of the jaw, at the times of the images."""
+    rows = {number: read_positions(file) for number in times if (file := folder / f"{number}.json").is_file()}
+    if not rows:
+        raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
+    first = next(iter(rows.values()))
+    arm, jaw = tuple(name for name in first if name != "jaw"), tuple(name for name in first if name == "jaw")
+    taken = {number: (one.arm or one.image, one.jaw or one.arm or one.image) for number, one in times.items()}
+    return tuple(
+        _at_images(str(folder), joints, rows, times, {number: one[part] for number, one in taken.items()})
+        for part, joints in enumerate((arm, jaw))
+        if joints
+    )
+
+
+def _at_images(
+    source: str,
+    joints: tuple[str, ...],
+    rows: Mapping[int, Mapping[str, float]],
+    times: Mapping[int, FrameTimes],
+    taken: Mapping[int, int],
+) -> TimedReadings:
+    """Interpolate readings that were ``taken`` near the images' times to these; where that is not possible, keep them.
+
+    Readings that are farther from their image than the recorder allows are omitted.
+    """
+    values = {
+        number: [row[name] for name in joints]
+        for number, row in rows.items()
+        if set(joints) <= set(row) and abs(taken[number] - times[number].image) <= _FARTHEST
+    }
+    if not values:
+        away = min(abs(taken[number] - times[number].image) for number in rows) / NANOSECONDS
+        raise InputError(
+            f"{source}: {', '.join(joints)}: expected readings within {_FARTHEST / NANOSECONDS:g} s of the images, "
+            f"got none; the nearest is {away:.6g} s away"
+        )
+    series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
+    moments = [times[number].image for number in values]
+    found = [series.at(moment, _WIDEST_GAP) for moment in moments]
+    at_images = [own if one is None else one[0].tolist() for own, one in zip(values.values(), found, strict=True)]
+    return TimedReadings.of(source, joints, moments, at_images)
