@@ -70,6 +70,9 @@ def test_table_1_reproduces_published_figures(shared: Path) -> None:
     rows = table1.real_rows(shared, 0)
     claims = table1.claims_of(rows)
     assert [(claim.holds, claim.figures) for claim in claims] == [(True, "easy 0.00046 m, medium 0.00243 m")]
+    late, in_time = (row for row in rows if row["frames"].startswith("real, medium"))
+    assert (late["sigma_m"], in_time["frames"]) == (in_time["sigma_m"], "real, medium, readings in time")
+    assert in_time["base_rotation_deg_median"] < 0.6 * late["base_rotation_deg_median"]
 
 
 def test_figure_4_finds_better_candidates_on_shaft_axis(options: Options) -> None:
