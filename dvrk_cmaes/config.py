@@ -253,6 +253,9 @@ class SessionConfig:
     insertion_offset_mm, roll_offset_deg
         Standard deviations of the offsets of insertion and roll. Those of the instrument's joints are the standard
         deviations of their readings, ``readings``.
+    focal_length_percent, principal_point_px
+        Standard deviations of the camera file: of its focal lengths together, and of each coordinate of its principal
+        point.
     rounds
         Number of iterations that alternate between fitting the frames and solving for the calibration.
     loosened
@@ -279,6 +282,8 @@ class SessionConfig:
     slack_deg: float = 0.1
     insertion_offset_mm: float = 0.5
     roll_offset_deg: float = 20.0
+    focal_length_percent: float = 1.0
+    principal_point_px: float = 10.0
     rounds: int = 4
     loosened: float = 4.0
     turn_deg: float = 30.0

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.camera_change import SessionOutlines
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints
@@ -22,6 +23,7 @@ from dvrk_cmaes.calibration.frame_task import (
     FitTask,
     FrameReport,
     ReportTask,
+    Run,
     SessionFrame,
     fit_task,
     gather_task,
@@ -29,6 +31,8 @@ from dvrk_cmaes.calibration.frame_task import (
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.offset_check import describe_far_offsets
+from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out, solve
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.config import EstimateConfig
@@ -39,11 +43,8 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body
 
 Float64 = NDArray[np.float64]
-T = TypeVar("T")
-R = TypeVar("R")
 
 LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
@@ -56,16 +57,14 @@ _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
-Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
-"""Applies a function of body, settings and task to all tasks, and returns the values in the tasks' order."""
-
 
 class Alternation:
     """State of the alternating estimation.
 
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
-    the frames' current fits. ``warnings`` are texts about faults of the session as a whole; ``lag`` is the
-    estimate of the lag of the images behind the readings.
+    the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``untold`` about what it
+    does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change of
+    the camera that the frames fit, None where it is not determined.
 
     Parameters
     ----------
@@ -98,6 +97,8 @@ class Alternation:
         self._run = run
         self._progress = progress
         self.warnings: list[str] = []
+        self.camera: SessionCamera | None = None
+        self.untold: list[str] = []
         self._left_out: dict[str, str] = {}
         names = instrument.joint_names
         joints = np.array([[f.result.readings.get(name, np.nan) for name in names] for f in frames])
@@ -244,6 +245,26 @@ class Alternation:
             self.warnings.append(
                 f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
             )
+
+    def check_constants(self) -> None:
+        """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""
+        solution, session = self.solution, self._config.session
+        self._progress("checking camera and offsets", len(self.frames))
+        fits = _stacked(self.fits)
+        found = check_camera(self.model, solution.calibration, self._prior, session, fits, self._outlines())
+        if isinstance(found, str):
+            self.untold.append(found)
+        else:
+            self.camera = found
+            self.warnings += found.warnings(session)
+        self.warnings += describe_far_offsets(solution.calibration, solution.covariance, self.model, self._offset_std)
+
+    def _outlines(self) -> SessionOutlines:
+        """Return the outlines of all frames, as functions of poses, joints and camera."""
+        own = tuple((modes[0].camera_from_root, modes[0].joints) for modes in self._modes)
+        readings = tuple(frame.result.readings for frame in self.frames)
+        used = np.array([_explains(fit) for fit in self.fits])
+        return SessionOutlines(tuple(self._stored), readings, own, used, self._run)
 
     def report(self) -> tuple[list[FrameReport], dict[str, str]]:
         """Return the reports of the frames in use, and by name the reason for each frame that is left out.

@@ -14,9 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation, Run
+from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
+from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -97,6 +97,7 @@ def calibrate_session(
     alternation = Alternation(usable, series, body.instrument, arm, settings, run, progress)
     alternation.initialise()
     alternation.iterate()
+    alternation.check_constants()
     reports, reasons = alternation.report()
     results = {frame.name: frame.result for frame in frames}
     results |= {frame.name: one.result for frame, one in zip(alternation.frames, reports, strict=True)}
@@ -104,6 +105,7 @@ def calibrate_session(
     used = [results[frame.name].quality for frame in alternation.frames if frame.name not in left_out]
     qualities = [quality for quality in used if quality is not None]
     described = describe_solution(alternation.model, alternation.solution, settings)
+    described["untold"] += tuple(alternation.untold)
     if alternation.lag.lag is None:
         described["untold"] += (f"lag between images and readings: {alternation.lag.untold}",)
     calibration = SessionCalibration(
@@ -121,6 +123,7 @@ def calibrate_session(
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
         lag=alternation.lag.lag,
         lag_curve=alternation.lag.curve,
+        camera=alternation.camera,
         warnings=tuple(alternation.warnings),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": describe_limits(body.instrument, arm)},

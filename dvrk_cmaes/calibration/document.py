@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -83,6 +84,7 @@ class SessionCalibration:
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
+    camera : change of the camera that the frames fit; None if it was not tested.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
@@ -99,6 +101,7 @@ class SessionCalibration:
     contour_px_95: Number = 0.0
     lag: Lag | None = None
     lag_curve: LagCurve | None = None
+    camera: SessionCamera | None = None
     untold: Texts = ()
     warnings: Texts = ()
     arm: Arm = "classic"
@@ -145,6 +148,7 @@ class SessionCalibration:
             "quality": {"iou": rounded(self.iou), "contour_px_95": rounded(self.contour_px_95)},
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
+            "camera": None if self.camera is None else self.camera.to_dict(),
             "arm": self.arm,
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import measure_noise
@@ -73,11 +74,8 @@ def fit_frame(
         The frame's pose and joints estimated without the session. The noise of the outline is measured from its
         residuals, to which the session's prior has not contributed. If None, the noise is estimated during the fit.
     """
-    limits = replace(readings, values=np.full(len(renderer.body.instrument.joint_names), np.nan))
-    outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    if own_estimate is not None:
-        noise = measure_noise(evidence.contour, _silhouette(renderer, own_estimate))
-        outline = replace(outline, correlation=noise.length)
+    limits = _limits(renderer, readings)
+    outline = _outline_config(renderer, evidence, config, own_estimate)
     shrinks = (2, 1) if len(starts) > 1 and evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
     count = 0
@@ -96,6 +94,42 @@ def fit_frame(
     # At the optimum, the slopes of outline and priors add up to zero.
     information = best.information - prior_information
     return FrameFit(best.camera_from_root, best.joints, information, -prior_slope, best.score, count, *overlaps)
+
+
+def camera_terms(
+    renderer: Renderer,
+    evidence: Evidence,
+    readings: Readings,
+    config: EstimateConfig,
+    fitted: PoseAndJoints,
+    own_estimate: PoseAndJoints,
+    camera: Camera,
+) -> tuple[Float64, Float64]:
+    """Compute the outline's information and slope about a pose and joints and about the camera.
+
+    ``fitted`` are pose and joints with the camera ``camera``, whose image has the evidence's size. The other arguments
+    are as in `fit_frame`, with the evidence's own camera; values as in `OutlineRefiner.terms_with_camera`.
+    """
+    outline = _outline_config(renderer, evidence, config, own_estimate)
+    seen = replace(evidence, camera=camera)
+    refiner = OutlineRefiner(renderer, seen, _limits(renderer, readings), outline)
+    refiner.set_noise_at(*own_estimate, camera=evidence.camera)
+    return refiner.terms_with_camera(*fitted)
+
+
+def _limits(renderer: Renderer, readings: Readings) -> Readings:
+    """Return the limits of the joints without their readings."""
+    return replace(readings, values=np.full(len(renderer.body.instrument.joint_names), np.nan))
+
+
+def _outline_config(
+    renderer: Renderer, evidence: Evidence, config: EstimateConfig, own_estimate: PoseAndJoints | None
+) -> OutlineConfig:
+    """Return the settings of the refinement, with the correlation length of the residuals at the own estimate."""
+    outline = replace(config.refine.outline, cauchy=config.session.cauchy)
+    if own_estimate is None:
+        return outline
+    return replace(outline, correlation=measure_noise(evidence.contour, _silhouette(renderer, own_estimate)).length)
 
 
 def _intersection_over_union(renderer: Renderer, evidence: Evidence, estimate: PoseAndJoints) -> float:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints, fit_frame
+from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints, camera_terms, fit_frame
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance, split_readings
@@ -23,6 +24,11 @@ from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
+T = TypeVar("T")
+R = TypeVar("R")
+
+Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
+"""Applies a function of body, settings and task to all tasks, and returns the values in the tasks' order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +87,17 @@ class FitTask:
     expected: PosePrior
     starts: tuple[PoseAndJoints, ...]
     own_estimate: PoseAndJoints | None
+
+
+@dataclass(frozen=True, eq=False)
+class CameraTask:
+    """Arguments of `camera_task`: as in `FitTask`, and pose and joints with a changed camera."""
+
+    stored: StoredEvidence
+    readings: Mapping[str, float]
+    fitted: PoseAndJoints
+    own_estimate: PoseAndJoints
+    camera: Camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +174,14 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     scene = _scene(body, config, task.stored, task.readings)
     return fit_frame(
         scene.renderer, scene.evidence, scene.readings, config, task.expected, task.starts, task.own_estimate
+    )
+
+
+def camera_task(body: Body, config: EstimateConfig, task: CameraTask) -> tuple[Float64, Float64]:
+    """Compute the outline's information and slope about a frame's pose and about the camera, as `camera_terms`."""
+    scene = _scene(body, config, task.stored, task.readings)
+    return camera_terms(
+        scene.renderer, scene.evidence, scene.readings, config, task.fitted, task.own_estimate, task.camera
     )
 
 

@@ -82,7 +82,8 @@ class Marginals:
     ``slope`` (N, D) and ``information`` (N, D, D) are the gradient and the Hessian of half of each frame's sum of
     squares with respect to its prediction. ``misfit`` (N,) is the squared Mahalanobis distance between outline and
     prediction, whose expectation is D if the model holds. ``deviation`` (N, D) and ``covariance`` (N, D, D) are
-    mean and covariance of the posterior of each frame's change from its prediction.
+    mean and covariance of the posterior of each frame's change from its prediction; ``step`` (N, D) is its mean change
+    from the point of expansion of the outline, and ``gain`` (N, D, D) the derivative of that by the prediction.
     """
 
     slope: Float64
@@ -90,6 +91,8 @@ class Marginals:
     misfit: Float64
     deviation: Float64
     covariance: Float64
+    step: Float64
+    gain: Float64
 
 
 def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Marginals:
@@ -105,7 +108,8 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     difference = predicted - outline_optimum
     # Without information, rounding errors can make the misfit slightly negative.
     misfit = np.maximum(np.einsum("ni,nij,nj->n", difference, information, difference), 0)
-    return Marginals(_times(prior, predicted - solved), information, misfit, solved - predicted, covariance)
+    slope = _times(prior, predicted - solved)
+    return Marginals(slope, information, misfit, solved - predicted, covariance, solved, covariance @ prior)
 
 
 def solve(
@@ -134,8 +138,7 @@ def solve(
 
     def linearise(at: Calibration) -> tuple[Float64, Float64, Float64, Float64]:
         frames, jacobian = marginalise(model, fits, at), model.jacobian(at)
-        # A frame with the expected misfit has weight 1; smaller weights would make the covariance too large.
-        weights = np.minimum((1 + _ROBUST**-2) / (1 + frames.misfit / (dimension * _ROBUST**2)), 1) ** 2
+        weights = robust_weights(frames.misfit, dimension)
         frame_information = np.einsum("nik,nij,njl,n->nkl", jacobian, frames.information, jacobian, weights)
         frame_slopes = np.einsum("nik,ni,n->nk", jacobian, frames.slope, weights)
         return weights, frames.misfit, frame_information, frame_slopes
@@ -152,6 +155,14 @@ def solve(
     weights, misfit, frame_information, frame_slopes = linearise(calibration)
     information = prior + frame_information.sum(axis=0)
     return Solution(calibration, information, weights, misfit, frame_information, frame_slopes)
+
+
+def robust_weights(misfit: Float64, dimension: int) -> Float64:
+    """Return the Geman-McClure weights (N,) of frames with some misfits (N,), whose expectation is ``dimension``.
+
+    A frame with the expected misfit has weight 1; smaller weights would make the covariance too large.
+    """
+    return np.asarray(np.minimum((1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)), 1) ** 2)
 
 
 def robust_cost(misfit: Float64, dimension: int) -> float:
@@ -187,6 +198,5 @@ def frame_covariances(model: SessionModel, fits: FrameFits, solution: Solution) 
     Axes are the changes of the root's pose in its own axes and the joints, m and rad.
     """
     frames = marginalise(model, fits, solution.calibration)
-    prior = _inverses(model.covariance(solution.calibration))
-    jacobian = frames.covariance @ prior @ model.jacobian(solution.calibration)  # of the frames' estimates
+    jacobian = frames.gain @ model.jacobian(solution.calibration)  # of the frames' estimates
     return np.asarray(frames.covariance + jacobian @ solution.covariance @ np.swapaxes(jacobian, 1, 2))

@@ -120,6 +120,17 @@ class Camera:
             self.model,
         )
 
+    def changed(self, focal_scale: float, shift: tuple[float, float]) -> Camera:
+        """Return the camera with focal lengths times ``focal_scale`` and a principal point moved by ``shift``, px.
+
+        Raises
+        ------
+        InputError
+            With the changed focal length, the distortion is not one-to-one over the image.
+        """
+        fx, fy = self.fx * focal_scale, self.fy * focal_scale
+        return replace(self, fx=fx, fy=fy, cx=self.cx + shift[0], cy=self.cy + shift[1])
+
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
         """Return the camera of a window of the image whose first pixel is (left, top), sizes in pixels."""
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)

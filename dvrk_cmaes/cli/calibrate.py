@@ -155,6 +155,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {name:<12s} {offset * 1e3:>+8.2f} mm    std {deviation * 1e3:.2f}")
         else:
             yield Line(f"  {name:<12s} {np.degrees(offset):>+8.2f} deg   std {np.degrees(deviation):.2f}")
+    if calibration.camera is not None:
+        yield Line(f"camera, against its file: {calibration.camera.describe()}")
     for text in calibration.untold:
         yield Line(f"  not told by this session: {text}", STATUS_STYLES["doubtful"].removeprefix("bold "))
     for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
@@ -176,6 +177,8 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
     )
     if calibration.lag is not None:
         yield _lag_figure(calibration.lag)
+    if calibration.camera is not None:
+        yield from _camera_figures(calibration.camera)
 
 
 def _lag_figure(lag: Lag) -> KeyFigure:
@@ -187,6 +190,22 @@ def _lag_figure(lag: Lag) -> KeyFigure:
 
 def _frames_or_seconds(lag: Lag) -> str:
     return f"{lag.seconds:.3f} s" if lag.frames is None else f"{lag.frames:.2f} frames"
+
+
+def _camera_figures(camera: SessionCamera) -> Iterator[KeyFigure]:
+    """Yield the change of the camera that the frames fit."""
+    note = "applied" if camera.applied else "contradicts the camera file" if camera.contradicts else "not applied"
+    yield KeyFigure(
+        "Focal length, against its file",
+        f"{100 * (camera.focal_scale - 1):+.1f} %",
+        f"standard deviation {100 * camera.std_focal_scale:.1f} %; {note}",
+    )
+    (right, down), std = camera.principal_point_px, max(camera.std_principal_point_px)
+    yield KeyFigure(
+        "Principal point, against its file",
+        f"{right:+.0f}, {down:+.0f} px",
+        f"right, down; standard deviation {std:.0f} px; {note}",
+    )
 
 
 def _base(calibration: SessionCalibration) -> Iterator[TableRow]:

@@ -124,6 +124,7 @@ def test_progress_reports_stages_and_frame_counts(made: Made) -> None:
         ("gathering evidence", 8),
         ("round 1 of 2", 8),
         ("round 2 of 2", 8),
+        ("checking camera and offsets", 8),
         ("leaving one out", 8),
     ]
 

@@ -14,6 +14,7 @@ from helpers.session_worlds import make_world
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.calibration.model import BASE_AXES
+from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
@@ -50,6 +51,7 @@ def calibration() -> SessionCalibration:
         iou=0.95,
         contour_px_95=2.5,
         lag=Lag(2.0, 0.25, 0.066667, 0.008),
+        camera=SessionCamera(1.02, 0.01, (3.0, -4.5), (6.0, 7.0), contradicts=False, applied=True, width=640),
         untold=("offset of insertion",),
         warnings=("readings come 2 frames late",),
         arm="si",
@@ -69,7 +71,18 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
     assert {**after.to_dict(), "std": None} == {**before.to_dict(), "std": None}
     np.testing.assert_allclose(after.camera_from_base, before.camera_from_base, atol=1e-8)
     np.testing.assert_allclose(after.covariance, before.covariance, rtol=1e-5)
-    for name in ("instrument", "axes", "frames", "left_out", "leave_one_out", "lag", "untold", "warnings", "arm"):
+    for name in (
+        "instrument",
+        "axes",
+        "frames",
+        "left_out",
+        "leave_one_out",
+        "lag",
+        "camera",
+        "untold",
+        "warnings",
+        "arm",
+    ):
         assert getattr(after, name) == getattr(before, name)
 
 
@@ -87,6 +100,7 @@ def test_document_has_documented_fields() -> None:
         "left_out",
         "leave_one_out",
         "lag",
+        "camera",
         "seconds",
         "seed",
         "version",
@@ -101,6 +115,12 @@ def test_document_has_documented_fields() -> None:
     np.testing.assert_allclose(document["std"]["base_translation_mm"], 1e3 * np.sqrt(variance[:3]), rtol=1e-5)
     np.testing.assert_allclose(document["std"]["base_rotation_deg"], np.degrees(np.sqrt(variance[3:6])), rtol=1e-5)
     assert list(document["std"]["offsets"]) == list(document["offsets"])
+
+
+def test_document_without_camera_is_read() -> None:
+    document = calibration().to_dict()
+    del document["camera"]
+    assert SessionCalibration.from_dict(document).camera is None
 
 
 def test_calibration_with_warning_is_doubtful() -> None:

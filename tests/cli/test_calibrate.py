@@ -103,6 +103,7 @@ def test_json_output_is_session_json_and_reproducible(command: Command, calibrat
     assert ran.err.splitlines() == [
         "dvrk-cmaes: gathering evidence: 5 frames",
         "dvrk-cmaes: round 1 of 1: 5 frames",
+        "dvrk-cmaes: checking camera and offsets: 5 frames",
         "dvrk-cmaes: leaving one out: 5 frames",
         "dvrk-cmaes: drawing: 5 frames",
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,29 @@ def test_silhouette_outside_window_gives_finite_score(bundled_body: Body) -> Non
     fit = refiner(bundled_body, JOINTS).refine_all(np.stack([away, pose()]), np.tile(JOINTS, (2, 1)))
     assert np.isfinite(fit[0].score)
     assert fit[1].score < fit[0].score
+
+
+@pytest.mark.parametrize(("unknown", "step"), [(0, 2e-3), (1, 0.3), (2, 0.3)])
+def test_slope_about_camera_is_gradient_of_residual(bundled_body: Body, unknown: int, step: float) -> None:
+    off = moved(pose(), np.array([3e-4, -2e-4, 1e-3, 0, 0, 0]))
+    at = refiner(bundled_body, JOINTS, cauchy=10.0)
+    at.set_noise_at(off, JOINTS)
+    information, slope = at.terms_with_camera(off, JOINTS)
+    np.testing.assert_allclose(information, information.T)
+    mask = Renderer(bundled_body, CAMERA).coverage(pose()[None], JOINTS[None])[0] > 0.5
+    evidence = gather_evidence(mask, CAMERA, bundled_body.instrument)
+    limits = bundled_body.instrument.limits.T
+
+    def residual(change: np.ndarray, moving: np.ndarray) -> float:
+        camera = CAMERA.changed(float(np.exp(change[0])), (float(change[1]), float(change[2])))
+        known = Readings(JOINTS, SPREAD, limits[0], limits[1])
+        seen = replace(evidence, camera=camera)
+        there = OutlineRefiner(Renderer(bundled_body, camera), seen, known, OutlineConfig(cauchy=10.0))
+        return there.assess(moved(off, moving), JOINTS).residual
+
+    still, along = np.zeros(3), np.array([0, 0, 5e-5, 0, 0, 0])
+    changed = np.eye(3)[unknown] * step
+    about_camera = (residual(changed, 0 * along) - residual(-changed, 0 * along)) / (2 * step)
+    about_pose = (residual(still, along) - residual(still, -along)) / (2 * along[2])
+    # both have the factor from coverage to standard deviations
+    assert slope[9 + unknown] / about_camera == pytest.approx(slope[2] / about_pose, rel=0.2)

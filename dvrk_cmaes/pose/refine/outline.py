@@ -73,15 +73,16 @@ class OutlineRefiner:
         expected: PosePrior | None = None,
     ) -> None:
         camera = evidence.camera
-        if shrink > 1:
-            camera = camera.scaled(max(camera.width // shrink, 8), max(camera.height // shrink, 8))
         size = (camera.width, camera.height)
+        if shrink > 1:
+            size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
         if shrink > 1:
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
         left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
         window = np.s_[top : top + height, left : left + width]
-        self._camera: Camera = camera.cropped(left, top, width, height)
+        self._size, self._window = size, (left, top, width, height)
+        self._camera = self._in_window(camera)
         self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
         self._config = config
         self._weight = np.ascontiguousarray(weight[window])
@@ -106,6 +107,11 @@ class OutlineRefiner:
             expected=expected,
         )
 
+    def _in_window(self, camera: Camera) -> Camera:
+        """Return the camera of the refiner's window and size."""
+        resized = camera if self._size == (camera.width, camera.height) else camera.scaled(*self._size)
+        return resized.cropped(*self._window)
+
     @property
     def silhouettes(self) -> int:
         """Number of silhouettes rendered so far."""
@@ -126,9 +132,12 @@ class OutlineRefiner:
         pairs = zip(coverage, outlines.of_each(len(poses)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
-    def _render_coverage(self, poses: Float64, joints: Float64) -> list[NDArray[np.float32]]:
-        """Render the blurred coverage (H, W) of each of C poses."""
-        coverage = self._renderer.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
+    def _render_coverage(
+        self, poses: Float64, joints: Float64, renderer: Renderer | None = None
+    ) -> list[NDArray[np.float32]]:
+        """Render the blurred coverage (H, W) of each of C poses, with another renderer if one is given."""
+        used = self._renderer if renderer is None else renderer
+        coverage = used.coverage(poses, joints, lines_per_pixel=self._config.lines_per_pixel)
         return [self._blurred(image) for image in coverage]
 
     def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
@@ -136,13 +145,19 @@ class OutlineRefiner:
         r = (image - self._target) / np.float32(cauchy)
         return float(cauchy**2 * (self._weight * np.log1p(r * r)).sum(dtype=np.float64))
 
-    def set_noise_at(self, pose: Float64, joints: Float64, *, cauchy: float | None = None) -> None:
+    def set_noise_at(
+        self, pose: Float64, joints: Float64, *, cauchy: float | None = None, camera: Camera | None = None
+    ) -> None:
         """Estimate the outline's error from the residuals at a pose (4, 4) and joints (J,), for all following fits.
 
-        Otherwise it is estimated from the residuals of each fit, to which a prior of the pose contributes.
+        Otherwise it is estimated from the residuals of each fit, to which a prior of the pose contributes. ``camera``
+        is that of the pose, for images of the evidence's size, where it is not the evidence's.
         """
         width = self._config.cauchy if cauchy is None else cauchy
-        self._noise_loss = self._loss(self._render_coverage(pose[None], joints[None])[0], width)
+        renderer = self._renderer
+        if camera is not None:
+            renderer = Renderer(renderer.body, self._in_window(camera), threads=renderer.threads)
+        self._noise_loss = self._loss(self._render_coverage(pose[None], joints[None], renderer)[0], width)
 
     def _scale(self, loss: float) -> float:
         """Return the factor from sums of squares of coverage to sums of squares in standard deviations."""
@@ -212,6 +227,22 @@ class OutlineRefiner:
         """Compute the N outline points of one pose (4, 4) and their Jacobian (N, 6 + J)."""
         outline = self._renderer.outlines(pose[None], joints[None])
         return outline, self._jacobians([outline], pose[None], joints[None])[0]
+
+    def terms_with_camera(self, pose: Float64, joints: Float64) -> tuple[Float64, Float64]:
+        """Compute the outline's information (D + 3, D + 3) and slope (D + 3,) about a pose, its joints and the camera.
+
+        ``pose`` is (4, 4), ``joints`` (J,), D = 6 + J. The last three unknowns are the logarithm of the factor of
+        `Camera.changed` and its shift, px of the image at the refiner's size. Priors are not included.
+        """
+        ((image, outline),) = self._render(pose[None], joints[None])
+        state = _State(pose, joints, image, outline, loss=self._loss(image, self._config.cauchy))
+        of_pose = self._jacobians([outline], pose[None], joints[None])[0]
+        from_centre = outline.pixels - [self._camera.cx, self._camera.cy]
+        of_focal_length = (outline.normals * from_centre).sum(axis=1)
+        jacobian = np.column_stack([of_pose, of_focal_length, outline.normals])
+        information, slope = self._normal_equations(state, jacobian, self._config.cauchy)
+        scale = self._scale(state.loss)
+        return scale * information, scale * slope
 
     def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
         """Compute the information (D, D) of outline and priors about the small changes of a fitted pose."""

@@ -1,0 +1,152 @@
+"""What a session's frames tell about its camera: the change they fit, and whether they contradict the camera file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines, estimate_camera
+from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.rounding import rounded
+from dvrk_cmaes.io.typed_document import Count, Number
+
+Float64 = NDArray[np.float64]
+
+_LEAST_FRAMES = 10
+_LEAST_INSERTION = 5e-3  # m, range of the readings
+_SHARED_ERRORS = 1.3  # factor on the standard deviations: the frames of a session share errors of masks and meshes
+_CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
+_NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
+_CAUSES = (
+    "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
+    "another length has a similar effect"
+)
+
+
+@dataclass(frozen=True)
+class SessionCamera:
+    """Change of the camera that a session's frames fit, with standard deviations.
+
+    focal_scale : factor on the focal lengths of the camera file.
+    principal_point_px : shift of the principal point, px to the right and down, in images of ``width`` px.
+    contradicts : whether the frames contradict the camera file. If they do, the values are what the frames alone fit;
+        otherwise the file counts as a measurement with the configured standard deviations.
+    applied : whether the session was solved with the changed camera; then the values are what the frames alone fit.
+    """
+
+    focal_scale: Number
+    std_focal_scale: Number
+    principal_point_px: tuple[Number, Number]
+    std_principal_point_px: tuple[Number, Number]
+    contradicts: bool
+    applied: bool
+    width: Count
+
+    @classmethod
+    def of(cls, estimate: CameraEstimate, config: SessionConfig, width: int, *, applied: bool) -> SessionCamera:
+        """Decide whether an estimate contradicts the camera file, and state it."""
+        change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
+        file_covariance = np.diag(_file_std(config) ** 2)
+        contradicts = bool(change @ np.linalg.solve(covariance + file_covariance, change) > _CONTRADICTION)
+        if not (contradicts or applied):
+            gain = file_covariance @ np.linalg.inv(covariance + file_covariance)
+            change, covariance = gain @ change, gain @ covariance
+        scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
+        return cls(
+            focal_scale=scale,
+            std_focal_scale=scale * float(std[0]),
+            principal_point_px=(float(change[1]), float(change[2])),
+            std_principal_point_px=(float(std[1]), float(std[2])),
+            contradicts=contradicts,
+            applied=applied,
+            width=width,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the values in the documented schema, ready for JSON."""
+        return {
+            "focal_scale": rounded(self.focal_scale),
+            "std_focal_scale": rounded(self.std_focal_scale),
+            "principal_point_px": [rounded(value) for value in self.principal_point_px],
+            "std_principal_point_px": [rounded(value) for value in self.std_principal_point_px],
+            "contradicts": self.contradicts,
+            "applied": self.applied,
+            "width": self.width,
+        }
+
+    def corrected(self, camera: Camera) -> Camera:
+        """Return the camera of the file with the change, for images of any size; unchanged if it was not applied."""
+        if not self.applied:
+            return camera
+        size = camera.width / self.width
+        right, down = self.principal_point_px
+        return camera.changed(self.focal_scale, (size * right, size * down))
+
+    def describe(self) -> str:
+        """Describe the change in words, with standard deviations."""
+        (right, down), (std_right, std_down) = self.principal_point_px, self.std_principal_point_px
+        return (
+            f"focal length {100 * (self.focal_scale - 1):+.1f} % (std {100 * self.std_focal_scale:.1f}), principal "
+            f"point {right:+.0f} px right (std {std_right:.0f}), {down:+.0f} px down (std {std_down:.0f})"
+        )
+
+    def warnings(self, config: SessionConfig) -> list[str]:
+        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not."""
+        if not self.contradicts:
+            return []
+        file_std = _file_std(config)
+        scale, std = self.focal_scale - 1, self.std_focal_scale
+        shift, std_shift = np.array(self.principal_point_px), np.array(self.std_principal_point_px)
+        of_focal_length = abs(scale) > _NAMED * np.hypot(std, file_std[0])
+        of_centre = bool((np.abs(shift) > _NAMED * np.hypot(std_shift, file_std[1:])).any())
+        parts = []
+        if of_focal_length or not of_centre:
+            than = "longer" if scale > 0 else "shorter"
+            parts.append(f"a focal length {100 * abs(scale):.1f} % (std {100 * std:.1f}) {than}")
+        if of_centre or not of_focal_length:
+            across, down = "right" if shift[0] > 0 else "left", "down" if shift[1] > 0 else "up"
+            parts.append(
+                f"a principal point {abs(shift[0]):.0f} px (std {std_shift[0]:.0f}) {across} and "
+                f"{abs(shift[1]):.0f} px (std {std_shift[1]:.0f}) {down}"
+            )
+        then = "which is used" if self.applied else f"likely causes: {_CAUSES}"
+        return [f"the camera file is contradicted: these frames fit {' and '.join(parts)}; {then}"]
+
+
+def check_camera(
+    model: SessionModel,
+    calibration: Calibration,
+    prior: Float64,
+    config: SessionConfig,
+    fits: FrameFits,
+    outlines: SessionOutlines,
+) -> SessionCamera | str:
+    """Test the camera of a calibrated session; arguments as in `estimate_camera`.
+
+    Returns the reason if the session does not test it.
+    """
+    if len(fits.poses) < _LEAST_FRAMES:
+        return f"camera: {len(fits.poses)} frames; at least {_LEAST_FRAMES} are needed to test its focal length"
+    spread = float(np.ptp(model.outer[:, 2]))
+    if spread < _LEAST_INSERTION:
+        return (
+            f"camera: insertion moves by {spread * 1e3:.1f} mm; at least {_LEAST_INSERTION * 1e3:.0f} mm are needed to "
+            "test its focal length"
+        )
+    try:
+        estimate = estimate_camera(model, calibration, prior, config, fits, outlines)
+    except InputError as error:
+        return f"camera: {error}"
+    return SessionCamera.of(estimate, config, outlines.width, applied=False)
+
+
+def _file_std(config: SessionConfig) -> Float64:
+    """Return the standard deviations (3,) of the camera file: of its focal length, relative, and its centre, px."""
+    return np.array([config.focal_length_percent / 100, config.principal_point_px, config.principal_point_px])

@@ -1,0 +1,161 @@
+"""Test of a session's camera: the change that its frames fit, what contradicts the file, and the corrected camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_in_memory
+
+from dvrk_cmaes.calibration import SessionFrame
+from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
+from dvrk_cmaes.calibration.frame_task import StoredEvidence
+from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera
+from dvrk_cmaes.calibration.solve import solve
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.truth import Truth
+
+FRAMES = 10
+CONFIG = SessionConfig()
+
+Made = tuple[np.ndarray, list[Truth], list[SessionFrame]]
+
+
+@pytest.fixture(scope="module")
+def made(bundled_body: Body) -> Made:
+    """Base, truth and frames of a session, whose masks are those of the camera `SMALL`."""
+    return make_frames_in_memory(bundled_body, FRAMES, level="clean")
+
+
+def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0) -> SessionCamera | str:
+    """Check a file whose focal length is the true one divided by ``focal_scale``, from poses as seen with that file.
+
+    The readings of insertion are scaled about their mean by ``insertion``.
+    """
+    base, truths, frames = made
+    wrong = SMALL.changed(1 / focal_scale, (0.0, 0.0))
+    names = body.instrument.joint_names
+    readings = tuple(one.result.readings for one in frames)
+    poses = np.array([one.camera_from_root for one in truths])
+    poses[:, 2, 3] /= focal_scale
+    joints = np.array([one.values for one in truths])
+    stored = []
+    for one in frames:
+        assert isinstance(one.data, FrameData)
+        stored.append(StoredEvidence.of(gather_evidence(one.data.mask, wrong, body.instrument)))
+    outlines = SessionOutlines(
+        tuple(stored),
+        readings,
+        tuple(zip(poses, joints, strict=True)),
+        np.ones(len(frames), np.bool_),
+        lambda function, tasks: [function(body, EstimateConfig(), task) for task in tasks],
+    )
+    outer = outer_readings(readings)
+    outer[:, 2] = outer[:, 2].mean() + insertion * (outer[:, 2] - outer[:, 2].mean())
+    read = np.array([[one[name] for name in names] for one in readings])
+    model = SessionModel(outer, read, names, Deviations.of(CONFIG, names), roll_offset=body.instrument.roll_offset)
+    fits = outlines.terms(np.zeros(3), poses, joints).fits
+    solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
+    return check_camera(model, solution.calibration, PRIOR, CONFIG, fits, outlines)
+
+
+def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:
+    nothing = np.zeros((0, 4, 4))
+    calibration = Calibration(np.eye(4), np.zeros(5))
+    return CameraEstimate(np.array(change), np.diag(np.array(std) ** 2), calibration, nothing, np.zeros((0, 3)))
+
+
+# the change that frames fit
+
+
+@pytest.mark.parametrize("focal_scale", [0.9, 1.1])
+def test_focal_length_ten_percent_off_is_found_and_named(bundled_body: Body, made: Made, focal_scale: float) -> None:
+    found = check(bundled_body, made, focal_scale)
+    assert isinstance(found, SessionCamera)
+    assert found.contradicts
+    assert not found.applied
+    assert found.focal_scale == pytest.approx(focal_scale, abs=max(0.02, 2 * found.std_focal_scale))
+    assert found.std_focal_scale < 0.03
+    (text,) = found.warnings(CONFIG)
+    than = "longer" if focal_scale > 1 else "shorter"
+    assert text.startswith("the camera file is contradicted: these frames fit a focal length ")
+    assert f" {than}" in text
+    assert "principal point" not in text
+
+
+def test_right_camera_is_not_contradicted(bundled_body: Body, made: Made) -> None:
+    found = check(bundled_body, made, 1.0)
+    assert isinstance(found, SessionCamera)
+    assert not found.contradicts
+    assert found.warnings(CONFIG) == []
+    assert found.focal_scale == pytest.approx(1.0, abs=3 * found.std_focal_scale)
+    assert found.std_focal_scale <= CONFIG.focal_length_percent / 100
+    assert max(found.std_principal_point_px) <= CONFIG.principal_point_px
+
+
+def test_few_frames_and_still_insertion_do_not_test_the_camera(bundled_body: Body, made: Made) -> None:
+    base, truths, frames = made
+    few = check(bundled_body, (base, truths[:9], frames[:9]), 1.0)
+    assert few == "camera: 9 frames; at least 10 are needed to test its focal length"
+    still = check(bundled_body, made, 1.0, insertion=0.01)
+    assert isinstance(still, str)
+    assert still.endswith(" mm; at least 5 mm are needed to test its focal length")
+
+
+# the decision
+
+
+def test_file_counts_as_measurement_where_it_is_not_contradicted() -> None:
+    found = SessionCamera.of(estimate((0.02, 0.0, 0.0), (0.1, 100.0, 100.0)), CONFIG, 640, applied=False)
+    assert not found.contradicts
+    assert 1.0 < found.focal_scale < 1.001
+    assert found.std_focal_scale == pytest.approx(0.01, rel=0.01)
+    assert found.std_principal_point_px == pytest.approx((10.0, 10.0), rel=0.01)
+
+
+def test_contradicted_file_does_not_pull_the_stated_change() -> None:
+    found = SessionCamera.of(estimate((0.1, 0.0, 0.0), (0.005, 2.0, 2.0)), CONFIG, 640, applied=False)
+    assert found.contradicts
+    assert found.focal_scale == pytest.approx(np.exp(0.1))
+
+
+def test_principal_point_far_off_is_named_with_its_direction() -> None:
+    found = SessionCamera.of(estimate((0.0, -70.0, 2.0), (0.005, 2.0, 2.0)), CONFIG, 640, applied=False)
+    (text,) = found.warnings(CONFIG)
+    assert "a principal point 70 px (std 3) left and 2 px (std 3) down" in text
+    assert "focal length" not in text.split(";")[0]
+
+
+def test_uncertain_frames_contradict_nothing() -> None:
+    found = SessionCamera.of(estimate((0.1, 50.0, 50.0), (0.1, 50.0, 50.0)), CONFIG, 640, applied=False)
+    assert not found.contradicts
+
+
+# the corrected camera and the document
+
+
+def test_only_applied_change_corrects_a_camera_of_any_size() -> None:
+    camera = Camera(640, 480, 1000, 900, 300, 200)
+    tested = SessionCamera.of(estimate((np.log(1.1), 20.0, -10.0), (0.005, 2.0, 2.0)), CONFIG, 640, applied=False)
+    assert tested.corrected(camera) is camera
+    applied = replace(tested, applied=True)
+    right = applied.corrected(camera)
+    assert (right.fx, right.fy, right.cx, right.cy) == pytest.approx((1100, 990, 320, 190))
+    half = applied.corrected(camera.scaled(320, 240))
+    assert (half.fx, half.cx, half.cy) == pytest.approx(
+        (right.scaled(320, 240).fx, right.scaled(320, 240).cx, right.scaled(320, 240).cy)
+    )
+
+
+def test_document_is_read_back() -> None:
+    found = SessionCamera.of(estimate((0.1, 20.0, -10.0), (0.005, 2.0, 2.0)), CONFIG, 640, applied=True)
+    document = found.to_dict()
+    again = convert_document("session.json", document, SessionCamera)
+    assert again.to_dict() == document
