@@ -18,7 +18,7 @@ from dvrk_cmaes.cli.options import (
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
-_MOST_FRAMES, _LARGEST_RATE = 100_000, 1000.0
+_MOST_FRAMES = 100_000
 
 
 def synth(
@@ -26,10 +26,8 @@ def synth(
     /,
     *,
     level: Literal["clean", "easy", "medium", "hard"] = "medium",
-    motion: Literal["free", "rcm", "video"] = "rcm",
+    motion: Literal["free", "rcm"] = "rcm",
     frames: int = 10,
-    rate: float = 30.0,
-    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     seed: int = 0,
     images: bool = True,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -39,12 +37,11 @@ def synth(
     """Write a synthetic session with known true poses, in the layout of a session folder.
 
     With --motion rcm an arm moves the instrument about its remote centre of motion: there are one camera_from_base and
-    readings of the outer joints. With --motion video the arm moves smoothly from frame to frame, the errors of the
-    readings wander, and with --lag the images are later than the readings of the same row. With --motion free the poses
-    of the frames are independent. Masks have simulated segmentation errors. Readings have errors like those of a robot:
-    mostly one bias in the session, and in every frame, except of a video, they are nearer to the truth than to its
-    mirror twin. Besides masks, images and readings the session has jaw tips (keypoints.csv), simulated detections of
-    painted markers (markers.csv), the truth (golden.json) and all parameters (synth.json).
+    readings of the outer joints. With --motion free the poses of the frames are independent. Masks have simulated
+    segmentation errors. Readings have errors like those of a robot: mostly one bias in the session, and in every frame
+    they are nearer to the truth than to its mirror twin. Besides masks, images and readings the session has jaw tips
+    (keypoints.csv), simulated detections of painted markers (markers.csv), the truth (golden.json) and all parameters
+    (synth.json).
 
     Without --camera, the camera has 640 x 480 pixels and a focal length of 1026 px.
 
@@ -74,12 +71,7 @@ def synth(
     level
         Level of difficulty. Cite a session by level, motion, seed and version.
     motion
-        rcm: an arm moves about its remote centre of motion. video: it moves smoothly from frame to frame. free:
-        independent poses, without readings of outer joints.
-    rate
-        Frames a second of a video.
-    lag
-        Lag of a video's images behind its readings, in seconds or frames, such as 0.13 or 4frames; none by default.
+        rcm: an arm moves about its remote centre of motion. free: independent poses, without readings of outer joints.
     frames
         Number of frames, 1 to 100000.
     seed
@@ -97,13 +89,8 @@ def synth(
         raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")
     if seed < 0:
         raise InputError(f"--seed: expected a whole number of at least 0, got {seed}")
-    if not 0 < rate <= _LARGEST_RATE:
-        raise InputError(f"--rate: expected frames a second above 0, at most {_LARGEST_RATE:g}, got {rate:g}")
-    if lag is not None and motion != "video":
-        raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
     from dvrk_cmaes.frames.markers import read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
-    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.synth.levels import LEVELS
     from dvrk_cmaes.synth.session import SessionPlan, default_camera, write_session
 
@@ -120,8 +107,6 @@ def synth(
         seed=seed,
         markers=table if painted else {},
         arm=instrument.arm,
-        rate=rate,
-        lag=0.0 if lag is None else Lag.parse("--lag", lag).in_frames(rate),
     )
     write_session(out, plan, images=images, overwrite=overwrite)
     show([Line(f"{frames} frames, level {level}, motion {motion}, seed {seed}; written: {out}")])

@@ -54,20 +54,8 @@ def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
     return {"rows": values.shape[0], "cols": values.shape[1], "data": values.ravel().tolist()}
 
 
-def write_joints(
-    path: str | Path,
-    readings: Mapping[str, Mapping[str, float]],
-    columns: Sequence[str],
-    *,
-    times: Sequence[float] | None = None,
-) -> None:
-    """Write a joints.csv with the columns frame, time if given (s), and ``columns``, from readings by frame and joint.
-
-    Readings are in rad and m.
-    """
-    header = ["frame", *(() if times is None else ["time"]), *columns]
-    lines = [",".join(header)]
-    for k, (frame, reading) in enumerate(readings.items()):
-        time = [] if times is None else [f"{times[k]:.6f}"]
-        lines.append(",".join([frame, *time, *(f"{reading[name]:.6f}" for name in columns)]))
+def write_joints(path: str | Path, readings: Mapping[str, Mapping[str, float]], columns: Sequence[str]) -> None:
+    """Write a joints.csv with the columns frame and ``columns``, from readings by frame and joint, rad and m."""
+    lines = [",".join(["frame", *columns])]
+    lines += [",".join([frame, *(f"{reading[name]:.6f}" for name in columns)]) for frame, reading in readings.items()]
     write_text(path, "\n".join(lines) + "\n")

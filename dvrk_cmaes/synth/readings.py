@@ -30,9 +30,6 @@ FIXED_RMS_ERRORS: Final = {  # rms; rad, insertion in m
 BIAS_SHARE: Final = 0.8
 """Ratio of a session's constant bias to the rms error of a cable-driven joint; the remaining variance is noise."""
 
-WANDER_SECONDS: Final = 4.0
-"""Correlation time of the errors of a video's readings; those measured on a real arm decay in 2 to 8 s."""
-
 _NOISE_SHARE: Final = float(np.sqrt(1.0 - BIAS_SHARE**2))
 _ATTEMPTS: Final = 200
 
@@ -101,34 +98,6 @@ def _reading(
         if distinguishes_twin(truth, reading, ratio=1.0):
             return reading
     return None
-
-
-def sample_video_readings(
-    truths: Sequence[Truth], rng: np.random.Generator, level: Level, rate: float
-) -> list[dict[str, float]]:
-    """Draw readings of all joints of the frames of a video, rad and m, clipped to the instrument's limits.
-
-    The errors have the level's root mean square over many sessions. Besides the session's bias, they wander: each is an
-    Ornstein-Uhlenbeck process with a correlation time of `WANDER_SECONDS`.
-    """
-    errors = level_errors(level)
-    names = list({**truths[0].outer, **truths[0].joints})
-    like = [errors[name if name in errors else WRIST_JOINTS[0]] for name in names]
-    kept = float(np.exp(-1 / (rate * WANDER_SECONDS)))
-    draws = rng.standard_normal((len(truths), len(names)))
-    wander = np.empty_like(draws)
-    for k, draw in enumerate(draws):
-        wander[k] = draw if k == 0 else kept * wander[k - 1] + np.sqrt(1 - kept**2) * draw
-    bias = np.array([one.bias for one in like]) * rng.standard_normal(len(names))
-    off = bias + wander * np.array([one.noise for one in like])
-    limits = dict(zip(truths[0].instrument.joint_names, truths[0].instrument.limits, strict=True))
-    return [
-        {
-            name: float(np.clip(value + error, *limits.get(name, (-np.inf, np.inf))))
-            for (name, value), error in zip({**truth.outer, **truth.joints}.items(), row, strict=True)
-        }
-        for truth, row in zip(truths, off, strict=True)
-    ]
 
 
 def fixed_rms_readings(truths: Sequence[Truth], rng: np.random.Generator) -> list[dict[str, float]]:

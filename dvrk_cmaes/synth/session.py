@@ -7,8 +7,7 @@ session. With another number of frames, the poses may differ from the first fram
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -28,17 +27,14 @@ from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, wr
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.levels import LEVELS, Level
 from dvrk_cmaes.synth.masks import simulate_segmentation
-from dvrk_cmaes.synth.motion import SECONDS_BETWEEN, ArmMotion
 from dvrk_cmaes.synth.occluders import dilate_region, outside_lens_circle, tissue_over_jaw
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session, free_poses
-from dvrk_cmaes.synth.readings import sample_readings, sample_video_readings
+from dvrk_cmaes.synth.readings import sample_readings
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Motion = Literal["free", "rcm", "video"]
-
-MOTIONS: Final[tuple[Motion, ...]] = ("free", "rcm", "video")
+Motion = Literal["free", "rcm"]
 
 PLAN_FILE: Final = "synth.json"
 """File of a synthetic session's parameters; its presence marks a folder as a synthetic session."""
@@ -78,9 +74,7 @@ class SessionPlan:
     """Parameters of a synthetic session.
 
     body, camera : instrument and camera. level : difficulty.
-    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses, ``video`` for an arm that
-        moves smoothly from frame to frame.
-    rate, lag : of a video, frames a second, and the frames by which its images are later than the readings.
+    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses.
     frames : number of frames. seed : seed of all random numbers.
     markers : markers painted on the instrument, by name; may be empty.
     arm : kinematics of the arm.
@@ -94,15 +88,12 @@ class SessionPlan:
     seed: int
     markers: Mapping[str, Marker]
     arm: Arm = "classic"
-    rate: float = 30.0
-    lag: float = 0.0
 
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""
         return {
             "level": self.level.to_dict(),
             "motion": self.motion,
-            **({"rate": self.rate, "lag": self.lag} if self.motion == "video" else {}),
             "frames": self.frames,
             "seed": self.seed,
             "instrument": self.body.instrument.name,
@@ -117,21 +108,8 @@ def default_camera(level: Level) -> Camera:
     return Camera(640, 480, fx=1026.0, fy=1026.0, cx=322.0, cy=238.0, distortion=level.distortion)
 
 
-@dataclass(frozen=True, eq=False)
-class SessionTruths:
-    """True poses of a session.
-
-    ``camera_from_base`` (4, 4) is None for free motion. ``shown`` are the truths that the frames' images show, ``read``
-    those of the moments at which the frames' readings were taken.
-    """
-
-    camera_from_base: Float64 | None
-    shown: Sequence[Truth]
-    read: Sequence[Truth]
-
-
-def make_truths(plan: SessionPlan) -> SessionTruths:
-    """Draw the session's true poses.
+def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
+    """Draw the session's true poses: ``camera_from_base`` (4, 4), None for free motion, and the truth of each frame.
 
     Raises
     ------
@@ -151,35 +129,15 @@ def make_truths(plan: SessionPlan) -> SessionTruths:
     )
     rng = _generator(plan, 0)
     if plan.motion == "free":
-        poses = free_poses(plan.body, plan.camera, rng, plan.frames, view)
-        return SessionTruths(None, poses, poses)
-    if plan.motion == "rcm":
-        base, poses = arm_session(plan.body, plan.camera, rng, plan.frames, view, arm=plan.arm)
-        return SessionTruths(base, poses, poses)
-    return _video_truths(plan, view, rng)
+        return None, free_poses(plan.body, plan.camera, rng, plan.frames, view)
+    return arm_session(plan.body, plan.camera, rng, plan.frames, view, arm=plan.arm)
 
 
-def _video_truths(plan: SessionPlan, view: ViewLimits, rng: np.random.Generator) -> SessionTruths:
-    """Draw a smooth motion and take its truths at the times of readings and, less the lag, of images."""
-    late = plan.lag / plan.rate
-    begin, end = max(late, 0.0), max(-late, 0.0)  # the motion covers both readings and images
-    seconds = begin + (plan.frames - 1) / plan.rate + end
-    count = 2 + math.ceil(seconds / SECONDS_BETWEEN[0])
-    base, passed = arm_session(plan.body, plan.camera, rng, count, view, arm=plan.arm)
-    motion = ArmMotion.through(base, passed, plan.arm, rng)
-    read_at = begin + np.arange(plan.frames) / plan.rate
-    return SessionTruths(base, [motion.at(time - late) for time in read_at], [motion.at(time) for time in read_at])
-
-
-def make_frames(plan: SessionPlan, truths: SessionTruths) -> Iterator[SyntheticFrame]:
+def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[SyntheticFrame]:
     """Yield the frames of a session with given true poses; errors as in `sample_readings`."""
-    rng = _generator(plan, 1)
-    if plan.motion == "video":
-        readings = sample_video_readings(truths.read, rng, plan.level, plan.rate)
-    else:
-        readings = sample_readings(truths.read, rng, plan.level, one_session=plan.motion == "rcm")
+    readings = sample_readings(truths, _generator(plan, 1), plan.level, one_session=plan.motion == "rcm")
     digits = max(4, len(str(plan.frames - 1)))
-    for k, (truth, reading) in enumerate(zip(truths.shown, readings, strict=True)):
+    for k, (truth, reading) in enumerate(zip(truths, readings, strict=True)):
         yield _frame(plan, f"{k:0{digits}d}", truth, reading, _generator(plan, 2, k))
 
 
@@ -196,8 +154,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
         As in `make_truths` and `make_frames`.
     """
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
-        truths = make_truths(plan)
-        camera_from_base = truths.camera_from_base
+        camera_from_base, truths = make_truths(plan)
         readings: dict[str, Mapping[str, float]] = {}
         tips, markers, golden = [], [], {}
         for frame in make_frames(plan, truths):
@@ -213,8 +170,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
         write_camera_info(folder / "camera.yaml", plan.camera, "synth")
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
-        times = [k / plan.rate for k in range(plan.frames)] if plan.motion == "video" else None
-        write_joints(folder / "joints.csv", readings, columns, times=times)
+        write_joints(folder / "joints.csv", readings, columns)
         if plan.body.instrument.jaw_tips:
             write_text(folder / "keypoints.csv", _csv("frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v", tips))
         if plan.markers:
@@ -238,8 +194,7 @@ def _csv(header: str, rows: list[str]) -> str:
 
 def _generator(plan: SessionPlan, *stream: int) -> np.random.Generator:
     """Return a random generator that depends on seed, level, motion and ``stream``; each part has its own stream."""
-    motion = MOTIONS.index(plan.motion)
-    return np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), motion, *stream])
+    return np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), plan.motion == "rcm", *stream])
 
 
 def _frame(

@@ -44,8 +44,8 @@ def make(body: Body, level: LevelName, frames: int, seed: int, motion: Motion = 
     figures = LEVELS[level]
     table = read_marker_table(bundled_path("markers", "lnd.json"))
     plan = SessionPlan(body, default_camera(figures), figures, motion, frames, seed, table)
-    truths = make_truths(plan)
-    return Made(plan, truths.camera_from_base, tuple(make_frames(plan, truths)))
+    camera_from_base, truths = make_truths(plan)
+    return Made(plan, camera_from_base, tuple(make_frames(plan, truths)))
 
 
 def by_estimate(made: Made, frame: SyntheticFrame, config: EstimateConfig) -> Result:

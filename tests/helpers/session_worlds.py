@@ -97,8 +97,7 @@ def make_frames_in_memory(
     Returns camera_from_base (4, 4), the frames' truth, and the frames.
     """
     plan = SessionPlan(body, camera, LEVELS[level], "rcm", frames, seed, {})
-    truths = make_truths(plan)
-    base = truths.camera_from_base
+    base, truths = make_truths(plan)
     assert base is not None
     rng = np.random.default_rng(seed)
     made = [
@@ -109,7 +108,7 @@ def make_frames_in_memory(
         )
         for one in make_frames(plan, truths)
     ]
-    return base, list(truths.shown), made
+    return base, truths, made
 
 
 def near_the_truth(

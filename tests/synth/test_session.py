@@ -25,8 +25,8 @@ from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.pnp.pnp_frame import pose_from_markers
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
-from dvrk_cmaes.synth.readings import level_errors, sample_readings, sample_video_readings
-from dvrk_cmaes.synth.session import SessionPlan, SessionTruths, default_camera, make_frames, make_truths, write_session
+from dvrk_cmaes.synth.readings import level_errors, sample_readings
+from dvrk_cmaes.synth.session import SessionPlan, default_camera, make_frames, make_truths, write_session
 from dvrk_cmaes.synth.truth import Truth
 
 TABLE = read_marker_table(bundled_path("markers", "lnd.json"))
@@ -93,11 +93,10 @@ def test_frames_share_one_base(made: dict[str, Session]) -> None:
 @pytest.mark.parametrize(("arm", "roll_offset"), [("si", 0.4162), ("classic", 0.467)])
 def test_other_arms_and_longer_tools_reach_same_depth(bundled_body: Body, arm: Arm, roll_offset: float) -> None:
     body = replace(bundled_body, instrument=replace(bundled_body.instrument, roll_offset=roll_offset))
-    truths = make_truths(plan(body, arm=arm))
-    base, usual = truths.camera_from_base, make_truths(plan(bundled_body)).camera_from_base
-    assert base is not None
-    assert usual is not None
-    for truth in truths.shown:
+    base, truths = make_truths(plan(body, arm=arm))
+    usual, _ = make_truths(plan(bundled_body))
+    for truth in truths:
+        assert base is not None
         reached = base_from_root(truth.outer, arm, roll_offset=roll_offset)
         np.testing.assert_allclose(base @ reached, truth.camera_from_root, atol=1e-9)
     np.testing.assert_allclose(base, usual, atol=1e-9)
@@ -189,9 +188,8 @@ def test_readings_are_nearer_to_truth_than_to_twin(bundled_body: Body) -> None:
 
 def test_occlusion_rates_agree_with_level(bundled_body: Body) -> None:
     many = plan(bundled_body, "hard", frames=24, markers={})
-    one = make_truths(replace(many, frames=1))
-    shown = [*one.shown] * 24
-    frames = list(make_frames(many, SessionTruths(one.camera_from_base, shown, shown)))
+    _, truths = make_truths(replace(many, frames=1))
+    frames = list(make_frames(many, truths * 24))
     occluded = [frame for frame in frames if frame.occluder is not None]
     told = [f for f in occluded if f.occluder is not None and f.ignore is not None and f.ignore[f.occluder].all()]
     assert len(occluded) / 24 == pytest.approx(0.7, abs=0.2)
@@ -241,42 +239,9 @@ def test_other_instrument_has_its_own_joints(shared: Path, tmp_path: Path) -> No
 
 def test_other_camera_size_gives_similar_masks(bundled_body: Body) -> None:
     small = Camera(320, 240, 513.0, 513.0, 160.5, 118.5)
-    truths = make_truths(plan(bundled_body, "easy", camera=small))
+    _, truths = make_truths(plan(bundled_body, "easy", camera=small))
     frames = list(make_frames(plan(bundled_body, "easy", camera=small), truths))
     assert all(frame.mask.shape == (240, 320) and 1500 < frame.mask.sum() < 40_000 for frame in frames)
-
-
-# videos
-
-
-def test_video_moves_smoothly_and_its_images_are_late(bundled_body: Body, tmp_path: Path) -> None:
-    video = plan(bundled_body, "easy", frames=24, motion="video", lag=2.5)
-    truths = make_truths(video)
-    still = make_truths(replace(video, lag=0.0))
-    for joint in ("yaw", "insertion", "roll"):
-        path = np.array([truth.outer[joint] for truth in truths.read])
-        late = np.array([truth.outer[joint] for truth in truths.shown])
-        assert np.abs(np.diff(path, 2)).max() < 0.25 * np.ptp(path) + 1e-3
-        np.testing.assert_allclose(late[3:], np.interp(np.arange(3, 24) - 2.5, np.arange(24), path), atol=2e-3)
-        together = [truth.outer[joint] for truth in still.shown]
-        np.testing.assert_array_equal([truth.outer[joint] for truth in still.read], together)
-    write_session(tmp_path / "video", replace(video, frames=4), images=False)
-    session = read_session(tmp_path / "video")
-    series = session.reading_series()
-    assert series is not None
-    assert (series.unit, series.interval) == ("s", pytest.approx(1 / 30, abs=1e-5))
-    described = json.loads((tmp_path / "video" / "synth.json").read_text())
-    assert (described["motion"], described["rate"], described["lag"]) == ("video", 30.0, 2.5)
-
-
-def test_errors_of_a_videos_readings_wander(bundled_body: Body) -> None:
-    level = LEVELS["medium"]
-    truth = make_truths(plan(bundled_body, "medium", frames=1)).shown[0]
-    rows = sample_video_readings([truth] * 3000, np.random.default_rng(0), level, 30.0)
-    error = np.array([row["wrist_yaw"] - truth.joints["wrist_yaw"] for row in rows])
-    expected = level_errors(level)["wrist_yaw"]
-    assert np.std(error) == pytest.approx(expected.noise, rel=0.4)
-    assert np.std(np.diff(error)) < 0.2 * expected.noise
 
 
 # the command
