@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from dvrk_cmaes.estimation import estimate
     from dvrk_cmaes.instrument import Instrument, load_instrument
     from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.silhouette.prepare import prepare
+    from dvrk_cmaes.track import Tracker
 
 _HOMES = {
     "Camera": "camera",
@@ -22,6 +24,8 @@ _HOMES = {
     "Result": "results.result",
     "SessionCalibration": "calibration",
     "SessionFrame": "calibration",
+    "TrackResult": "results.tracked",
+    "Tracker": "track",
     "calibrate_session": "calibration",
     "estimate": "estimation",
     "load_instrument": "instrument",
@@ -35,6 +39,8 @@ __all__ = [
     "Result",
     "SessionCalibration",
     "SessionFrame",
+    "TrackResult",
+    "Tracker",
     "__version__",
     "calibrate_session",
     "estimate",

@@ -19,6 +19,7 @@ LAYERS = (
     ("cli", "scripts"),
     ("runs",),
     ("report", "__init__"),
+    ("track",),
     ("estimation",),
     ("segment", "calibration", "pnp", "testing"),
     ("recording", "inspection", "evaluate", "draw", "synth", "pose"),

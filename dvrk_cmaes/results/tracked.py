@@ -1,0 +1,63 @@
+"""The result of following an instrument to one image, and its line in tracks.jsonl."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
+
+Float64 = NDArray[np.float64]
+TrackStatus = Literal["ok", "doubtful", "lost"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackResult:
+    """Pose and joints of a followed instrument at the time of one image.
+
+    time : s. status : ``lost`` if no evidence supports the pose, which is then predicted. reasons : of another status
+    than ``ok``. camera_from_root : (4, 4) m; None if lost without a prediction. joints : rad. covariance : (6 + J,
+    6 + J) of [tx ty tz rx ry rz] in the root link's axes (m, rad), then of the joints (rad). tips : (K, 3) m, jaw tips
+    in the camera. tip_std_mm : standard deviation of the tips, the norm over three axes, mean over the tips; None
+    without tips. camera_from_base : (4, 4) m, None without readings of the outer joints. seconds : of this step.
+    searched : whether the step included a global search.
+    """
+
+    time: float
+    status: TrackStatus
+    reasons: tuple[str, ...]
+    camera_from_root: Float64 | None
+    joints: dict[str, float]
+    covariance: Float64 | None
+    tips: Float64 | None
+    tip_std_mm: float | None
+    camera_from_base: Float64 | None = None
+    seconds: float = 0.0
+    searched: bool = False
+
+    def to_dict(self, frame: str, *, timed: bool = True) -> dict[str, Any]:
+        """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null."""
+        std = None
+        if self.covariance is not None:
+            sigma = np.sqrt(np.diag(self.covariance))
+            std = {
+                "translation_mm": rounded_array(sigma[:3] * 1e3),
+                "rotation_deg": rounded_array(np.degrees(sigma[3:6])),
+                "joints_deg": rounded_values(dict(zip(self.joints, np.degrees(sigma[6:]).tolist(), strict=True))),
+                "tip_mm": None if self.tip_std_mm is None else rounded(self.tip_std_mm),
+            }
+        return {
+            "frame": frame,
+            "time": rounded(self.time) if timed else None,
+            "status": self.status,
+            "reasons": list(self.reasons),
+            "camera_from_root": None if self.camera_from_root is None else rounded_array(self.camera_from_root),
+            "joints": rounded_values(self.joints),
+            "std": std,
+            "tips": None if self.tips is None else rounded_array(self.tips),
+            "seconds": round(self.seconds, 5),
+            "searched": self.searched,
+        }

@@ -1,0 +1,163 @@
+"""Prediction of the state from one image to the next, and of pose and joints from the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.geometry import adjoint, change_between, inverse, moved
+from dvrk_cmaes.instrument.arm import Arm, base_from_root
+from dvrk_cmaes.track.reading_buffer import ReadingAt
+from dvrk_cmaes.track.state import FilterState, Layout
+
+Float64 = NDArray[np.float64]
+
+_STEP = 1e-5  # rad or m, of differences of the arm's kinematics
+_ROLL = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """Readings on which a state's pose is based: ``outer`` (4,), ``joints`` (J,), and their rates per second.
+
+    A joint without a reading keeps its last value, and what it does since is part of the state. ``outer_read`` and
+    ``joint_read`` (J,) tell which were read.
+    """
+
+    outer: Float64
+    joints: Float64
+    outer_rate: Float64
+    joint_rate: Float64
+    outer_read: bool
+    joint_read: NDArray[np.bool_]
+
+    @staticmethod
+    def none(joints: int) -> Anchor:
+        """Return the anchor before any reading, for J joints."""
+        return Anchor(np.zeros(4), np.zeros(joints), np.zeros(4), np.zeros(joints), False, np.zeros(joints, np.bool_))
+
+    def then(self, reading: ReadingAt, *, moving: bool = True) -> Anchor:
+        """Return the anchor of later readings; if not ``moving``, the outer readings are not used."""
+        outer_read = reading.has_outer and moving
+        joint_read = ~np.isnan(reading.joints)
+        return Anchor(
+            reading.outer if outer_read else self.outer,
+            np.where(joint_read, reading.joints, self.joints),
+            reading.outer_rate if outer_read else np.zeros(4),
+            np.where(joint_read, reading.joint_rate, 0.0),
+            outer_read,
+            joint_read,
+        )
+
+
+class MotionModel:
+    """How the arm moves the instrument, and how the errors of its readings change.
+
+    ``arm`` and ``roll_offset`` are the kinematics of the outer joints, as in `base_from_root`.
+    """
+
+    def __init__(self, config: TrackConfig, joints: int, arm: Arm, roll_offset: float) -> None:
+        self._config = config
+        self._at = Layout(joints)
+        self._arm: Arm = arm
+        self._roll_offset = roll_offset
+
+    def _base_from_root(self, outer: Float64) -> Float64:
+        return base_from_root(outer, self._arm, roll_offset=self._roll_offset)
+
+    def pose(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64]:
+        """Return the root's pose in the camera (4, 4) and the joints (J,) of a state."""
+        outer = anchor.outer.copy()
+        outer[_ROLL] += state.offsets[0]
+        return state.camera_from_base @ self._base_from_root(outer) @ state.slack, anchor.joints + state.offsets[1:]
+
+    def loadings(self, state: FilterState, anchor: Anchor) -> Float64:
+        """Return the derivative (6 + J, D) of the small changes of pose and joints by the errors of the state."""
+        at, count = self._at, self._at.joints
+        outer = anchor.outer.copy()
+        outer[_ROLL] += state.offsets[0]
+        root = self._base_from_root(outer)
+        out = np.zeros((6 + count, at.size))
+        from_slack = inverse(state.slack)
+        out[:6, at.base] = adjoint(from_slack @ inverse(root))
+        out[:6, at.roll] = adjoint(from_slack)[:, 5]
+        out[:6, at.slack] = np.eye(6)
+        out[6:, at.offsets] = np.eye(count)
+        return out
+
+    def slack_covariance(self, state: FilterState, anchor: Anchor, lag_std: float) -> Float64:
+        """Return the covariance (6, 6) of what readings of the outer joints do not explain of the root's pose.
+
+        ``lag_std``, s, is the standard deviation of the lag.
+        """
+        c = self._config
+        outer = anchor.outer.copy()
+        outer[_ROLL] += state.offsets[0]
+        ends = self._base_from_root(np.concatenate([outer + _STEP * np.eye(4), outer[None]]))
+        loadings = _small_change(ends[4], ends[:4]) / _STEP
+        loadings *= np.array([*[np.deg2rad(c.arm_deg)] * 2, c.insertion_mm * 1e-3, 0.0])[:, None]
+        own = [c.slack_mm * 1e-3] * 3 + [np.deg2rad(c.slack_deg)] * 3
+        late = lag_std * _small_change(ends[4], self._base_from_root(outer + _STEP * anchor.outer_rate)) / _STEP
+        return np.asarray(loadings.T @ loadings + np.diag(np.square(own)) + np.outer(late, late))
+
+    def predict(
+        self, state: FilterState, before: Anchor, anchor: Anchor, elapsed: float, lag_std: float
+    ) -> FilterState:
+        """Return the state after ``elapsed`` s, in which the readings went from one anchor to the next."""
+        at, c = self._at, self._config
+        transition = np.eye(at.size)
+        noise = np.zeros((at.size, at.size))
+        diagonal = np.einsum("ii->i", noise)
+        diagonal[at.base] = np.square([c.base_drift_mm * 1e-3] * 3 + [np.deg2rad(c.base_drift_deg)] * 3) * elapsed
+        drift = np.deg2rad(c.offset_drift_deg) ** 2 * elapsed
+        play = np.deg2rad(c.offset_play_deg)
+        diagonal[at.roll] = drift + play * abs(anchor.outer[_ROLL] - before.outer[_ROLL])
+        diagonal[at.offsets] = drift + play * np.abs(anchor.joints - before.joints)
+        late = lag_std**2
+        diagonal[at.roll] += late * (anchor.outer_rate[_ROLL] - before.outer_rate[_ROLL]) ** 2
+        diagonal[at.offsets] += late * (anchor.joint_rate - before.joint_rate) ** 2
+        keep = float(np.exp(-elapsed / c.rate_seconds))
+        along = c.rate_seconds * (1 - keep)  # s; the distance moved at a velocity that decays
+        joint_rate = np.arange(at.rate.start + 6, at.rate.stop)
+        pose_rate = np.arange(at.rate.start, at.rate.start + 6)
+        slack, rate, offsets = state.slack, state.rate.copy(), state.offsets.copy()
+        unread = ~anchor.joint_read
+        offsets[1:] += np.where(unread, along * rate[6:], 0.0)
+        offset_index = np.arange(at.offsets.start, at.offsets.stop)
+        transition[offset_index[unread], joint_rate[unread]] = along
+        transition[joint_rate, joint_rate] = np.where(unread, keep, 0.0)
+        wide = np.deg2rad(c.joint_acceleration_deg) ** 2
+        diagonal[joint_rate] = np.where(unread, wide * elapsed, 0.0)
+        diagonal[offset_index[unread]] += wide * elapsed**3 / 3
+        rate[6:] *= np.where(unread, keep, 0.0)
+        if anchor.outer_read:
+            stay = float(np.exp(-elapsed / c.slack_seconds))
+            slack = moved(np.eye(4), stay * change_between(np.eye(4), slack))
+            transition[at.slack, at.slack] = stay * np.eye(6)
+            noise[at.slack, at.slack] = (1 - stay**2) * self.slack_covariance(state, anchor, lag_std)
+            transition[pose_rate, pose_rate] = 0.0
+            rate[:6] = 0.0
+        else:
+            slack = moved(slack, along * rate[:6])
+            transition[at.slack, pose_rate] = along * np.eye(6)
+            transition[pose_rate, pose_rate] = keep
+            own = np.square(
+                [c.acceleration_mm * 1e-3] * 3
+                + [np.deg2rad(c.swing_acceleration_deg)] * 2
+                + [np.deg2rad(c.joint_acceleration_deg)]
+            )
+            diagonal[pose_rate] = own * elapsed
+            diagonal[at.slack] += own * elapsed**3 / 3
+            rate[:6] *= keep
+        covariance = transition @ state.covariance @ transition.T + noise
+        return replace(state, offsets=offsets, slack=slack, rate=rate, covariance=(covariance + covariance.T) / 2)
+
+
+def _small_change(pose: Float64, other: Float64) -> Float64:
+    """Return the changes (..., 6) from a pose (4, 4) to others (..., 4, 4) that hardly differ from it."""
+    relative = inverse(pose) @ other
+    axes = [relative[..., 2, 1], relative[..., 0, 2], relative[..., 1, 0]]
+    return np.concatenate([relative[..., :3, 3], np.stack(axes, axis=-1)], axis=-1)

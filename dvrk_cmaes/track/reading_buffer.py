@@ -1,0 +1,135 @@
+"""The latest joint readings, interpolated at the times of images less their lag."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+
+Float64 = NDArray[np.float64]
+
+_KEPT = 3.0  # s; older readings are dropped
+_RATE_HALF_WIDTH = 0.2  # s, of the readings from which rates are computed
+_MOST = 6000  # readings; at higher rates than 2 kHz a shorter time is kept
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingAt:
+    """Readings at one time: ``outer`` (4,), rad and m, and ``joints`` (J,), rad, with their rates per second.
+
+    Values are NaN where there is no reading. ``still`` tells whether the outer joints' readings around that time are
+    equal to the last digit.
+    """
+
+    outer: Float64
+    joints: Float64
+    outer_rate: Float64
+    joint_rate: Float64
+    still: bool = False
+
+    @property
+    def has_outer(self) -> bool:
+        """Whether all outer joints have a reading."""
+        return not np.isnan(self.outer).any()
+
+
+class ReadingBuffer:
+    """The readings of the last seconds; readings may arrive at any rate, before or after the images they belong to.
+
+    Parameters
+    ----------
+    joint_names
+        Names of the instrument's J joints.
+    gap
+        Longest time, s, over which readings are interpolated or held.
+    still
+        Time, s, after which unchanged readings count as frozen.
+    """
+
+    def __init__(self, joint_names: Sequence[str], gap: float, still: float) -> None:
+        self._names = (*OUTER_JOINTS, *joint_names)
+        self._gap = gap
+        self._still = still
+        self._times: list[float] = []
+        self._rows: list[Float64] = []
+
+    def add(self, time: float, joints: Mapping[str, float]) -> None:
+        """Add the readings of one time, s; of two at the same time, the last is used.
+
+        Raises
+        ------
+        InputError
+            The time or a reading is not finite, or a joint is unknown.
+        """
+        if not np.isfinite(time):
+            raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
+        for name, value in joints.items():
+            if name not in self._names and name != "jaw":
+                near = ", ".join(nearest_first(name, self._names))
+                raise InputError(f"readings: unknown joint {name!r}; expected one of: {near}")
+            if not np.isfinite(value):
+                raise InputError(f"readings: {name}: expected a finite number, got {value}")
+        row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
+        at = bisect_left(self._times, time)
+        if at < len(self._times) and self._times[at] == time:
+            self._rows[at] = row
+            return
+        self._times.insert(at, float(time))
+        self._rows.insert(at, row)
+        first = max(bisect_left(self._times, self._times[-1] - _KEPT), len(self._times) - _MOST)
+        if first > 256:  # dropped in blocks: removal from the front of a list moves all that follows
+            del self._times[:first], self._rows[:first]
+
+    @property
+    def last(self) -> float | None:
+        """Time of the latest reading, s; None without any."""
+        return self._times[-1] if self._times else None
+
+    def at(self, time: float) -> ReadingAt:
+        """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
+        row = np.full(len(self._names), np.nan)
+        after = bisect_left(self._times, time)
+        rate, outer = self._rate(time, after), len(OUTER_JOINTS)
+        if 0 < after < len(self._times):
+            begin, end = self._times[after - 1], self._times[after]
+            if end == time:
+                row = self._rows[after]
+            elif end - begin <= self._gap:
+                share = (time - begin) / (end - begin)
+                row = (1 - share) * self._rows[after - 1] + share * self._rows[after]
+        elif self._times:
+            near = min(after, len(self._times) - 1)
+            if abs(self._times[near] - time) <= self._gap:
+                row = self._rows[near] + rate * (time - self._times[near])
+        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], self._is_still(after))
+
+    def _rate(self, time: float, after: int) -> Float64:
+        """Return the rates around a time by a straight line through the readings near it, (4 + J,); 0 where unknown.
+
+        The readings on either side of the time do not count, so that the errors of the rates are independent of those
+        of the interpolated readings; otherwise a lag that is estimated from both would be biased.
+        """
+        first = bisect_left(self._times, time - _RATE_HALF_WIDTH)
+        last = bisect_left(self._times, time + _RATE_HALF_WIDTH)
+        index = [k for k in range(first, last) if k not in (after - 1, after)]
+        if len(index) < 2:
+            return np.zeros(len(self._names))
+        at = np.array([self._times[k] for k in index])
+        at -= at.mean()
+        rate = at @ np.array([self._rows[k] for k in index]) / (at @ at)
+        return np.asarray(np.where(np.isnan(rate), 0.0, rate))
+
+    def _is_still(self, index: int) -> bool:
+        """Whether the readings up to an index have not changed in the last digit for longer than ``still``."""
+        last = min(index, len(self._times) - 1)
+        first = bisect_left(self._times, (self._times[last] if self._times else 0.0) - self._still)
+        if last - first < 3 or self._times[last] - self._times[first] < 0.8 * self._still:
+            return False
+        outer = np.array(self._rows[first : last + 1])[:, : len(OUTER_JOINTS)]
+        return bool(np.ptp(outer, axis=0).max() == 0) if not np.isnan(outer).any() else False

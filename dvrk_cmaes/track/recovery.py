@@ -1,0 +1,79 @@
+"""Finding a lost instrument again: around the prediction first, then by the global search."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.geometry import change_between, inverse
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.evidence import OutlineEvidence
+from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
+from dvrk_cmaes.track.state import FilterState
+from dvrk_cmaes.track.update import Fit
+
+Float64 = NDArray[np.float64]
+
+_WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
+_HELD = (3e-3, 0.08, 0.2, 0.2)
+
+
+def _widened(state: FilterState, sizes: tuple[float, float, float, float]) -> FilterState:
+    """Return a state with larger standard deviations of the pose and the joints."""
+    at = state.layout
+    covariance = state.covariance.copy()
+    diagonal = np.einsum("ii->i", covariance)
+    diagonal[at.slack] += np.square([sizes[0]] * 3 + [sizes[1]] * 2 + [sizes[2]])
+    diagonal[at.offsets] += sizes[3] ** 2
+    return replace(state, covariance=covariance)
+
+
+def search_around(
+    follower: Follower, before: Hypothesis, predicted: Hypothesis, evidence: OutlineEvidence
+) -> tuple[Hypothesis, Fit] | None:
+    """Search for a pose around the prediction, and around the pose before that, and return the better supported.
+
+    The latter is found where readings jumped, or stopped while the instrument moves on.
+    """
+    motion = follower.motion
+    pose, joints = motion.pose(before.state, before.anchor)
+    moved, bent = motion.pose(predicted.state, predicted.anchor)
+    slack = predicted.state.slack @ inverse(moved) @ pose
+    offsets = np.concatenate([predicted.state.offsets[:1], predicted.state.offsets[1:] + joints - bent])
+    held = replace(predicted, state=_widened(replace(predicted.state, slack=slack, offsets=offsets), _HELD))
+    around = replace(predicted, state=_widened(predicted.state, _WIDENED))
+    starts = [around]
+    if np.abs(change_between(moved, pose)).max() > 1e-4 or np.abs(joints - bent).max() > 1e-3:
+        starts.append(held)
+    found = [one for start in starts if (one := follower.corrected(start, evidence)) is not None]
+    return max(found, key=lambda one: one[1].supported - one[1].unexplained, default=None)
+
+
+@dataclass(frozen=True)
+class GlobalSearch:
+    """Solves an image by itself, with the settings of a single frame."""
+
+    body: Body
+    camera: Camera
+    config: EstimateConfig
+    calibration: SessionCalibration | None
+
+    def __call__(
+        self, mask: NDArray[np.bool_], ignore: NDArray[np.bool_] | None, readings: Mapping[str, float]
+    ) -> Result | None:
+        """Solve an image; None if its mask has no instrument, or nothing but instrument."""
+        try:
+            return estimate(
+                mask, self.camera, readings, self.body, ignore=ignore, session=self.calibration, config=self.config
+            )
+        except InputError:
+            return None

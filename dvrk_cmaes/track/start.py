@@ -1,0 +1,79 @@
+"""The filter's state from one pose: of the first frame, or found again after a loss."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.track.motion import Anchor, MotionModel
+from dvrk_cmaes.track.state import FilterState, Layout
+
+Float64 = NDArray[np.float64]
+
+_BASE_STD = (0.1, 1.0)  # m and rad, of a base of which nothing is known
+_SPEED_STD = (0.03, 0.3, 1.0)  # m/s, rad/s about the root's x and y axes, rad/s about its z axis and of the joints
+
+
+def unknown_state(
+    config: EstimateConfig, motion: MotionModel, anchor: Anchor, names: tuple[str, ...], lag_std: float
+) -> FilterState:
+    """Return a state of which only the readings' errors are known; ``names`` are the joints'."""
+    at = Layout(len(names))
+    deviations = np.zeros(at.size)
+    deviations[at.base] = [_BASE_STD[0]] * 3 + [_BASE_STD[1]] * 3
+    deviations[at.roll] = np.deg2rad(config.session.roll_offset_deg) if anchor.outer_read else 0.0
+    sigma = np.deg2rad([config.readings.of(name) for name in names])
+    deviations[at.offsets] = np.where(anchor.joint_read, sigma, np.pi)
+    state = FilterState(np.eye(4), np.zeros(1 + len(names)), np.eye(4), np.zeros(6 + len(names)), np.zeros((0, 0)))
+    speeds = np.array([_SPEED_STD[0]] * 3 + [_SPEED_STD[1]] * 2 + [_SPEED_STD[2]] * (1 + len(names)))
+    moving = np.concatenate([np.full(6, not anchor.outer_read), ~anchor.joint_read])
+    deviations[at.rate] = speeds * moving
+    covariance = np.diag(deviations**2)
+    if anchor.outer_read:
+        covariance[at.slack, at.slack] = motion.slack_covariance(state, anchor, lag_std)
+    return FilterState(state.camera_from_base, state.offsets, state.slack, state.rate, covariance)
+
+
+def placed(
+    state: FilterState, motion: MotionModel, anchor: Anchor, pose: Float64, joints: Float64, covariance: Float64
+) -> FilterState:
+    """Return the state whose pose (4, 4) and joints (J,) are given, with their covariance (6 + J, 6 + J).
+
+    The base and the offsets of the joints take up the difference; slack and rates become zero.
+    """
+    anchored, _ = motion.pose(
+        FilterState(np.eye(4), state.offsets, np.eye(4), state.rate * 0, state.covariance), anchor
+    )
+    offsets = np.concatenate([state.offsets[:1], joints - anchor.joints])
+    base = np.asarray(pose @ inverse(anchored))
+    mean = FilterState(base, offsets, np.eye(4), state.rate * 0, state.covariance)
+    loadings = motion.loadings(mean, anchor)
+    prior = state.covariance
+    gain = np.linalg.solve(loadings @ prior @ loadings.T + covariance, loadings @ prior)
+    after = prior - prior @ loadings.T @ gain
+    return FilterState(base, offsets, mean.slack, mean.rate, (after + after.T) / 2)
+
+
+def calibrated_state(calibration: SessionCalibration, blank: FilterState) -> FilterState:
+    """Return a state with the base and the offsets of a session's calibration; ``blank`` has all the rest.
+
+    The calibration's offset of insertion moves the base along the shaft, which the base's standard deviation allows
+    for.
+    """
+    at = blank.layout
+    keep = [*range(6), *range(7, 8 + at.joints)]  # all but insertion's offset
+    covariance = blank.covariance.copy()
+    index = np.arange(7 + at.joints)
+    covariance[np.ix_(index, index)] = calibration.covariance[np.ix_(keep, keep)]
+    insertion = calibration.offsets["insertion"]
+    moved = insertion**2 + calibration.spreads["slack_translation"] ** 2
+    covariance[at.base, at.base] += np.diag([moved] * 3 + [0.0] * 3)
+    spreads = [calibration.spreads[name] for name in list(calibration.offsets)[1:]]
+    covariance[index[6:], index[6:]] += np.square(spreads)
+    offsets = np.array(list(calibration.offsets.values()))[1:]
+    return replace(blank, camera_from_base=calibration.camera_from_base, offsets=offsets, covariance=covariance)

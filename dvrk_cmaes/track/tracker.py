@@ -1,0 +1,397 @@
+"""Following one instrument through the images of one camera."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.joint_prior import reading_loss
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.evidence import MaskEvidence, OutlineEvidence
+from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
+from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported, probabilities
+from dvrk_cmaes.track.lag import FoundLag, LagSearch
+from dvrk_cmaes.track.motion import Anchor, MotionModel
+from dvrk_cmaes.track.outline_model import OutlineModel
+from dvrk_cmaes.track.reading_buffer import ReadingBuffer
+from dvrk_cmaes.track.recovery import GlobalSearch, search_around
+from dvrk_cmaes.track.start import calibrated_state, placed, unknown_state
+from dvrk_cmaes.track.update import Fit
+
+Float64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SEARCH_AFTER = 2  # images without support before a global search
+_MOST_WAIT = 32  # images between global searches
+_SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
+_LEAST_GAP = 7.0  # difference of scores beyond which a hypothesis is dropped
+_LEAST_PROBABILITY = 0.9  # of the best hypothesis for a mode to be decided
+
+
+@dataclass
+class _Searching:
+    """When to search globally: images without support so far, and how many to wait for between searches."""
+
+    unsupported: int = 0
+    wait: int = _SEARCH_AFTER
+
+    def missed(self) -> bool:
+        """Count an image without support; return whether to search in it."""
+        self.unsupported += 1
+        if self.unsupported < self.wait:
+            return False
+        self.wait = min(2 * self.wait, self.wait + _MOST_WAIT)
+        return True
+
+
+class Tracker:
+    """Follows one instrument by masks and joint readings. It reads no files, starts no threads, and forgets the past.
+
+    The same images, readings and settings give the same results.
+
+    Parameters
+    ----------
+    camera
+        The camera of all images.
+    body
+        The instrument, prepared for rendering (`dvrk_cmaes.prepare`).
+    calibration
+        Calibration of the session: its base holds, its offsets are the start, and its lag is used.
+    config
+        All settings; those of following are ``track``.
+    arm
+        Kinematics of the arm, ``classic`` or ``si``; a calibration's own is used instead.
+    lag
+        Lag of the images behind the readings, s; if it is not given, it is that of the calibration, or it is found
+        while following.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        body: Body,
+        calibration: SessionCalibration | None = None,
+        config: EstimateConfig | None = None,
+        *,
+        arm: Arm = "classic",
+        lag: float | None = None,
+    ) -> None:
+        settings = EstimateConfig() if config is None else config
+        check_config(settings)
+        self._config = settings
+        self._camera = camera
+        self._calibration = calibration
+        self._names = body.instrument.joint_names
+        used: Arm = arm if calibration is None else calibration.arm
+        track = settings.track
+        roll_offset = body.instrument.roll_offset
+        motion = MotionModel(track, len(self._names), used, roll_offset)
+        self._follower = Follower(track, motion, OutlineModel(body, camera, track.points))
+        self._buffer = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
+        self._lags = LagSearch(lambda outer: base_from_root(outer, used, roll_offset=roll_offset))
+        if lag is None and calibration is not None and calibration.lag is not None:
+            lag = calibration.lag.seconds
+        self._lag_given = lag is not None
+        self._lag = FoundLag(0.0, track.lag_std) if lag is None else FoundLag(float(lag), 0.0)
+        self._solve = GlobalSearch(body, camera, settings, calibration)
+        self._time: float | None = None
+        self._hypotheses: list[Hypothesis] = []
+        self._search = _Searching()
+        self._last_mask: Mask | None = None
+
+    @property
+    def lag(self) -> FoundLag | None:
+        """Lag of the images behind the readings; None while it is not determined."""
+        return self._lag if self._lag_given or self._lag.std < self._config.track.lag_std else None
+
+    @property
+    def camera_from_base(self) -> Float64 | None:
+        """Pose of the arm's base in the camera (4, 4), m; None without readings of the outer joints."""
+        best = self._hypotheses[0] if self._hypotheses else None
+        return None if best is None or not best.anchor.outer_read else best.state.camera_from_base
+
+    @property
+    def offsets(self) -> dict[str, float]:
+        """Offsets of roll and of the joints, rad: true = reading + offset; empty before the first pose."""
+        if not self._hypotheses:
+            return {}
+        values = self._hypotheses[0].state.offsets.tolist()
+        return dict(zip(("roll", *self._names), values, strict=True))
+
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        """Add the readings of one time, s: joints by name, rad (insertion: m), any of which may be missing.
+
+        Raises
+        ------
+        InputError
+            A value is not finite, or a joint is unknown.
+        """
+        self._buffer.add(time, joints)
+
+    def start(self, time: float, result: Result) -> None:
+        """Start, or start again, from the result of a single frame taken at a time, s.
+
+        Raises
+        ------
+        InputError
+            The result has no pose or no covariance, or is of an instrument with other joints.
+        """
+        if result.camera_from_root is None or result.covariance is None or tuple(result.joints) != self._names:
+            raise InputError(
+                f"start: expected a result with a pose, a covariance and the joints {', '.join(self._names)}, got "
+                f"status {result.status} with {', '.join(result.joints) or 'no joints'}"
+            )
+        self._check_time(time)
+        self._begin(time, result)
+
+    def step(
+        self,
+        time: float,
+        mask: Mask | None = None,
+        image: NDArray[np.uint8] | None = None,
+        ignore: Mask | None = None,
+    ) -> TrackResult:
+        """Follow the instrument to the image of a later time.
+
+        Parameters
+        ----------
+        time
+            Of the image, s; later than that of the step before.
+        mask
+            (H, W) bool, True on the instrument; None if there is none for this image.
+        image
+            (H, W, 3) uint8, BGR. Only a black one matters, in which the instrument cannot be seen.
+        ignore
+            (H, W) bool, pixels that count neither way.
+
+        Raises
+        ------
+        InputError
+            The time is not later than the last, or an array has another size than the camera's images.
+        """
+        started = clock.perf_counter()
+        self._check_time(time)
+        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
+            self._check_size(name, array)
+        problem = self._problem(mask, image, ignore)
+        if not self._hypotheses:
+            result = self._first(time, mask, ignore, problem)
+        else:
+            result = self._follow(time, mask, ignore, problem)
+        self._time = time
+        self._last_mask = mask
+        return replace(result, seconds=clock.perf_counter() - started)
+
+    def _check_time(self, time: float) -> None:
+        if not np.isfinite(time) or (self._time is not None and time <= self._time):
+            after = "" if self._time is None else f" later than {self._time:g} s"
+            raise InputError(f"time: expected a finite number of seconds{after}, got {time}")
+
+    def _check_size(self, name: str, array: NDArray[np.bool_] | NDArray[np.uint8] | None) -> None:
+        expected = (self._camera.height, self._camera.width)
+        if array is not None and array.shape[:2] != expected:
+            raise InputError(
+                f"{name}: expected {expected[1]} x {expected[0]} pixels as the camera has, got an array of shape "
+                f"{array.shape}"
+            )
+
+    def _problem(self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None) -> str | None:
+        """Return why an image says nothing about the pose; None if it may."""
+        if image is not None and int(image.max()) < self._config.track.black_level:
+            return "black image: nothing can be seen"
+        if mask is None:
+            return "no mask: the pose is predicted"
+        counted = mask if ignore is None else mask & ~ignore
+        if not counted.any():
+            return "empty mask: the instrument is not in view"
+        if (counted if ignore is None else counted | ignore).all():
+            return "full mask: no edge can be seen"
+        return None
+
+    def _anchor(self, time: float) -> Anchor:
+        """Return the readings at the time of an image less the lag, based on those before."""
+        before = self._hypotheses[0].anchor if self._hypotheses else Anchor.none(len(self._names))
+        reading = self._buffer.at(time - self._lag.seconds)
+        return before.then(reading, moving=not reading.still)
+
+    def _readings(self, anchor: Anchor) -> dict[str, float]:
+        """Return readings by name, for the search of a single frame."""
+        found = dict(zip(OUTER_JOINTS, anchor.outer.tolist(), strict=True)) if anchor.outer_read else {}
+        read = zip(self._names, anchor.joints.tolist(), anchor.joint_read, strict=True)
+        return found | {name: value for name, value, known in read if known}
+
+    def _first(self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None) -> TrackResult:
+        """Solve the first image by itself."""
+        if problem is not None or mask is None:
+            return _without_pose(time, (problem or "no mask",))
+        result = self._solve(mask, ignore, self._readings(self._anchor(time)))
+        if result is None or result.camera_from_root is None:
+            return _without_pose(time, ("not found: the first image could not be solved",), searched=True)
+        self._begin(time, result)
+        status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
+        return replace(self._result(time, status, result.reasons), searched=True)
+
+    def _begin(self, time: float, result: Result) -> None:
+        """Start all modes of a single frame's result as hypotheses."""
+        assert result.camera_from_root is not None
+        assert result.covariance is not None
+        anchor, motion = self._anchor(time), self._follower.motion
+        blank = unknown_state(self._config, motion, anchor, self._names, self._lag.std)
+        if self._calibration is not None and anchor.outer_read:
+            blank = calibrated_state(self._calibration, blank)
+        sigma = np.deg2rad([self._config.readings.of(name) for name in self._names])
+        read = np.where(anchor.joint_read, anchor.joints, np.nan)
+        first = (result.camera_from_root, result.joints, "")
+        modes = [first, *((one.camera_from_root, one.joints, one.relation) for one in result.alternatives)]
+        found = []
+        for pose, joints, relation in modes[: self._config.track.modes]:
+            values = np.array([joints[name] for name in self._names])
+            score = 0.5 * float(reading_loss(values, read, sigma))
+            one = Hypothesis(blank, anchor, self._config.track.sigma_px, score, relation)
+            if self._calibration is not None and anchor.outer_read:
+                one, _ = self._follower.fused(one, pose, values, result.covariance)
+            else:
+                one = replace(one, state=placed(blank, motion, anchor, pose, values, result.covariance))
+            found.append(one)
+        self._hypotheses = self._pruned(found)
+        self._search = _Searching()
+        self._lags.clear()
+        self._time = time
+
+    def _pruned(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Drop improbable hypotheses; the first one stays first until another is clearly better."""
+        best = min(one.score for one in hypotheses)
+        return [replace(one, score=one.score - best) for one in hypotheses if one.score - best < _LEAST_GAP]
+
+    def _follow(self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None) -> TrackResult:
+        """Predict all hypotheses and correct them by the image."""
+        assert self._time is not None
+        anchor, before = self._anchor(time), self._hypotheses
+        elapsed = time - self._time
+        self._hypotheses = [self._follower.predicted(one, anchor, elapsed, self._lag.std) for one in before]
+        if problem is not None or mask is None:
+            return self._unsupported(time, (problem or "no mask",))
+        evidence = MaskEvidence(mask, ignore)
+        fits = [self._follower.corrected(one, evidence) for one in self._hypotheses]
+        main = fits[0]
+        if main is None or not is_convincing(main[1], self._config.track):
+            around = search_around(self._follower, before[0], self._hypotheses[0], evidence)
+            if around is not None and (main is None or _better(around[1], main[1])):
+                main = fits[0] = around
+        if main is None or not is_supported(main[1], self._config.track):
+            if self._search.missed():
+                return self._searched(time, anchor, mask, ignore, evidence)
+            return self._unsupported(time, ("lost: the mask's edges do not support the predicted outline",))
+        return self._supported(time, [one for one in fits if one is not None])
+
+    def _supported(self, time: float, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
+        """Keep the corrected hypotheses, decide between them, and judge the best one."""
+        track = self._config.track
+        reasons: list[str] = []
+        kept = self._pruned([one for one, _ in fits])
+        chances = probabilities(kept)
+        best = int(np.argmax(chances))
+        switched = kept[0].relation != fits[0][0].relation or (best != 0 and chances[best] > _LEAST_PROBABILITY)
+        if best and switched:
+            kept.insert(0, kept.pop(best))
+            chances.insert(0, chances.pop(best))
+        if switched:
+            reasons.append(f"switched to the {kept[0].relation or 'first mode'}: it explains the images better")
+            self._lags.clear()
+        self._hypotheses = kept
+        if len(kept) > 1 and chances[0] < _LEAST_PROBABILITY:
+            reasons.append(f"mode undecided: the {kept[1].relation or 'first mode'} explains the images nearly as well")
+        fit = next(fit for one, fit in fits if one.relation == kept[0].relation)
+        reasons += doubts_of_fit(fit, track)
+        if is_convincing(fit, track):
+            self._find_lag(time)
+            if self._search.unsupported:
+                reasons.append("found again: one image supports the pose so far")
+            self._search = _Searching()
+        return self._result(time, "doubtful" if reasons else "ok", tuple(reasons))
+
+    def _unsupported(self, time: float, reasons: tuple[str, ...]) -> TrackResult:
+        """Return the prediction of an image that does not support it."""
+        return self._result(time, "lost", reasons)
+
+    def _searched(
+        self, time: float, anchor: Anchor, mask: Mask, ignore: Mask | None, evidence: OutlineEvidence
+    ) -> TrackResult:
+        """Search an image globally, and go on from what is found if the image supports it."""
+        result = self._solve(mask, ignore, self._readings(anchor))
+        lost = replace(self._unsupported(time, ("lost: a global search found nothing",)), searched=True)
+        if result is None or result.camera_from_root is None or result.covariance is None:
+            return lost
+        main = self._hypotheses[0]
+        modes = [(result.camera_from_root, result.joints)]
+        modes += [(one.camera_from_root, one.joints) for one in result.alternatives]
+        fused = [
+            self._follower.fused(main, pose, np.array([joints[name] for name in self._names]), result.covariance)
+            for pose, joints in modes
+        ]
+        nearest, deviation = min(fused, key=lambda one: one[1])
+        reason = "found again by a global search"
+        if deviation < _SAME_BASE:
+            corrected = self._follower.corrected(nearest, evidence)
+            if corrected is None or not is_supported(corrected[1], self._config.track):
+                return lost
+            self._hypotheses = [corrected[0]]
+        elif result.status == "ok":
+            self._begin(time, result)
+            reason += ", away from where the readings say: readings jumped, or the base moved"
+        else:
+            return lost
+        return replace(self._result(time, "doubtful", (reason,)), searched=True)
+
+    def _find_lag(self, time: float) -> None:
+        """Add the best pose to those from which the lag is found."""
+        if self._lag_given or not self._hypotheses[0].anchor.outer_read or len(self._hypotheses) > 1:
+            return
+        best = self._hypotheses[0]
+        pose, _ = self._follower.motion.pose(best.state, best.anchor)
+        self._lags.add(pose, lambda lags: np.array([self._buffer.at(time - lag).outer for lag in lags]))
+        if self._lags.due:
+            found = self._lags.search(best.state.camera_from_base)
+            if found is not None:
+                self._lag = found
+
+    def _result(self, time: float, status: TrackStatus, reasons: tuple[str, ...]) -> TrackResult:
+        """Describe the best hypothesis."""
+        best = self._hypotheses[0]
+        located = self._follower.located(best)
+        doubts = tuple(doubts_of_pose(located, self._camera, self._config.track))
+        if status == "ok" and doubts:
+            status = "doubtful"
+        return TrackResult(
+            time=time,
+            status=status,
+            reasons=(*reasons, *doubts) if status != "ok" else (),
+            camera_from_root=located.camera_from_root,
+            joints=dict(zip(self._names, located.joints.tolist(), strict=True)),
+            covariance=located.covariance,
+            tips=located.tips,
+            tip_std_mm=located.tip_std * 1e3 if len(located.tips) else None,
+            camera_from_base=self.camera_from_base,
+        )
+
+
+def _better(fit: Fit, other: Fit) -> bool:
+    """Whether a fit is clearly better supported than another."""
+    return fit.supported - fit.unexplained > other.supported - other.unexplained + 0.1
+
+
+def _without_pose(time: float, reasons: tuple[str, ...], *, searched: bool = False) -> TrackResult:
+    """Return the result of an image before the first pose."""
+    return TrackResult(time, "lost", reasons, None, {}, None, None, None, searched=searched)

@@ -1,0 +1,164 @@
+"""Correction of the predicted state by the evidence of one image: iterated Kalman update on the outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.evidence.joint_prior import LIMIT_SIGMA
+from dvrk_cmaes.track.evidence import OutlineEvidence
+from dvrk_cmaes.track.motion import Anchor, MotionModel
+from dvrk_cmaes.track.outline_model import OutlineModel, Projected, Rim
+from dvrk_cmaes.track.state import FilterState
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Agreement of an outline with the evidence.
+
+    ``supported`` is the share of the outline in the image that has an edge within reach, ``unexplained`` the share of
+    the evidence's edge that has no outline within reach, ``length`` the px of outline that counted, ``sigma`` px the
+    standard deviation of the supported points' distances. ``cost`` is half the sum of the squared deviations from
+    prediction and evidence, with the logarithm of the normalisation: a negative log-likelihood.
+    """
+
+    supported: float
+    unexplained: float
+    length: float
+    sigma: float
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Updated:
+    """The state after an image, and how well it fits."""
+
+    state: FilterState
+    fit: Fit
+
+
+class OutlineUpdate:
+    """Kalman update of the state by signed distances along the outline.
+
+    The outline is drawn ``track.draws`` times; between two drawings its points move with the instrument.
+    """
+
+    def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
+        self._config = config
+        self._motion = motion
+        self._model = model
+        limits = model.instrument.limits
+        self._low, self._high = limits[:, 0].copy(), limits[:, 1].copy()
+        if "jaw" in model.instrument.joint_names:
+            self._low[model.instrument.joint_index("jaw")] = 0.0  # jaws do not pass through each other
+
+    def __call__(
+        self,
+        prior: FilterState,
+        anchor: Anchor,
+        evidence: OutlineEvidence,
+        sigma: float,
+        rim: Rim,
+    ) -> Updated | None:
+        """Correct a predicted state.
+
+        ``anchor`` has the readings, ``sigma`` px is the standard deviation of the evidence, ``rim`` the
+        outline of the predicted pose. Returns None if the corrected pose has no outline in the image.
+        """
+        c, eye = self._config, np.eye(prior.layout.size)
+        state, spread_of = prior, prior.covariance
+        off: Float64 = np.zeros(prior.layout.size)
+        for draw in range(c.draws):
+            if draw:
+                drawn = self._model.draw(*self._motion.pose(state, anchor))
+                if drawn is None:
+                    return None
+                rim = drawn
+            for _ in range(c.steps):
+                found = self._linearised(state, anchor, evidence, rim, sigma, spread_of)
+                if found is None:
+                    return None
+                information, slope, _ = found
+                system = eye + prior.covariance @ information
+                step = np.asarray(np.linalg.solve(system, -prior.covariance @ slope - off), dtype=np.float64)
+                state, off = state.changed(step), np.asarray(off + step, dtype=np.float64)
+            spread_of = np.linalg.solve(system, prior.covariance)
+        found = self._linearised(state, anchor, evidence, rim, sigma, spread_of)
+        if found is None:
+            return None
+        information, _, residuals = found
+        system = eye + prior.covariance @ information
+        covariance = np.linalg.solve(system, prior.covariance)
+        cost = 0.5 * (residuals.cost + self._deviation(off, prior.covariance) + float(np.linalg.slogdet(system)[1]))
+        fit = self._fit(residuals, evidence, rim, cost)
+        return Updated(replace(state, covariance=(covariance + covariance.T) / 2), fit)
+
+    @staticmethod
+    def _deviation(off: Float64, covariance: Float64) -> float:
+        """Compute the squared deviation from a prediction whose covariance may be singular."""
+        scale = np.sqrt(np.diag(covariance)) + 1e-12
+        scaled = covariance / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
+        return float((off / scale) @ np.linalg.solve(scaled, off / scale))
+
+    def _linearised(
+        self,
+        state: FilterState,
+        anchor: Anchor,
+        evidence: OutlineEvidence,
+        rim: Rim,
+        sigma: float,
+        covariance: Float64,
+    ) -> tuple[Float64, Float64, _Residuals] | None:
+        """Return information (D, D) and slope (D,) of the evidence at a state, and the residuals."""
+        c = self._config
+        pose, joints = self._motion.pose(state, anchor)
+        seen = self._model.project(rim, pose, joints)
+        if seen is None:
+            return None
+        loadings = self._motion.loadings(state, anchor)
+        residuals = self._residuals(seen, rim, evidence, sigma, loadings @ covariance @ loadings.T)
+        weight = residuals.weight * rim.lengths / (sigma**2 * c.correlation_px * c.frame_correlation)
+        information = seen.jacobian.T @ (seen.jacobian * weight[:, None])
+        slope = seen.jacobian.T @ (residuals.distance * weight)
+        low, high = self._low - joints, joints - self._high
+        information[6:, 6:] += np.diag(((low > 0) | (high > 0)) / LIMIT_SIGMA**2)
+        slope[6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
+        return loadings.T @ information @ loadings, loadings.T @ slope, residuals
+
+    def _residuals(
+        self, seen: Projected, rim: Rim, evidence: OutlineEvidence, sigma: float, covariance: Float64
+    ) -> _Residuals:
+        """Measure distances with robust weights; ``covariance`` (6 + J, 6 + J) is that of pose and joints."""
+        c = self._config
+        expected = np.einsum("ni,ni->n", seen.jacobian @ covariance, seen.jacobian)
+        width = c.outlier_sigmas * np.sqrt(sigma**2 + np.minimum(expected, c.reach_px**2))
+        edges = evidence.distances(seen.pixels, rim.normals, c.reach_px)
+        ratio = (edges.distance / width) ** 2
+        weight = np.where(edges.found, 1 / (1 + ratio) ** 2, 0.0)
+        bounded = (width / sigma) ** 2 * np.where(edges.found, ratio / (1 + ratio), 1.0)
+        cost = float((bounded * rim.lengths).sum()) / (c.correlation_px * c.frame_correlation)
+        return _Residuals(edges.distance, weight, edges.found, cost)
+
+    def _fit(self, residuals: _Residuals, evidence: OutlineEvidence, rim: Rim, cost: float) -> Fit:
+        """Summarise residuals at the corrected pose."""
+        c = self._config
+        near = residuals.found & (np.abs(residuals.distance) < c.support_px)
+        total = float(rim.lengths.sum())
+        supported = float(rim.lengths[near].sum()) / total
+        sigma = float(np.sqrt(np.mean(residuals.distance[near] ** 2))) if near.any() else c.support_px
+        return Fit(supported, evidence.unexplained(rim.all_pixels, int(2 * c.support_px)), total, sigma, cost)
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Distances (N,) px, their robust weights (N,), whether an edge was found (N,), and the cost."""
+
+    distance: Float64
+    weight: Float64
+    found: NDArray[np.bool_]
+    cost: float
