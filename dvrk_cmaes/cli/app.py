@@ -22,6 +22,7 @@ from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.segment import segment
 from dvrk_cmaes.cli.synth import synth
 from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
+from dvrk_cmaes.cli.track import track
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 _INTERRUPTED = 130  # as in shells: 128 + SIGINT
@@ -40,6 +41,7 @@ app.command(segment)
 app.command(demo)
 app.command(batch)
 app.command(calibrate)
+app.command(track)
 app.command(export)
 app.command(golden)
 app.command(consistency)

@@ -79,8 +79,10 @@ class FrameImage:
         return FrameData(mask, self.camera, self.ignore, self.image, (*self.notes, *notes))
 
 
-def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
+def read_frame(files: FrameFiles, camera: Camera, *, blank: bool = False) -> FrameData:
     """Read a frame taken by a camera; the intrinsics are rescaled if the mask is of another size.
+
+    With ``blank``, the mask may be empty or full.
 
     Raises
     ------
@@ -91,7 +93,7 @@ def read_frame(files: FrameFiles, camera: Camera) -> FrameData:
         raise InputError(files.problem)
     if files.mask is None:
         raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
-    mask = read_mask(files.mask, label=files.label, pick=files.pick)
+    mask = read_mask(files.mask, label=files.label, pick=files.pick, blank=blank)
     fitted, notes = _fit(camera, mask.shape, files.mask, "mask")
     ignore = _ignored(files, mask.shape, "mask")
     image = None if files.image is None else read_image(files.image)

@@ -23,7 +23,11 @@ _THRESHOLD = 127
 
 
 def read_mask(
-    path: str | Path, *, label: int | None = None, pick: tuple[float, float] | None = None
+    path: str | Path,
+    *,
+    label: int | None = None,
+    pick: tuple[float, float] | None = None,
+    blank: bool = False,
 ) -> NDArray[np.bool_]:
     """Read an instrument mask.
 
@@ -35,11 +39,13 @@ def read_mask(
         For a mask of labels: the value, 0 to 255, of the instrument's pixels.
     pick
         A pixel (u, v): only its 8-connected component of the mask is returned.
+    blank
+        Accept a mask that is empty or full, as in images of a recording in which the instrument is not in view.
 
     Returns
     -------
     (H, W) bool
-        True on the instrument; neither all False nor all True.
+        True on the instrument; neither all False nor all True unless ``blank``.
 
     Raises
     ------
@@ -55,6 +61,8 @@ def read_mask(
         mask = grey == label
         found = [str(value) for value in np.unique(grey)]
         missing = f"expected pixels of label {label}, got only {', '.join(found[:8])}{', ...' if found[8:] else ''}"
+    if blank and (mask.all() or not mask.any()):
+        return np.asarray(mask)
     if not mask.any():
         raise InputError(f"{path}: mask is empty: {missing}")
     if mask.all():

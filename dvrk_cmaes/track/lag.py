@@ -8,21 +8,25 @@ play of roll's cables looks like a lag.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import adjoint, change_between, inverse
+from dvrk_cmaes.geometry import adjoint, inverse
 
 Float64 = NDArray[np.float64]
 
-_GRID = np.arange(-6, 31) / 90.0  # s
+LAGS = np.arange(-6, 31) / 90.0
+"""Lags that are compared, (L,) s."""
+
 _KEPT = 150  # poses
 _LEAST = 12  # poses before the first search
 _EVERY = 6  # poses between searches
-_SIGMA = np.array([3e-4, 3e-4, 6e-4, 5e-3, 5e-3])  # m and rad, of a pose along and about the root's axes but its z
+_SIGMA = np.array([3e-4, 3e-4, 6e-4, 5e-3, 5e-3])  # m and rad, least of a pose along its axes and of its z axis
+_AROUND = 3  # steps of the grid on either side of the best one, through which a parabola is laid
 _TOGETHER = 4.0  # consecutive poses that count as one, since their errors are alike
 _LARGEST_STD = 0.012  # s, above which a lag is not determined
 _LEAST_GAIN = 8.0  # of the sum of squares, from the ends of the grid to the best lag
@@ -43,22 +47,36 @@ class LagSearch:
         self._base_from_root = base_from_root
         self._poses: deque[Float64] = deque(maxlen=_KEPT)
         self._outer: deque[Float64] = deque(maxlen=_KEPT)
+        self._sigmas: deque[Float64] = deque(maxlen=_KEPT)
         self._count = 0
 
     def clear(self) -> None:
         """Forget all poses, for example because the base moved."""
         self._poses.clear()
         self._outer.clear()
+        self._sigmas.clear()
         self._count = 0
 
-    def add(self, pose: Float64, outer_at: Callable[[Float64], Float64]) -> None:
-        """Add the root's pose (4, 4) of an image; ``outer_at`` gives its outer readings (L, 4) at lags (L,)."""
-        outer = outer_at(_GRID)
+    def add(self, pose: Float64, covariance: Float64, outer: Float64) -> None:
+        """Add the root's pose (4, 4) of an image, its covariance (6, 6), and the outer readings (L, 4) at all lags."""
         if np.isnan(outer).any():
             return
         self._poses.append(pose)
         self._outer.append(outer)
+        self._sigmas.append(np.sqrt(np.diag(covariance)[:5] + _SIGMA**2))
         self._count += 1
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the poses so far as plain values."""
+        parts = {"poses": self._poses, "outer": self._outer, "sigmas": self._sigmas}
+        return {"count": self._count} | {name: [one.tolist() for one in values] for name, values in parts.items()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on with the poses of a checkpoint."""
+        self.clear()
+        for name, values in (("poses", self._poses), ("outer", self._outer), ("sigmas", self._sigmas)):
+            values.extend(np.array(one, dtype=np.float64) for one in saved[name])
+        self._count = int(saved["count"])
 
     @property
     def due(self) -> bool:
@@ -69,24 +87,24 @@ class LagSearch:
         """Return the lag; None if the motion so far does not determine it. ``camera_from_base`` (4, 4) is a guess."""
         costs = self._costs(camera_from_base)
         best = int(np.argmin(costs))
-        if best in (0, len(_GRID) - 1) or min(costs[0], costs[-1]) - costs[best] < _LEAST_GAIN:
+        if not _AROUND <= best < len(LAGS) - _AROUND or min(costs[0], costs[-1]) - costs[best] < _LEAST_GAIN:
             return None
-        before, here, after = costs[best - 1 : best + 2]
-        step = _GRID[1] - _GRID[0]
-        curvature = (before - 2 * here + after) / step**2
+        near = slice(best - _AROUND, best + _AROUND + 1)
+        half, slope, _ = np.polyfit(LAGS[near] - LAGS[best], costs[near], 2)
+        if half <= 0:
+            return None
         freedom = 5 * len(self._poses) / _TOGETHER
-        spread = max(2 * here / freedom, 1.0)
-        std = float(np.sqrt(spread / curvature)) if curvature > 0 else np.inf
-        if std > _LARGEST_STD:
-            return None
-        return FoundLag(float(_GRID[best] + (before - after) / (2 * step * curvature)), std)
+        std = float(np.sqrt(max(2 * costs[best] / freedom, 1.0) / (2 * half)))
+        return None if std > _LARGEST_STD else FoundLag(float(LAGS[best] - slope / (2 * half)), std)
 
     def _costs(self, camera_from_base: Float64) -> Float64:
         """Compute half the sum of squares that remains at each lag of the grid, (L,)."""
-        poses, outer = np.array(self._poses), np.array(self._outer)  # (N, 4, 4), (N, L, 4)
-        root = self._base_from_root(outer)
-        off = change_between(camera_from_base @ root, poses[:, None])[..., :5] / _SIGMA
-        motion = adjoint(inverse(root))[..., :5, :] / _SIGMA[:, None]  # (N, L, 5, 6)
+        poses, outer, sigmas = np.array(self._poses), np.array(self._outer), np.array(self._sigmas)[:, None]
+        root = self._base_from_root(outer)  # (N, L, 4, 4)
+        relative = inverse(camera_from_base @ root) @ poses[:, None]
+        # position of the root and direction of the shaft; to first order, that of z is a rotation about -y and x
+        off = np.concatenate([relative[..., :3, 3], -relative[..., 1:2, 2], relative[..., :1, 2]], axis=-1) / sigmas
+        motion = adjoint(inverse(root))[..., :5, :] / sigmas[..., None]  # (N, L, 5, 6)
         information = np.einsum("nlij,nlik->ljk", motion, motion) + 1e-6 * np.eye(6)
         slope = np.einsum("nlij,nli->lj", motion, off)
         gain = np.einsum("lj,lj->l", slope, np.linalg.solve(information, slope[..., None])[..., 0])

@@ -109,6 +109,20 @@ class ReadingBuffer:
                 row = self._rows[near] + rate * (time - self._times[near])
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], self._is_still(after))
 
+    def outer_at(self, times: Float64) -> Float64:
+        """Interpolate the outer joints' readings at times (L,), (L, 4); NaN where there is none."""
+        begin = bisect_left(self._times, float(times.min()) - self._gap)
+        end = bisect_left(self._times, float(times.max()) + self._gap)
+        at, rows = np.array(self._times[begin:end]), self._rows[begin:end]
+        if len(rows) < 2:
+            return np.full((len(times), len(OUTER_JOINTS)), np.nan)
+        values = np.array(rows)[:, : len(OUTER_JOINTS)]
+        slope = (values[-1] - values[-2]) / (at[-1] - at[-2])
+        found = np.stack([np.interp(times, at, column) for column in values.T], axis=1)
+        found += np.maximum(times - at[-1], 0.0)[:, None] * slope
+        found[(times < at[0]) | (times > at[-1] + self._gap)] = np.nan
+        return np.asarray(found)
+
     def _rate(self, time: float, after: int) -> Float64:
         """Return the rates around a time by a straight line through the readings near it, (4 + J,); 0 where unknown.
 

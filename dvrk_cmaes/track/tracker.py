@@ -5,6 +5,8 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +16,19 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import reading_loss
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.joints.series import Unit
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
+from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.evidence import MaskEvidence, OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported, probabilities
-from dvrk_cmaes.track.lag import FoundLag, LagSearch
+from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
@@ -36,6 +42,7 @@ Mask = NDArray[np.bool_]
 _SEARCH_AFTER = 2  # images without support before a global search
 _MOST_WAIT = 32  # images between global searches
 _SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
+_FROZEN = (5e-4, 1e-2, 5e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
 _LEAST_GAP = 7.0  # difference of scores beyond which a hypothesis is dropped
 _LEAST_PROBABILITY = 0.9  # of the best hypothesis for a mode to be decided
 
@@ -94,7 +101,8 @@ class Tracker:
         self._camera = camera
         self._calibration = calibration
         self._names = body.instrument.joint_names
-        used: Arm = arm if calibration is None else calibration.arm
+        self._arm: Arm = arm if calibration is None else calibration.arm
+        used = self._arm
         track = settings.track
         roll_offset = body.instrument.roll_offset
         motion = MotionModel(track, len(self._names), used, roll_offset)
@@ -109,7 +117,7 @@ class Tracker:
         self._time: float | None = None
         self._hypotheses: list[Hypothesis] = []
         self._search = _Searching()
-        self._last_mask: Mask | None = None
+        self._last_image: int | None = None
 
     @property
     def lag(self) -> FoundLag | None:
@@ -129,6 +137,47 @@ class Tracker:
             return {}
         values = self._hypotheses[0].state.offsets.tolist()
         return dict(zip(("roll", *self._names), values, strict=True))
+
+    def calibration(self, interval: float, unit: Unit = "s") -> SessionCalibration | None:
+        """Return what was found as a session's calibration; None without readings of the outer joints.
+
+        ``interval`` s is the time between images. If ``unit`` is frames, the lag is only given in frames.
+        """
+        best = self._hypotheses[0] if self._hypotheses else None
+        if best is None or not best.anchor.outer_read:
+            return None
+        instrument = self._follower.instrument
+        lag = self.lag
+        return calibration_of(best.state, lag, instrument, self._arm, self._config, interval=interval, unit=unit)
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the state as plain values; readings are not in it, and must be added again before `restore`."""
+        return {
+            "time": self._time,
+            "hypotheses": [plain_hypothesis(one) for one in self._hypotheses],
+            "lag": [self._lag.seconds, self._lag.std],
+            "lags": self._lags.checkpoint(),
+            "search": [self._search.unsupported, self._search.wait],
+            "last_image": self._last_image,
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from the state of another tracker with the same camera, instrument and settings.
+
+        Raises
+        ------
+        InputError
+            The values are not those of `checkpoint`.
+        """
+        try:
+            self._time = None if saved["time"] is None else float(saved["time"])
+            self._hypotheses = [read_hypothesis(one) for one in saved["hypotheses"]]
+            self._lag = FoundLag(*(float(value) for value in saved["lag"]))
+            self._lags.restore(saved["lags"])
+            self._search = _Searching(*(int(value) for value in saved["search"]))
+            self._last_image = None if saved["last_image"] is None else int(saved["last_image"])
+        except (KeyError, TypeError, ValueError):
+            raise InputError("checkpoint: expected the state of a tracker, got something else") from None
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s: joints by name, rad (insertion: m), any of which may be missing.
@@ -186,12 +235,12 @@ class Tracker:
         for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
             self._check_size(name, array)
         problem = self._problem(mask, image, ignore)
+        same = self._is_same(mask)
         if not self._hypotheses:
             result = self._first(time, mask, ignore, problem)
         else:
-            result = self._follow(time, mask, ignore, problem)
+            result = self._follow(time, mask, ignore, problem, same)
         self._time = time
-        self._last_mask = mask
         return replace(result, seconds=clock.perf_counter() - started)
 
     def _check_time(self, time: float) -> None:
@@ -219,6 +268,25 @@ class Tracker:
         if (counted if ignore is None else counted | ignore).all():
             return "full mask: no edge can be seen"
         return None
+
+    def _is_same(self, mask: Mask | None) -> bool:
+        """Whether a mask is that of the image before, to the last pixel."""
+        before = self._last_image
+        self._last_image = None if mask is None else crc32(np.packbits(mask).tobytes())
+        return mask is not None and self._last_image == before
+
+    def _moved(self, before: Hypothesis, predicted: Hypothesis) -> bool:
+        """Whether the readings moved the instrument so far between two images that their masks must differ."""
+        if not predicted.anchor.outer_read:
+            return False
+        motion = self._follower.motion
+        pose, joints = motion.pose(before.state, before.anchor)
+        moved, bent = motion.pose(predicted.state, predicted.anchor)
+        change = np.abs(change_between(pose, moved))
+        far = max(
+            change[:3].max() / _FROZEN[0], change[3:5].max() / _FROZEN[1], np.abs(bent - joints).max() / _FROZEN[2]
+        )
+        return bool(far > 1)
 
     def _anchor(self, time: float) -> Anchor:
         """Return the readings at the time of an image less the lag, based on those before."""
@@ -275,12 +343,16 @@ class Tracker:
         best = min(one.score for one in hypotheses)
         return [replace(one, score=one.score - best) for one in hypotheses if one.score - best < _LEAST_GAP]
 
-    def _follow(self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None) -> TrackResult:
+    def _follow(
+        self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None, same: bool
+    ) -> TrackResult:
         """Predict all hypotheses and correct them by the image."""
         assert self._time is not None
         anchor, before = self._anchor(time), self._hypotheses
         elapsed = time - self._time
         self._hypotheses = [self._follower.predicted(one, anchor, elapsed, self._lag.std) for one in before]
+        if problem is None and same and self._moved(before[0], self._hypotheses[0]):
+            problem = "frozen image: the mask is that of the image before, but the arm moved"
         if problem is not None or mask is None:
             return self._unsupported(time, (problem or "no mask",))
         evidence = MaskEvidence(mask, ignore)
@@ -360,8 +432,9 @@ class Tracker:
         if self._lag_given or not self._hypotheses[0].anchor.outer_read or len(self._hypotheses) > 1:
             return
         best = self._hypotheses[0]
-        pose, _ = self._follower.motion.pose(best.state, best.anchor)
-        self._lags.add(pose, lambda lags: np.array([self._buffer.at(time - lag).outer for lag in lags]))
+        located = self._follower.located(best)
+        readings = self._buffer.outer_at(time - LAGS)
+        self._lags.add(located.camera_from_root, located.covariance, readings)
         if self._lags.due:
             found = self._lags.search(best.state.camera_from_base)
             if found is not None:

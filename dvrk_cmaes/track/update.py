@@ -87,7 +87,7 @@ class OutlineUpdate:
                 system = eye + prior.covariance @ information
                 step = np.asarray(np.linalg.solve(system, -prior.covariance @ slope - off), dtype=np.float64)
                 state, off = state.changed(step), np.asarray(off + step, dtype=np.float64)
-            spread_of = np.linalg.solve(system, prior.covariance)
+            spread_of = np.asarray(np.linalg.solve(system, prior.covariance), dtype=np.float64)
         found = self._linearised(state, anchor, evidence, rim, sigma, spread_of)
         if found is None:
             return None

@@ -1,0 +1,175 @@
+"""``dvrk-cmaes track``: an instrument followed through a recording."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_INSTRUMENT,
+    DEFAULT_METHOD,
+    OUTPUT,
+    CameraOptions,
+    Flag,
+    InstrumentOptions,
+    MethodOptions,
+    SessionOption,
+)
+from dvrk_cmaes.cli.terminal import Line, frames_text, show
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.results.tracked import TrackResult
+    from dvrk_cmaes.runs.track_folder import TrackSummary
+
+FOLDER = Group("Folder", sort_key=0)
+
+_DOUBTFUL, _INTERRUPTED = 3, 130
+_REPORT_EVERY = 5.0  # s
+
+
+def track(
+    session: Annotated[Path, Parameter(group=FOLDER)],
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    every: Annotated[int, Parameter(group=FOLDER)] = 1,
+    joints: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    lag: Annotated[str, Parameter(group=FOLDER)] = "auto",
+    fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
+    resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
+    video: Annotated[bool, Parameter(group=FOLDER)] = True,
+    calibration: SessionOption = None,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Follow an instrument through the consecutive frames of a session, by masks and readings.
+
+    The first frame is solved as by `estimate`; the others start from what the readings did since the frame before. No
+    frame's result depends on later frames. A lost instrument is searched for, around the prediction first and then in
+    the whole image. The table [track] of the settings file configures this command.
+
+    Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
+    lost, 130 interrupted; the same command then goes on.
+
+    Example:
+
+    `dvrk-cmaes track session --out tracks`
+
+    Parameters
+    ----------
+    session
+        Session folder, as for `batch`, with consecutive frames.
+    out
+        Folder for tracks.jsonl, tracks.csv, session.json and tracks.mp4; SESSION/tracks by default.
+    every
+        Follow only every N-th frame.
+    joints
+        File of readings to use instead of the session's own, or none: follow by masks alone.
+    lag
+        Lag of the images behind the readings, in seconds; auto: that of --session, or found while following.
+    fps
+        Frames a second of a session whose images have no times.
+    resume
+        --resume goes on after the last frames of an interrupted run; --overwrite begins anew.
+    video
+        --no-video leaves out the overlay video.
+    calibration
+        A session.json written by `calibrate` or by this command: its base, offsets and lag are the start.
+    camera
+        Camera to use instead of the session's own.
+    instrument
+        The instrument, and the arm that carries it.
+    method
+        The method of frames that are searched globally.
+    json
+        Print only the numbers of frames by status, as JSON, on stdout.
+    """
+    if every < 1:
+        raise InputError(f"--every: expected a whole number of at least 1, got {every}")
+    if not (math.isfinite(fps) and fps > 0):
+        raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
+    seconds = _lag(lag)
+    from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.runs.track_folder import TrackSettings, track_folder
+
+    target = session / "tracks" if out is None else out
+    body = instrument.load()
+    files = () if joints is None or joints == "none" else (Path(joints),)
+    found = camera.read_session(session, known=body.instrument.joint_names, joints=files)
+    settings = TrackSettings(
+        method.resolve(),
+        instrument.arm,
+        None if calibration is None else read_calibration(calibration),
+        seconds,
+        every,
+        joints != "none",
+        fps,
+    )
+    with stopping_on_interrupt() as stop:
+        done = track_folder(found, target, body, settings, resume=resume, video=video, stop=stop, progress=_progress())
+    if json:
+        print(json_text(done.counts), end="")
+    else:
+        show(_lines(done, target))
+    if done.interrupted:
+        return _INTERRUPTED
+    return _DOUBTFUL if set(done.counts) - {"ok"} else 0
+
+
+def _lag(text: str) -> float | None:
+    """Return a lag in seconds; None for auto."""
+    if text == "auto":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 10:
+        raise InputError(f"--lag: expected auto, or seconds between -10 and 10, got {text!r}")
+    return value
+
+
+def _progress() -> Callable[[int, int, TrackResult | None], None]:
+    """Return a function that prints the rate on stderr from time to time."""
+    started = last = time.monotonic()
+    before = 0
+
+    def report(done: int, total: int, result: TrackResult | None) -> None:
+        nonlocal last, before
+        if result is None:
+            before = done
+            return
+        now = time.monotonic()
+        if now - last >= _REPORT_EVERY or done == total:
+            last = now
+            rate = (done - before) / max(now - started, 1e-9)
+            print(f"dvrk-cmaes: {done} of {total} frames, {rate:.1f} a second", file=sys.stderr, flush=True)
+
+    return report
+
+
+def _lines(done: TrackSummary, out: Path) -> Iterator[Line]:
+    """Yield the lines of a summary."""
+    import numpy as np
+
+    total = sum(done.counts.values())
+    counts = ", ".join(f"{done.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if done.counts.get(name))
+    yield Line(f"{frames_text(total)}: {counts}", "bold")
+    if done.calibration is not None:
+        lag = done.calibration.lag
+        yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
+        offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
+        yield Line(f"offsets at the end, deg (true = reading + offset): {offsets}")
+    yield Line(f"written: {out / 'tracks.jsonl'}")

@@ -1,0 +1,80 @@
+"""Files of a followed recording: tracks.jsonl, a line for each frame, and tracks.csv, the same in columns."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import log_rotation
+from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.files import read_bytes
+
+TRACKS = "tracks.jsonl"
+TABLE = "tracks.csv"
+VIDEO = "tracks.mp4"
+
+_LARGEST = 2_000_000_000  # bytes
+
+
+def line_of(row: dict[str, Any]) -> str:
+    """Return the line of a frame in tracks.jsonl, with its line break."""
+    return json.dumps(row, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def read_tracks(path: Path) -> list[dict[str, Any]]:
+    """Read tracks.jsonl; an incomplete last line, of a run that was killed, is left out.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line is not an object with a frame.
+    """
+    lines = read_bytes(path, expected="followed frames (tracks.jsonl)", largest=_LARGEST).split(b"\n")
+    rows = []
+    for number, line in enumerate(lines[:-1], start=1):
+        try:
+            row = json.loads(line)
+        except ValueError:
+            row = None
+        if not isinstance(row, dict) or "frame" not in row:
+            raise InputError(f"{path}:{number}: expected a JSON object with frame, got something else")
+        rows.append(row)
+    return rows
+
+
+def write_table(path: Path, rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> None:
+    """Write the lines of tracks.jsonl as a table; mm, degrees and seconds, cells without a value empty."""
+    stds = [f"std_{axis}_mm" for axis in "xyz"] + [f"std_r{axis}_deg" for axis in "xyz"]
+    tips = sorted({len(row["tips"]) for row in rows if row["tips"] is not None}, reverse=True)[:1] or [0]
+    header = ["frame", "time", "status", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+    header += [f"{name}_deg" for name in joints] + stds + [f"std_{name}_deg" for name in joints]
+    header += [f"tip_{k + 1}_{axis}_mm" for k in range(tips[0]) for axis in "xyz"] + ["seconds", "reasons"]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(header)
+    for row in rows:
+        table.writerow(_cells(row, joints, tips[0]))
+    write_text(path, text.getvalue())
+
+
+def _cells(row: dict[str, Any], joints: Sequence[str], tips: int) -> list[object]:
+    """Return the cells of one frame."""
+    cells: list[object] = [row["frame"], "" if row["time"] is None else row["time"], row["status"]]
+    if row["camera_from_root"] is None:
+        cells += [""] * (12 + 2 * len(joints) + 3 * tips)
+    else:
+        pose = np.array(row["camera_from_root"])
+        cells += np.round(pose[:3, 3] * 1e3, 4).tolist() + np.round(np.degrees(log_rotation(pose[:3, :3])), 4).tolist()
+        cells += [round(float(np.degrees(row["joints"][name])), 4) for name in joints]
+        std = row["std"]
+        cells += [round(value, 4) for value in (*std["translation_mm"], *std["rotation_deg"])]
+        cells += [round(std["joints_deg"][name], 4) for name in joints]
+        cells += np.round(np.array(row["tips"], dtype=np.float64).ravel() * 1e3, 4).tolist()
+    return [*cells, row["seconds"], "; ".join(row["reasons"])]

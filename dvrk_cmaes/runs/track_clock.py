@@ -1,0 +1,55 @@
+"""Times of a session's images and readings, in the order in which a tracker gets them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.series import ReadingSeries, Unit
+
+FRAMES_A_SECOND: Final = 30.0
+"""Images a second of a session whose images have no times."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackClock:
+    """Times of images and readings in seconds.
+
+    times : of the images, by frame. unit : of the times in the session; where images are only counted, their times
+    follow from the number of images a second. interval : s, between consecutive images. readings : with their times,
+    in order.
+    """
+
+    times: Mapping[str, float]
+    unit: Unit
+    interval: float
+    readings: tuple[tuple[float, dict[str, float]], ...]
+
+    @staticmethod
+    def of(
+        session: Session, frames: Sequence[FrameFiles], frames_a_second: float, *, use_joints: bool = True
+    ) -> TrackClock:
+        """Find the times of frames and readings: the session's own, or else from the order of its frames."""
+        series = session.reading_series()
+        names = [files.name for files in session.frames]
+        if series is None or any(name not in series.frames for name in names):
+            given = session.image_times
+            times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
+            series = ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
+        if series is None:
+            return TrackClock({files.name: 0.0 for files in frames}, "frames", 1 / frames_a_second, ())
+        factor = 1.0 if series.unit == "s" else 1 / frames_a_second
+        rows: dict[float, dict[str, float]] = {}
+        for name, stamps in series.times.items() if use_joints else ():
+            for stamp, value in zip(stamps.tolist(), series.values[name].tolist(), strict=True):
+                rows.setdefault(stamp, {})[name] = value
+        return TrackClock(
+            {files.name: series.frames[files.name] * factor for files in frames},
+            series.unit,
+            series.interval * factor,
+            tuple((stamp * factor, rows[stamp]) for stamp in sorted(rows)),
+        )

@@ -1,0 +1,42 @@
+"""State of a tracker as plain values, from which another tracker goes on with the same results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.track.hypothesis import Hypothesis
+from dvrk_cmaes.track.motion import Anchor
+from dvrk_cmaes.track.state import FilterState
+
+
+def plain_hypothesis(one: Hypothesis) -> dict[str, Any]:
+    """Return a hypothesis as plain values; their text in JSON has all digits."""
+    return {**_plain(one), "state": _plain(one.state), "anchor": _plain(one.anchor)}
+
+
+def _plain(part: object) -> dict[str, Any]:
+    """Return the fields of a dataclass, arrays as lists."""
+    values = {field.name: getattr(part, field.name) for field in fields(part)}  # type: ignore[arg-type]
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+
+
+def read_hypothesis(values: Mapping[str, Any]) -> Hypothesis:
+    """Return the hypothesis of plain values; InputError if they are not those of one."""
+    try:
+        state = FilterState(**{name: np.array(value, dtype=np.float64) for name, value in values["state"].items()})
+        anchor = dict(values["anchor"])
+        arrays = {name: np.array(value) for name, value in anchor.items() if name != "outer_read"}
+        return Hypothesis(
+            state,
+            Anchor(**arrays, outer_read=bool(anchor["outer_read"])),
+            float(values["sigma"]),
+            float(values["score"]),
+            str(values["relation"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError("checkpoint: expected the state of a tracker, got something else") from None
