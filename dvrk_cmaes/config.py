@@ -347,12 +347,12 @@ class TrackConfig:
     support_px: float = 3.0
     sigma_px: float = 0.5
     correlation_px: float = 8.0
-    frame_correlation: float = 5.0
+    frame_correlation: float = 3.0
     outlier_sigmas: float = 2.5
     arm_deg: float = 0.1
     insertion_mm: float = 0.3
-    slack_mm: float = 0.1
-    slack_deg: float = 0.1
+    slack_mm: float = 0.2
+    slack_deg: float = 0.2
     slack_seconds: float = 0.1
     base_drift_mm: float = 0.02
     base_drift_deg: float = 0.01

@@ -26,7 +26,7 @@ def synth(
     /,
     *,
     level: Literal["clean", "easy", "medium", "hard"] = "medium",
-    motion: Literal["free", "rcm"] = "rcm",
+    motion: Literal["free", "rcm", "video"] = "rcm",
     frames: int = 10,
     seed: int = 0,
     images: bool = True,
@@ -42,6 +42,11 @@ def synth(
     they are nearer to the truth than to its mirror twin. Besides masks, images and readings the session has jaw tips
     (keypoints.csv), simulated detections of painted markers (markers.csv), the truth (golden.json) and all parameters
     (synth.json).
+
+    With --motion video the frames are consecutive, 30 a second, of an arm that moves smoothly. Readings have offsets,
+    play and drift; a shadow is taken for the instrument for about a second at a time; images are late at the levels
+    medium (1.5 frames) and hard (2.6), where another shaft and tissue pass before the instrument, too; at the level
+    hard it leaves the view and comes back. Masks, readings and the truth are written.
 
     Without --camera, the camera has 640 x 480 pixels and a focal length of 1026 px.
 
@@ -72,12 +77,13 @@ def synth(
         Level of difficulty. Cite a session by level, motion, seed and version.
     motion
         rcm: an arm moves about its remote centre of motion. free: independent poses, without readings of outer joints.
+        video: consecutive frames of a moving arm, for `track`.
     frames
         Number of frames, 1 to 100000.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
-        Write images as well.
+        Write images as well; a video has none.
     overwrite
         Replace an existing synthetic session.
     camera
@@ -108,6 +114,11 @@ def synth(
         markers=table if painted else {},
         arm=instrument.arm,
     )
-    write_session(out, plan, images=images, overwrite=overwrite)
+    if motion == "video":
+        from dvrk_cmaes.synth.recording import write_recording
+
+        write_recording(out, plan, overwrite=overwrite)
+    else:
+        write_session(out, plan, images=images, overwrite=overwrite)
     show([Line(f"{frames} frames, level {level}, motion {motion}, seed {seed}; written: {out}")])
     return 0

@@ -44,6 +44,7 @@ def track(
     joints: Annotated[str | None, Parameter(group=FOLDER)] = None,
     lag: Annotated[str, Parameter(group=FOLDER)] = "auto",
     fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
+    smooth: Annotated[Flag, Parameter(group=FOLDER)] = False,
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     video: Annotated[bool, Parameter(group=FOLDER)] = True,
     calibration: SessionOption = None,
@@ -55,8 +56,8 @@ def track(
     """Follow an instrument through the consecutive frames of a session, by masks and readings.
 
     The first frame is solved as by `estimate`; the others start from what the readings did since the frame before. No
-    frame's result depends on later frames. A lost instrument is searched for, around the prediction first and then in
-    the whole image. The table [track] of the settings file configures this command.
+    frame's result depends on later frames, unless --smooth is given. A lost instrument is searched for, around the
+    prediction first and then in the whole image. The table [track] of the settings file configures this command.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
     lost, 130 interrupted; the same command then goes on.
@@ -79,6 +80,9 @@ def track(
         Lag of the images behind the readings, in seconds; auto: that of --session, or found while following.
     fps
         Frames a second of a session whose images have no times.
+    smooth
+        Go through the frames forwards twice and then backwards: each frame's result uses all frames, with one base.
+        An interrupted run begins anew.
     resume
         --resume goes on after the last frames of an interrupted run; --overwrite begins anew.
     video
@@ -102,7 +106,8 @@ def track(
     from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.runs.track_folder import TrackSettings, track_folder
+    from dvrk_cmaes.runs.track_folder import track_folder
+    from dvrk_cmaes.runs.track_frames import TrackSettings
 
     target = session / "tracks" if out is None else out
     body = instrument.load()
@@ -116,6 +121,7 @@ def track(
         every,
         joints != "none",
         fps,
+        smooth,
     )
     with stopping_on_interrupt() as stop:
         done = track_folder(found, target, body, settings, resume=resume, video=video, stop=stop, progress=_progress())

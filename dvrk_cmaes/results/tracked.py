@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -22,8 +22,9 @@ class TrackResult:
     than ``ok``. camera_from_root : (4, 4) m; None if lost without a prediction. joints : rad. covariance : (6 + J,
     6 + J) of [tx ty tz rx ry rz] in the root link's axes (m, rad), then of the joints (rad). tips : (K, 3) m, jaw tips
     in the camera. tip_std_mm : standard deviation of the tips, the norm over three axes, mean over the tips; None
-    without tips. camera_from_base : (4, 4) m, None without readings of the outer joints. seconds : of this step.
-    searched : whether the step included a global search.
+    without tips. camera_from_base : (4, 4) m, None without readings of the outer joints. offsets : of roll and the
+    joints, if they were read, rad: true = reading + offset. seconds : of this step. searched : whether the step
+    included a global search.
     """
 
     time: float
@@ -35,6 +36,7 @@ class TrackResult:
     tips: Float64 | None
     tip_std_mm: float | None
     camera_from_base: Float64 | None = None
+    offsets: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     searched: bool = False
 
@@ -57,6 +59,7 @@ class TrackResult:
             "camera_from_root": None if self.camera_from_root is None else rounded_array(self.camera_from_root),
             "joints": rounded_values(self.joints),
             "std": std,
+            "offsets": rounded_values(self.offsets),
             "tips": None if self.tips is None else rounded_array(self.tips),
             "seconds": round(self.seconds, 5),
             "searched": self.searched,

@@ -14,12 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import not_written, write_json, write_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.results.folder import SESSION
@@ -36,7 +33,8 @@ from dvrk_cmaes.runs.manifest import (
     write_manifest,
 )
 from dvrk_cmaes.runs.output import locked
-from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
+from dvrk_cmaes.runs.track_clock import TrackClock
+from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_video import write_video
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
@@ -44,20 +42,6 @@ from dvrk_cmaes.track import Tracker
 
 CHECKPOINT: Final = "checkpoint.json"
 _SAVED_EVERY: Final = 100  # frames
-_SAME_TIME: Final = 1e-9  # s
-
-
-@dataclass(frozen=True, eq=False)
-class TrackSettings:
-    """What is followed and how: as the options of ``dvrk-cmaes track``."""
-
-    config: EstimateConfig
-    arm: Arm = "classic"
-    calibration: SessionCalibration | None = None
-    lag: float | None = None
-    every: int = 1
-    use_joints: bool = True
-    frames_a_second: float = FRAMES_A_SECOND
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +51,29 @@ class TrackSummary:
     counts: dict[str, int]
     interrupted: bool
     calibration: SessionCalibration | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A run of `track_folder`: its inputs, its folder, and where its progress goes."""
+
+    session: Session
+    out: Path
+    body: Body
+    settings: TrackSettings
+    frames: tuple[FrameFiles, ...]
+    clock: TrackClock
+    stop: threading.Event | None
+    progress: Callable[[int, int, TrackResult | None], None]
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run is to end."""
+        return self.stop is not None and self.stop.is_set()
+
+    def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
+        """Return the row of a frame in tracks.jsonl."""
+        return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 
 def track_folder(
@@ -89,7 +96,7 @@ def track_folder(
     out
         Folder of the results.
     resume
-        Go on with the frames that an interrupted run left; if False, begin anew.
+        Go on with the frames that an interrupted run left; if False, begin anew, as smoothing always does.
     video
         Whether to draw the overlay video.
     stop
@@ -115,27 +122,13 @@ def track_folder(
             check_same_settings(out, old, manifest)
             names = list(manifest["frames"])
             check_same_frames(out, old, manifest["frames"], done=names, session=names)
-        tracker = Tracker(
-            session.camera, body, settings.calibration, settings.config, arm=settings.arm, lag=settings.lag
-        )
-        kept = _restored(out, tracker) if old is not None and resume else []
         (out / SESSION).unlink(missing_ok=True)
         write_manifest(out, manifest)
-        rows = [*kept]
-        progress(len(kept), len(frames), None)
-        interrupted = False
-        with _lines(out, kept) as append:
-            for files, result in _followed(tracker, frames, clock, len(kept), session.camera):
-                rows.append(result.to_dict(files.name, timed=clock.unit == "s"))
-                append(rows[-1])
-                progress(len(rows), len(frames), result)
-                interrupted = stop is not None and stop.is_set()
-                if interrupted or len(rows) % _SAVED_EVERY == 0 or len(rows) == len(frames):
-                    write_json(out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
-                if interrupted:
-                    break
+        run = _Run(session, out, body, settings, frames, clock, stop, progress)
+        rows, tracker = _smoothed(run) if settings.smooth else _forwards(run, resume=resume and old is not None)
+        interrupted = len(rows) < len(frames)
         calibration = tracker.calibration(clock.interval, clock.unit)
-        if calibration is not None:
+        if calibration is not None and rows:
             write_json(out / SESSION, calibration.to_dict())
         if not interrupted:
             write_table(out / TABLE, rows, body.instrument.joint_names)
@@ -144,6 +137,47 @@ def track_folder(
                 write_video(out / VIDEO, frames, rows, session.camera, body, frames_a_second=rate)
     counts = Counter(row["status"] for row in rows)
     return TrackSummary(dict(counts), interrupted, calibration)
+
+
+def _forwards(run: _Run, *, resume: bool) -> tuple[list[dict[str, Any]], Tracker]:
+    """Follow all frames, and write each row when it is there; returns the rows so far and the tracker."""
+    tracker = run.settings.tracker(run.session.camera, run.body)
+    rows = _restored(run.out, tracker) if resume else []
+    kept, total = len(rows), len(run.frames)
+    run.progress(kept, total, None)
+    with _lines(run.out, rows) as append:
+        for files, result in followed(tracker, run.frames, run.clock, run.session.camera, done=kept):
+            rows.append(run.row(files, result))
+            append(rows[-1])
+            run.progress(len(rows), total, result)
+            if run.stopped or len(rows) % _SAVED_EVERY == 0 or len(rows) == total:
+                write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
+            if run.stopped:
+                break
+    return rows, tracker
+
+
+def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
+    """Follow all frames twice, the second time with the lag found the first time, and smooth the second pass.
+
+    Returns no rows if the run is stopped.
+    """
+    camera, total = run.session.camera, len(run.frames)
+    run.progress(0, 2 * total, None)
+    first = run.settings.tracker(camera, run.body)
+    for done, (_, result) in enumerate(followed(first, run.frames, run.clock, camera), start=1):
+        run.progress(done, 2 * total, result)
+        if run.stopped:
+            return [], first
+    tracker = run.settings.recording_tracker(camera, run.body, None if first.lag is None else first.lag.seconds)
+    for done, (_, result) in enumerate(followed(tracker, run.frames, run.clock, camera), start=1):
+        run.progress(total + done, 2 * total, result)
+        if run.stopped:
+            return [], tracker
+    rows = [run.row(files, result) for files, result in zip(run.frames, tracker.smoothed(), strict=True)]
+    (run.out / CHECKPOINT).unlink(missing_ok=True)
+    write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
+    return rows, tracker
 
 
 def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settings: TrackSettings) -> Manifest:
@@ -161,6 +195,7 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
         "every": settings.every,
         "joints": settings.use_joints,
         "frames_a_second": settings.frames_a_second,
+        "smooth": settings.smooth,
     }
     return manifest_of(setup, {files.name: frame_digests(files) for files in frames}) | {"track": followed}
 
@@ -194,28 +229,3 @@ def _lines(out: Path, kept: Sequence[dict[str, Any]]) -> Iterator[Callable[[dict
             yield append
     except OSError as error:
         raise not_written(path, error, "results") from None
-
-
-def _followed(
-    tracker: Tracker, frames: Sequence[FrameFiles], clock: TrackClock, done: int, camera: Camera
-) -> Iterator[tuple[FrameFiles, TrackResult]]:
-    """Follow the frames after the first ``done`` ones; readings are given when their time has come."""
-    fed = 0
-    for number, files in enumerate(frames):
-        time = clock.times[files.name]
-        while fed < len(clock.readings) and clock.readings[fed][0] <= time + _SAME_TIME:
-            tracker.add_readings(*clock.readings[fed])
-            fed += 1
-        if number < done:
-            continue
-        if files.mask is None:
-            seen = read_frame_image(files, camera)
-            yield files, tracker.step(time, image=seen.image, ignore=seen.ignore)
-        else:
-            data = read_frame(files, camera, blank=True)
-            if (data.camera.width, data.camera.height) != (camera.width, camera.height):
-                raise InputError(
-                    f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
-                    f"{data.camera.width} x {data.camera.height}"
-                )
-            yield files, tracker.step(time, data.mask, ignore=data.ignore)

@@ -34,7 +34,7 @@ from dvrk_cmaes.synth.truth import Truth, exact_mask
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Motion = Literal["free", "rcm"]
+Motion = Literal["free", "rcm", "video"]
 
 PLAN_FILE: Final = "synth.json"
 """File of a synthetic session's parameters; its presence marks a folder as a synthetic session."""
@@ -74,7 +74,8 @@ class SessionPlan:
     """Parameters of a synthetic session.
 
     body, camera : instrument and camera. level : difficulty.
-    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses.
+    motion : ``rcm`` for an arm that moves about its RCM, ``free`` for independent poses, ``video`` for consecutive
+        frames of a moving arm (see `synth.recording`).
     frames : number of frames. seed : seed of all random numbers.
     markers : markers painted on the instrument, by name; may be empty.
     arm : kinematics of the arm.

@@ -29,14 +29,12 @@ def read_hypothesis(values: Mapping[str, Any]) -> Hypothesis:
     """Return the hypothesis of plain values; InputError if they are not those of one."""
     try:
         state = FilterState(**{name: np.array(value, dtype=np.float64) for name, value in values["state"].items()})
-        anchor = dict(values["anchor"])
-        arrays = {name: np.array(value) for name, value in anchor.items() if name != "outer_read"}
-        return Hypothesis(
-            state,
-            Anchor(**arrays, outer_read=bool(anchor["outer_read"])),
-            float(values["sigma"]),
-            float(values["score"]),
-            str(values["relation"]),
+        plain = values["anchor"]
+        outer, joints, outer_rate, joint_rate = (
+            np.array(plain[name], dtype=np.float64) for name in ("outer", "joints", "outer_rate", "joint_rate")
         )
+        read = np.array(plain["joint_read"], dtype=np.bool_)
+        anchor = Anchor(outer, joints, outer_rate, joint_rate, bool(plain["outer_read"]), read, bool(plain["based"]))
+        return Hypothesis(state, anchor, float(values["sigma"]), float(values["score"]), str(values["relation"]))
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InputError("checkpoint: expected the state of a tracker, got something else") from None

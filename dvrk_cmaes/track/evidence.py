@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 
 _IGNORED_MARGIN = 3  # px around ignored pixels whose edges are not the instrument's
+_MARGIN = 16  # px around the mask; beyond it there is nothing but background
 _BLUR = 1.0  # px, standard deviation; the edge of a blurred mask is found to a fraction of a pixel
 
 
@@ -43,25 +44,27 @@ class MaskEvidence:
 
     def __init__(self, mask: NDArray[np.bool_], ignore: NDArray[np.bool_] | None = None) -> None:
         grey = mask.astype(np.uint8)
-        self._valid: NDArray[np.uint8] | None = None
         if ignore is not None:
             grey[ignore] = 0
+        left, top, width, height = cv2.boundingRect(grey)
+        low = np.maximum(np.array([left, top]) - _MARGIN, 0)
+        high = np.minimum(np.array([left + width, top + height]) + _MARGIN, mask.shape[::-1])
+        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        self._origin = low.astype(np.float64)
+        self._mask = np.ascontiguousarray(grey[window])
+        self._valid: NDArray[np.uint8] | None = None
+        if ignore is not None:
             kernel = np.ones((2 * _IGNORED_MARGIN + 1,) * 2, np.uint8)
-            self._valid = np.asarray(cv2.dilate(ignore.astype(np.uint8), kernel) == 0, np.uint8)
-        self._mask = grey
-        self._blurred = cv2.GaussianBlur(grey * np.uint8(255), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
-
-    @property
-    def area(self) -> int:
-        """Number of the mask's pixels."""
-        return int(np.count_nonzero(self._mask))
+            dilated = cv2.dilate(ignore.astype(np.uint8), kernel)
+            self._valid = np.asarray(dilated[window] == 0, np.uint8)
+        self._blurred = cv2.GaussianBlur(self._mask * np.uint8(255), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
 
     def distances(self, pixels: Float64, normals: Float64, reach: float) -> EdgeDistances:
         """Measure how far outline points (N, 2) lie outside the mask."""
         count = int(np.ceil(reach))
         along = np.arange(-count, count + 1, dtype=np.float32)
-        u = (pixels[:, :1] + normals[:, :1] * along).astype(np.float32)
-        v = (pixels[:, 1:] + normals[:, 1:] * along).astype(np.float32)
+        at = (pixels - self._origin).astype(np.float32)
+        u, v = (at[:, k : k + 1] + normals[:, k : k + 1].astype(np.float32) * along for k in (0, 1))
         profile = cv2.remap(self._blurred, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
         inside = profile >= 127.5
         edge = inside[:, :-1] & ~inside[:, 1:]
@@ -71,7 +74,7 @@ class MaskEvidence:
         rows = np.arange(len(pixels))
         found = away[rows, nearest] <= reach
         if self._valid is not None:
-            inner = np.clip(np.rint(pixels), 0, np.array(self._valid.shape[::-1]) - 1).astype(np.intp)
+            inner = np.clip(np.rint(at), 0, np.array(self._valid.shape[::-1]) - 1).astype(np.intp)
             found &= self._valid[inner[:, 1], inner[:, 0]] > 0
         return EdgeDistances(np.where(found, -place[rows, nearest], 0.0).astype(np.float64), found)
 
@@ -86,7 +89,7 @@ class MaskEvidence:
             return 1.0
         height, width = edge.shape
         drawn = np.zeros_like(edge)
-        index = np.rint(pixels).astype(np.intp)
+        index = np.rint(pixels - self._origin).astype(np.intp)
         index = index[((index >= 0) & (index < [width, height])).all(axis=1)]
         drawn[index[:, 1], index[:, 0]] = 1
         near = cv2.dilate(drawn, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))

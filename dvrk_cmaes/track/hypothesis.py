@@ -64,9 +64,10 @@ class Follower:
         """The instrument that is followed."""
         return self.model.instrument
 
-    def predicted(self, one: Hypothesis, anchor: Anchor, elapsed: float, lag_std: float) -> Hypothesis:
-        """Predict a hypothesis for later readings."""
-        return replace(one, state=self.motion.predict(one.state, one.anchor, anchor, elapsed, lag_std), anchor=anchor)
+    def predicted(self, one: Hypothesis, anchor: Anchor, elapsed: float, lag_std: float) -> tuple[Hypothesis, Float64]:
+        """Predict a hypothesis for later readings; returns the transition of its state's error, (D, D), too."""
+        state, transition = self.motion.predict(one.state, one.anchor, anchor, elapsed, lag_std)
+        return replace(one, state=state, anchor=anchor), transition
 
     def corrected(self, one: Hypothesis, evidence: OutlineEvidence) -> tuple[Hypothesis, Fit] | None:
         """Correct a predicted hypothesis by an image; None if its outline is not in the image."""

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.track.hypothesis import Hypothesis, Located
+from dvrk_cmaes.track.hypothesis import Located
 from dvrk_cmaes.track.update import Fit
 
 
@@ -20,13 +16,6 @@ def is_supported(fit: Fit, config: TrackConfig) -> bool:
 def is_convincing(fit: Fit, config: TrackConfig) -> bool:
     """Whether an image supports a pose so well that no other is to be searched for."""
     return fit.supported >= config.good_support and fit.unexplained <= config.good_unexplained
-
-
-def probabilities(hypotheses: Sequence[Hypothesis]) -> list[float]:
-    """Return the probabilities of the hypotheses from their scores."""
-    scores = np.array([one.score for one in hypotheses])
-    shares = np.exp(-np.clip(scores - scores.min(), 0, 500))
-    return list((shares / shares.sum()).tolist())
 
 
 def doubts_of_fit(fit: Fit, config: TrackConfig) -> list[str]:

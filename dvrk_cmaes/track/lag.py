@@ -27,7 +27,7 @@ _LEAST = 12  # poses before the first search
 _EVERY = 6  # poses between searches
 _SIGMA = np.array([3e-4, 3e-4, 6e-4, 5e-3, 5e-3])  # m and rad, least of a pose along its axes and of its z axis
 _AROUND = 3  # steps of the grid on either side of the best one, through which a parabola is laid
-_TOGETHER = 4.0  # consecutive poses that count as one, since their errors are alike
+_TOGETHER = 12.0  # consecutive poses that count as one, since their errors are alike
 _LARGEST_STD = 0.012  # s, above which a lag is not determined
 _LEAST_GAIN = 8.0  # of the sum of squares, from the ends of the grid to the best lag
 

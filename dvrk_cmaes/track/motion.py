@@ -24,7 +24,8 @@ class Anchor:
     """Readings on which a state's pose is based: ``outer`` (4,), ``joints`` (J,), and their rates per second.
 
     A joint without a reading keeps its last value, and what it does since is part of the state. ``outer_read`` and
-    ``joint_read`` (J,) tell which were read.
+    ``joint_read`` (J,) tell which were read, ``based`` whether the outer joints ever were, so that the base is the
+    arm's.
     """
 
     outer: Float64
@@ -33,6 +34,7 @@ class Anchor:
     joint_rate: Float64
     outer_read: bool
     joint_read: NDArray[np.bool_]
+    based: bool = False
 
     @staticmethod
     def none(joints: int) -> Anchor:
@@ -50,6 +52,7 @@ class Anchor:
             np.where(joint_read, reading.joint_rate, 0.0),
             outer_read,
             joint_read,
+            self.based or outer_read,
         )
 
 
@@ -68,25 +71,32 @@ class MotionModel:
     def _base_from_root(self, outer: Float64) -> Float64:
         return base_from_root(outer, self._arm, roll_offset=self._roll_offset)
 
-    def pose(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64]:
-        """Return the root's pose in the camera (4, 4) and the joints (J,) of a state."""
+    def _corrected(self, state: FilterState, anchor: Anchor) -> Float64:
+        """Return the outer readings (4,) with the offset of roll."""
         outer = anchor.outer.copy()
         outer[_ROLL] += state.offsets[0]
-        return state.camera_from_base @ self._base_from_root(outer) @ state.slack, anchor.joints + state.offsets[1:]
+        return outer
+
+    def pose(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64]:
+        """Return the root's pose in the camera (4, 4) and the joints (J,) of a state."""
+        root = self._base_from_root(self._corrected(state, anchor))
+        return state.camera_from_base @ root @ state.slack, anchor.joints + state.offsets[1:]
 
     def loadings(self, state: FilterState, anchor: Anchor) -> Float64:
         """Return the derivative (6 + J, D) of the small changes of pose and joints by the errors of the state."""
+        return self.linearised(state, anchor)[2]
+
+    def linearised(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64, Float64]:
+        """Return pose and joints of a state as `pose` does, and their `loadings`."""
         at, count = self._at, self._at.joints
-        outer = anchor.outer.copy()
-        outer[_ROLL] += state.offsets[0]
-        root = self._base_from_root(outer)
+        root = self._base_from_root(self._corrected(state, anchor))
         out = np.zeros((6 + count, at.size))
         from_slack = inverse(state.slack)
         out[:6, at.base] = adjoint(from_slack @ inverse(root))
         out[:6, at.roll] = adjoint(from_slack)[:, 5]
         out[:6, at.slack] = np.eye(6)
         out[6:, at.offsets] = np.eye(count)
-        return out
+        return state.camera_from_base @ root @ state.slack, anchor.joints + state.offsets[1:], out
 
     def slack_covariance(self, state: FilterState, anchor: Anchor, lag_std: float) -> Float64:
         """Return the covariance (6, 6) of what readings of the outer joints do not explain of the root's pose.
@@ -94,8 +104,7 @@ class MotionModel:
         ``lag_std``, s, is the standard deviation of the lag.
         """
         c = self._config
-        outer = anchor.outer.copy()
-        outer[_ROLL] += state.offsets[0]
+        outer = self._corrected(state, anchor)
         ends = self._base_from_root(np.concatenate([outer + _STEP * np.eye(4), outer[None]]))
         loadings = _small_change(ends[4], ends[:4]) / _STEP
         loadings *= np.array([*[np.deg2rad(c.arm_deg)] * 2, c.insertion_mm * 1e-3, 0.0])[:, None]
@@ -105,8 +114,11 @@ class MotionModel:
 
     def predict(
         self, state: FilterState, before: Anchor, anchor: Anchor, elapsed: float, lag_std: float
-    ) -> FilterState:
-        """Return the state after ``elapsed`` s, in which the readings went from one anchor to the next."""
+    ) -> tuple[FilterState, Float64]:
+        """Return the state after ``elapsed`` s, in which the readings went from one anchor to the next.
+
+        The derivative (D, D) of its error by that of the state before is returned, too.
+        """
         at, c = self._at, self._config
         transition = np.eye(at.size)
         noise = np.zeros((at.size, at.size))
@@ -115,7 +127,8 @@ class MotionModel:
         drift = np.deg2rad(c.offset_drift_deg) ** 2 * elapsed
         play = np.deg2rad(c.offset_play_deg)
         diagonal[at.roll] = drift + play * abs(anchor.outer[_ROLL] - before.outer[_ROLL])
-        diagonal[at.offsets] = drift + play * np.abs(anchor.joints - before.joints)
+        again = anchor.joint_read & ~before.joint_read
+        diagonal[at.offsets] = drift + play * np.where(again, 0.0, np.abs(anchor.joints - before.joints))
         late = lag_std**2
         diagonal[at.roll] += late * (anchor.outer_rate[_ROLL] - before.outer_rate[_ROLL]) ** 2
         diagonal[at.offsets] += late * (anchor.joint_rate - before.joint_rate) ** 2
@@ -125,6 +138,8 @@ class MotionModel:
         pose_rate = np.arange(at.rate.start, at.rate.start + 6)
         slack, rate, offsets = state.slack, state.rate.copy(), state.offsets.copy()
         unread = ~anchor.joint_read
+        # a joint that is read again stays where it is
+        offsets[1:] += np.where(again, before.joints - anchor.joints, 0.0)
         offsets[1:] += np.where(unread, along * rate[6:], 0.0)
         offset_index = np.arange(at.offsets.start, at.offsets.stop)
         transition[offset_index[unread], joint_rate[unread]] = along
@@ -134,7 +149,8 @@ class MotionModel:
         diagonal[offset_index[unread]] += wide * elapsed**3 / 3
         rate[6:] *= np.where(unread, keep, 0.0)
         if anchor.outer_read:
-            stay = float(np.exp(-elapsed / c.slack_seconds))
+            # where the outer joints are read again, the pose follows from the base
+            stay = float(np.exp(-elapsed / c.slack_seconds)) if before.outer_read else 0.0
             slack = moved(np.eye(4), stay * change_between(np.eye(4), slack))
             transition[at.slack, at.slack] = stay * np.eye(6)
             noise[at.slack, at.slack] = (1 - stay**2) * self.slack_covariance(state, anchor, lag_std)
@@ -153,7 +169,8 @@ class MotionModel:
             diagonal[at.slack] += own * elapsed**3 / 3
             rate[:6] *= keep
         covariance = transition @ state.covariance @ transition.T + noise
-        return replace(state, offsets=offsets, slack=slack, rate=rate, covariance=(covariance + covariance.T) / 2)
+        covariance = (covariance + covariance.T) / 2
+        return replace(state, offsets=offsets, slack=slack, rate=rate, covariance=covariance), transition
 
 
 def _small_change(pose: Float64, other: Float64) -> Float64:

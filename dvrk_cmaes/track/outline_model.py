@@ -14,6 +14,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
 
+_DRAWN_WIDTH = 320  # px; the points of an outline that is drawn this wide are as exact as those of a larger one
 _BORDER = 2.0  # px from the image's border; points closer to it are not used
 _STEP = 1e-5  # m and rad, of central differences
 _NEAREST = 1e-3  # m, least depth of a point
@@ -47,17 +48,21 @@ class OutlineModel:
     """Draws the outlines of an instrument in a camera and computes the motion of their points."""
 
     def __init__(self, body: Body, camera: Camera, points: int) -> None:
-        self.renderer = Renderer(body, camera, threads=1)
+        shrink = max(camera.width // _DRAWN_WIDTH, 1)
+        small = camera.scaled(max(camera.width // shrink, 1), max(camera.height // shrink, 1))
+        self._renderer = Renderer(body, small, threads=1)
+        self._scale = np.array([camera.width / small.width, camera.height / small.height])
         self.camera = camera
         self.instrument = body.instrument
         self._points = points
 
     def draw(self, pose: Float64, joints: Float64) -> Rim | None:
         """Find the outline of a pose (4, 4) and joints (J,); None where too little of it is in the image."""
-        outline = self.renderer.outlines(pose[None], joints[None])
+        outline = self._renderer.outlines(pose[None], joints[None])
         lengths = np.linalg.norm(outline.normals, axis=1)
+        pixels = (outline.pixels + 0.5) * self._scale - 0.5
         high = np.array([self.camera.width, self.camera.height]) - 1 - _BORDER
-        inside = ((outline.pixels > _BORDER) & (outline.pixels < high)).all(axis=1) & (lengths > 0)
+        inside = ((pixels > _BORDER) & (pixels < high)).all(axis=1) & (lengths > 0)
         index = np.flatnonzero(inside)
         if len(index) < 8:
             return None
@@ -69,9 +74,24 @@ class OutlineModel:
             outline.link[chosen].astype(np.intp),
             outline.points[chosen],
             outline.normals[chosen] / length[:, None],
-            length * every,
-            outline.pixels[inside],
+            length * every * float(self._scale.mean()),
+            pixels[inside],
         )
+
+    def place(self, rim: Rim, pose: Float64, joints: Float64) -> Float64 | None:
+        """Project a rim's points at a pose (4, 4) and joints (J,), (N, 2); None if one is behind the camera."""
+        seen = apply(pose, self._in_root(rim, joints[None])[0])
+        return None if seen[:, 2].min() < _NEAREST else np.asarray(self.camera.project(seen))
+
+    def _in_root(self, rim: Rim, joints: Float64) -> Float64:
+        """Compute a rim's points in the root's frame for C joint values (C, J), (C, N, 3)."""
+        links = self.instrument.forward(joints)
+        edges = np.searchsorted(rim.link, np.arange(links.shape[1] + 1))
+        found = np.empty((len(joints), len(rim.points), 3))
+        for link, (begin, end) in enumerate(pairwise(edges)):
+            rotation = links[:, link, :3, :3].swapaxes(-1, -2)
+            found[:, begin:end] = rim.points[begin:end] @ rotation + links[:, link, None, :3, 3]
+        return found
 
     def project(self, rim: Rim, pose: Float64, joints: Float64) -> Projected | None:
         """Project a rim's points at a pose (4, 4) and joints (J,); None if one of them is not in front of the camera.
@@ -80,12 +100,7 @@ class OutlineModel:
         """
         count = len(joints)
         bent = np.concatenate([joints[None], joints + _STEP * np.eye(count), joints - _STEP * np.eye(count)])
-        links = self.instrument.forward(bent)
-        edges = np.searchsorted(rim.link, np.arange(links.shape[1] + 1))
-        in_root = np.empty((len(bent), len(rim.points), 3))
-        for link, (begin, end) in enumerate(pairwise(edges)):
-            rotation = links[:, link, :3, :3].swapaxes(-1, -2)
-            in_root[:, begin:end] = rim.points[begin:end] @ rotation + links[:, link, None, :3, 3]
+        in_root = self._in_root(rim, bent)
         at = in_root[0]
         seen = apply(pose, at)
         if seen[:, 2].min() < _NEAREST:

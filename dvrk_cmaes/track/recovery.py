@@ -24,6 +24,9 @@ from dvrk_cmaes.track.update import Fit
 Float64 = NDArray[np.float64]
 
 _WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
+_SEARCH_AFTER = 2  # images without support before a global search
+_MOST_WAIT = 32  # images between global searches
+_CLEARLY = 0.1  # difference of the shares of supported outline less unexplained edges
 _HELD = (3e-3, 0.08, 0.2, 0.2)
 
 
@@ -77,3 +80,24 @@ class GlobalSearch:
             )
         except InputError:
             return None
+
+
+@dataclass
+class Searching:
+    """When to search globally: images without support so far, and how many there must be for the next search."""
+
+    unsupported: int = 0
+    wait: int = _SEARCH_AFTER
+
+    def missed(self) -> bool:
+        """Count an image without support; return whether to search in it."""
+        self.unsupported += 1
+        if self.unsupported < self.wait:
+            return False
+        self.wait = min(2 * self.wait, self.wait + _MOST_WAIT)
+        return True
+
+
+def is_better(fit: Fit, other: Fit) -> bool:
+    """Whether a fit is clearly better supported than another."""
+    return fit.supported - fit.unexplained > other.supported - other.unexplained + _CLEARLY

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import change_between, moved
 
 Float64 = NDArray[np.float64]
 
@@ -77,3 +77,13 @@ class FilterState:
             slack=moved(self.slack, step[at.slack]),
             rate=self.rate + step[at.rate],
         )
+
+    def difference(self, other: FilterState) -> Float64:
+        """Return the error (D,) that changes the mean into another state's."""
+        parts = [
+            change_between(self.camera_from_base, other.camera_from_base),
+            other.offsets - self.offsets,
+            change_between(self.slack, other.slack),
+            other.rate - self.rate,
+        ]
+        return np.concatenate(parts)

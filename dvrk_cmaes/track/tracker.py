@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,43 +23,26 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
+from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.evidence import MaskEvidence, OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
-from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported, probabilities
+from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
+from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported
 from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
+from dvrk_cmaes.track.modes import decide, pruned
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
-from dvrk_cmaes.track.recovery import GlobalSearch, search_around
+from dvrk_cmaes.track.recovery import GlobalSearch, Searching, is_better, search_around
+from dvrk_cmaes.track.smoother import FilterStep, Recorder
 from dvrk_cmaes.track.start import calibrated_state, placed, unknown_state
 from dvrk_cmaes.track.update import Fit
 
 Float64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-_SEARCH_AFTER = 2  # images without support before a global search
-_MOST_WAIT = 32  # images between global searches
 _SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
 _FROZEN = (5e-4, 1e-2, 5e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
-_LEAST_GAP = 7.0  # difference of scores beyond which a hypothesis is dropped
-_LEAST_PROBABILITY = 0.9  # of the best hypothesis for a mode to be decided
-
-
-@dataclass
-class _Searching:
-    """When to search globally: images without support so far, and how many to wait for between searches."""
-
-    unsupported: int = 0
-    wait: int = _SEARCH_AFTER
-
-    def missed(self) -> bool:
-        """Count an image without support; return whether to search in it."""
-        self.unsupported += 1
-        if self.unsupported < self.wait:
-            return False
-        self.wait = min(2 * self.wait, self.wait + _MOST_WAIT)
-        return True
 
 
 class Tracker:
@@ -83,6 +65,8 @@ class Tracker:
     lag
         Lag of the images behind the readings, s; if it is not given, it is that of the calibration, or it is found
         while following.
+    record
+        Keep what `smoothed` needs of every image; memory then grows with the recording.
     """
 
     def __init__(
@@ -94,6 +78,7 @@ class Tracker:
         *,
         arm: Arm = "classic",
         lag: float | None = None,
+        record: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
@@ -116,8 +101,10 @@ class Tracker:
         self._solve = GlobalSearch(body, camera, settings, calibration)
         self._time: float | None = None
         self._hypotheses: list[Hypothesis] = []
-        self._search = _Searching()
-        self._last_image: int | None = None
+        self._search = Searching()
+        self._images = ImageCheck(camera, track.black_level)
+        self._recorder = Recorder() if record else None
+        self._step: FilterStep | None = None
 
     @property
     def lag(self) -> FoundLag | None:
@@ -158,7 +145,7 @@ class Tracker:
             "lag": [self._lag.seconds, self._lag.std],
             "lags": self._lags.checkpoint(),
             "search": [self._search.unsupported, self._search.wait],
-            "last_image": self._last_image,
+            "last_image": self._images.last,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -174,8 +161,8 @@ class Tracker:
             self._hypotheses = [read_hypothesis(one) for one in saved["hypotheses"]]
             self._lag = FoundLag(*(float(value) for value in saved["lag"]))
             self._lags.restore(saved["lags"])
-            self._search = _Searching(*(int(value) for value in saved["search"]))
-            self._last_image = None if saved["last_image"] is None else int(saved["last_image"])
+            self._search = Searching(*(int(value) for value in saved["search"]))
+            self._images.last = None if saved["last_image"] is None else int(saved["last_image"])
         except (KeyError, TypeError, ValueError):
             raise InputError("checkpoint: expected the state of a tracker, got something else") from None
 
@@ -233,47 +220,35 @@ class Tracker:
         started = clock.perf_counter()
         self._check_time(time)
         for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
-            self._check_size(name, array)
-        problem = self._problem(mask, image, ignore)
-        same = self._is_same(mask)
+            self._images.check_size(name, array)
+        problem = self._images.problem(mask, image, ignore)
+        same = self._images.is_same(mask)
         if not self._hypotheses:
             result = self._first(time, mask, ignore, problem)
         else:
             result = self._follow(time, mask, ignore, problem, same)
         self._time = time
-        return replace(result, seconds=clock.perf_counter() - started)
+        result = replace(result, seconds=clock.perf_counter() - started)
+        if self._recorder is not None:
+            self._recorder.add(self._step, self._hypotheses[0] if self._hypotheses else None, result)
+        return result
+
+    def smoothed(self) -> list[TrackResult]:
+        """Return the results of all images given all images; status and reasons stay as they were.
+
+        Raises
+        ------
+        InputError
+            The tracker does not record.
+        """
+        if self._recorder is None:
+            raise InputError("smoothed: expected a tracker that records, got one without record=True")
+        return self._recorder.smoothed(self._follower)
 
     def _check_time(self, time: float) -> None:
         if not np.isfinite(time) or (self._time is not None and time <= self._time):
             after = "" if self._time is None else f" later than {self._time:g} s"
             raise InputError(f"time: expected a finite number of seconds{after}, got {time}")
-
-    def _check_size(self, name: str, array: NDArray[np.bool_] | NDArray[np.uint8] | None) -> None:
-        expected = (self._camera.height, self._camera.width)
-        if array is not None and array.shape[:2] != expected:
-            raise InputError(
-                f"{name}: expected {expected[1]} x {expected[0]} pixels as the camera has, got an array of shape "
-                f"{array.shape}"
-            )
-
-    def _problem(self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None) -> str | None:
-        """Return why an image says nothing about the pose; None if it may."""
-        if image is not None and int(image.max()) < self._config.track.black_level:
-            return "black image: nothing can be seen"
-        if mask is None:
-            return "no mask: the pose is predicted"
-        counted = mask if ignore is None else mask & ~ignore
-        if not counted.any():
-            return "empty mask: the instrument is not in view"
-        if (counted if ignore is None else counted | ignore).all():
-            return "full mask: no edge can be seen"
-        return None
-
-    def _is_same(self, mask: Mask | None) -> bool:
-        """Whether a mask is that of the image before, to the last pixel."""
-        before = self._last_image
-        self._last_image = None if mask is None else crc32(np.packbits(mask).tobytes())
-        return mask is not None and self._last_image == before
 
     def _moved(self, before: Hypothesis, predicted: Hypothesis) -> bool:
         """Whether the readings moved the instrument so far between two images that their masks must differ."""
@@ -283,10 +258,8 @@ class Tracker:
         pose, joints = motion.pose(before.state, before.anchor)
         moved, bent = motion.pose(predicted.state, predicted.anchor)
         change = np.abs(change_between(pose, moved))
-        far = max(
-            change[:3].max() / _FROZEN[0], change[3:5].max() / _FROZEN[1], np.abs(bent - joints).max() / _FROZEN[2]
-        )
-        return bool(far > 1)
+        parts = (change[:3], change[3:5], np.abs(bent - joints))
+        return any(bool((part > most).any()) for part, most in zip(parts, _FROZEN, strict=True))
 
     def _anchor(self, time: float) -> Anchor:
         """Return the readings at the time of an image less the lag, based on those before."""
@@ -303,10 +276,10 @@ class Tracker:
     def _first(self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None) -> TrackResult:
         """Solve the first image by itself."""
         if problem is not None or mask is None:
-            return _without_pose(time, (problem or "no mask",))
+            return without_pose(time, problem or "no mask")
         result = self._solve(mask, ignore, self._readings(self._anchor(time)))
         if result is None or result.camera_from_root is None:
-            return _without_pose(time, ("not found: the first image could not be solved",), searched=True)
+            return without_pose(time, "not found: the first image could not be solved", searched=True)
         self._begin(time, result)
         status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
         return replace(self._result(time, status, result.reasons), searched=True)
@@ -333,77 +306,83 @@ class Tracker:
             else:
                 one = replace(one, state=placed(blank, motion, anchor, pose, values, result.covariance))
             found.append(one)
-        self._hypotheses = self._pruned(found)
-        self._search = _Searching()
+        self._hypotheses = pruned(found)
+        self._search = Searching()
         self._lags.clear()
+        self._step = None
         self._time = time
-
-    def _pruned(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """Drop improbable hypotheses; the first one stays first until another is clearly better."""
-        best = min(one.score for one in hypotheses)
-        return [replace(one, score=one.score - best) for one in hypotheses if one.score - best < _LEAST_GAP]
 
     def _follow(
         self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None, same: bool
     ) -> TrackResult:
         """Predict all hypotheses and correct them by the image."""
         assert self._time is not None
-        anchor, before = self._anchor(time), self._hypotheses
+        anchor = self._anchor(time)
+        before = [self._anchored(one, anchor) for one in self._hypotheses]
         elapsed = time - self._time
-        self._hypotheses = [self._follower.predicted(one, anchor, elapsed, self._lag.std) for one in before]
+        predictions = [self._follower.predicted(one, anchor, elapsed, self._lag.std) for one in before]
+        self._hypotheses = [one for one, _ in predictions]
+        first, transition = predictions[0]
+        self._step = FilterStep(first.state, transition, first.state, anchor)
         if problem is None and same and self._moved(before[0], self._hypotheses[0]):
-            problem = "frozen image: the mask is that of the image before, but the arm moved"
+            problem = FROZEN
         if problem is not None or mask is None:
-            return self._unsupported(time, (problem or "no mask",))
+            empty = mask is not None and problem != FROZEN
+            return (self._unsupported if empty else self._unseen)(time, problem or "no mask")
         evidence = MaskEvidence(mask, ignore)
         fits = [self._follower.corrected(one, evidence) for one in self._hypotheses]
         main = fits[0]
         if main is None or not is_convincing(main[1], self._config.track):
             around = search_around(self._follower, before[0], self._hypotheses[0], evidence)
-            if around is not None and (main is None or _better(around[1], main[1])):
+            if around is not None and (main is None or is_better(around[1], main[1])):
                 main = fits[0] = around
+                self._step = None
         if main is None or not is_supported(main[1], self._config.track):
             if self._search.missed():
                 return self._searched(time, anchor, mask, ignore, evidence)
-            return self._unsupported(time, ("lost: the mask's edges do not support the predicted outline",))
+            return self._unsupported(time, "lost: the mask's edges do not support the predicted outline")
         return self._supported(time, [one for one in fits if one is not None])
 
     def _supported(self, time: float, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
         """Keep the corrected hypotheses, decide between them, and judge the best one."""
-        track = self._config.track
-        reasons: list[str] = []
-        kept = self._pruned([one for one, _ in fits])
-        chances = probabilities(kept)
-        best = int(np.argmax(chances))
-        switched = kept[0].relation != fits[0][0].relation or (best != 0 and chances[best] > _LEAST_PROBABILITY)
-        if best and switched:
-            kept.insert(0, kept.pop(best))
-            chances.insert(0, chances.pop(best))
-        if switched:
-            reasons.append(f"switched to the {kept[0].relation or 'first mode'}: it explains the images better")
+        track, decision = self._config.track, decide(fits)
+        self._hypotheses, fit = decision.kept, decision.fit
+        reasons = [*decision.reasons, *doubts_of_fit(fit, track)]
+        if decision.switched:
+            self._step = None
             self._lags.clear()
-        self._hypotheses = kept
-        if len(kept) > 1 and chances[0] < _LEAST_PROBABILITY:
-            reasons.append(f"mode undecided: the {kept[1].relation or 'first mode'} explains the images nearly as well")
-        fit = next(fit for one, fit in fits if one.relation == kept[0].relation)
-        reasons += doubts_of_fit(fit, track)
         if is_convincing(fit, track):
             self._find_lag(time)
             if self._search.unsupported:
                 reasons.append("found again: one image supports the pose so far")
-            self._search = _Searching()
+            self._search = Searching()
         return self._result(time, "doubtful" if reasons else "ok", tuple(reasons))
 
-    def _unsupported(self, time: float, reasons: tuple[str, ...]) -> TrackResult:
+    def _unsupported(self, time: float, reason: str) -> TrackResult:
         """Return the prediction of an image that does not support it."""
-        return self._result(time, "lost", reasons)
+        return self._result(time, "lost", (reason,))
+
+    def _unseen(self, time: float, reason: str) -> TrackResult:
+        """Return the prediction of an image in which nothing can be seen; doubtful as long as it is certain."""
+        found = self._result(time, "doubtful", (reason,))
+        certain = found.tip_std_mm is None or found.tip_std_mm <= self._config.track.largest_tip_mm
+        return found if certain else replace(found, status="lost")
+
+    def _anchored(self, one: Hypothesis, anchor: Anchor) -> Hypothesis:
+        """Return a hypothesis that is based on the arm, whose outer joints are read for the first time."""
+        if one.anchor.based or not anchor.outer_read:
+            return one
+        located, motion = self._follower.located(one), self._follower.motion
+        blank = unknown_state(self._config, motion, anchor, self._names, self._lag.std)
+        state = placed(blank, motion, anchor, located.camera_from_root, located.joints, located.covariance)
+        return replace(one, state=state, anchor=anchor)
 
     def _searched(
         self, time: float, anchor: Anchor, mask: Mask, ignore: Mask | None, evidence: OutlineEvidence
     ) -> TrackResult:
         """Search an image globally, and go on from what is found if the image supports it."""
         result = self._solve(mask, ignore, self._readings(anchor))
-        lost = replace(self._unsupported(time, ("lost: a global search found nothing",)), searched=True)
+        lost = replace(self._unsupported(time, "lost: a global search found nothing"), searched=True)
         if result is None or result.camera_from_root is None or result.covariance is None:
             return lost
         main = self._hypotheses[0]
@@ -420,6 +399,7 @@ class Tracker:
             if corrected is None or not is_supported(corrected[1], self._config.track):
                 return lost
             self._hypotheses = [corrected[0]]
+            self._step = None
         elif result.status == "ok":
             self._begin(time, result)
             reason += ", away from where the readings say: readings jumped, or the base moved"
@@ -447,24 +427,5 @@ class Tracker:
         doubts = tuple(doubts_of_pose(located, self._camera, self._config.track))
         if status == "ok" and doubts:
             status = "doubtful"
-        return TrackResult(
-            time=time,
-            status=status,
-            reasons=(*reasons, *doubts) if status != "ok" else (),
-            camera_from_root=located.camera_from_root,
-            joints=dict(zip(self._names, located.joints.tolist(), strict=True)),
-            covariance=located.covariance,
-            tips=located.tips,
-            tip_std_mm=located.tip_std * 1e3 if len(located.tips) else None,
-            camera_from_base=self.camera_from_base,
-        )
-
-
-def _better(fit: Fit, other: Fit) -> bool:
-    """Whether a fit is clearly better supported than another."""
-    return fit.supported - fit.unexplained > other.supported - other.unexplained + 0.1
-
-
-def _without_pose(time: float, reasons: tuple[str, ...], *, searched: bool = False) -> TrackResult:
-    """Return the result of an image before the first pose."""
-    return TrackResult(time, "lost", reasons, None, {}, None, None, None, searched=searched)
+        found = TrackResult(time, status, (*reasons, *doubts) if status != "ok" else (), None, {}, None, None, None)
+        return described(self._follower, best, found, located)

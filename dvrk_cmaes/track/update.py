@@ -11,7 +11,7 @@ from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.evidence.joint_prior import LIMIT_SIGMA
 from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel, Projected, Rim
+from dvrk_cmaes.track.outline_model import OutlineModel, Rim
 from dvrk_cmaes.track.state import FilterState
 
 Float64 = NDArray[np.float64]
@@ -83,20 +83,18 @@ class OutlineUpdate:
                 found = self._linearised(state, anchor, evidence, rim, sigma, spread_of)
                 if found is None:
                     return None
-                information, slope, _ = found
+                information, slope = found
                 system = eye + prior.covariance @ information
                 step = np.asarray(np.linalg.solve(system, -prior.covariance @ slope - off), dtype=np.float64)
                 state, off = state.changed(step), np.asarray(off + step, dtype=np.float64)
             spread_of = np.asarray(np.linalg.solve(system, prior.covariance), dtype=np.float64)
-        found = self._linearised(state, anchor, evidence, rim, sigma, spread_of)
-        if found is None:
+        pixels = self._model.place(rim, *self._motion.pose(state, anchor))
+        if pixels is None:
             return None
-        information, _, residuals = found
-        system = eye + prior.covariance @ information
-        covariance = np.linalg.solve(system, prior.covariance)
+        covariance = (spread_of + spread_of.T) / 2
+        residuals = self._residuals(pixels, rim, evidence, sigma, c.outlier_sigmas * sigma)
         cost = 0.5 * (residuals.cost + self._deviation(off, prior.covariance) + float(np.linalg.slogdet(system)[1]))
-        fit = self._fit(residuals, evidence, rim, cost)
-        return Updated(replace(state, covariance=(covariance + covariance.T) / 2), fit)
+        return Updated(replace(state, covariance=covariance), self._fit(residuals, evidence, rim, cost))
 
     @staticmethod
     def _deviation(off: Float64, covariance: Float64) -> float:
@@ -113,34 +111,34 @@ class OutlineUpdate:
         rim: Rim,
         sigma: float,
         covariance: Float64,
-    ) -> tuple[Float64, Float64, _Residuals] | None:
-        """Return information (D, D) and slope (D,) of the evidence at a state, and the residuals."""
+    ) -> tuple[Float64, Float64] | None:
+        """Return information (D, D) and slope (D,) of the evidence at a state."""
         c = self._config
-        pose, joints = self._motion.pose(state, anchor)
+        pose, joints, loadings = self._motion.linearised(state, anchor)
         seen = self._model.project(rim, pose, joints)
         if seen is None:
             return None
-        loadings = self._motion.loadings(state, anchor)
-        residuals = self._residuals(seen, rim, evidence, sigma, loadings @ covariance @ loadings.T)
+        effect = seen.jacobian @ loadings
+        expected = np.einsum("nd,nd->n", effect @ covariance, effect)
+        width = c.outlier_sigmas * np.sqrt(sigma**2 + np.minimum(expected, c.reach_px**2))
+        residuals = self._residuals(seen.pixels, rim, evidence, sigma, width)
         weight = residuals.weight * rim.lengths / (sigma**2 * c.correlation_px * c.frame_correlation)
         information = seen.jacobian.T @ (seen.jacobian * weight[:, None])
         slope = seen.jacobian.T @ (residuals.distance * weight)
         low, high = self._low - joints, joints - self._high
         information[6:, 6:] += np.diag(((low > 0) | (high > 0)) / LIMIT_SIGMA**2)
         slope[6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
-        return loadings.T @ information @ loadings, loadings.T @ slope, residuals
+        return loadings.T @ information @ loadings, loadings.T @ slope
 
     def _residuals(
-        self, seen: Projected, rim: Rim, evidence: OutlineEvidence, sigma: float, covariance: Float64
+        self, pixels: Float64, rim: Rim, evidence: OutlineEvidence, sigma: float, width: Float64 | float
     ) -> _Residuals:
-        """Measure distances with robust weights; ``covariance`` (6 + J, 6 + J) is that of pose and joints."""
+        """Measure the distances of points (N, 2); ``width`` px, (N,) or one for all, is the scale of robust weights."""
         c = self._config
-        expected = np.einsum("ni,ni->n", seen.jacobian @ covariance, seen.jacobian)
-        width = c.outlier_sigmas * np.sqrt(sigma**2 + np.minimum(expected, c.reach_px**2))
-        edges = evidence.distances(seen.pixels, rim.normals, c.reach_px)
+        edges = evidence.distances(pixels, rim.normals, c.reach_px)
         ratio = (edges.distance / width) ** 2
         weight = np.where(edges.found, 1 / (1 + ratio) ** 2, 0.0)
-        bounded = (width / sigma) ** 2 * np.where(edges.found, ratio / (1 + ratio), 1.0)
+        bounded = np.square(width / sigma) * np.where(edges.found, ratio / (1 + ratio), 1.0)
         cost = float((bounded * rim.lengths).sum()) / (c.correlation_px * c.frame_correlation)
         return _Residuals(edges.distance, weight, edges.found, cost)
 
