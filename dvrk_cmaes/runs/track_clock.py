@@ -9,7 +9,8 @@ from typing import Final
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.series import ReadingSeries, Unit
+from dvrk_cmaes.joints.lag import Unit
+from dvrk_cmaes.joints.series import ReadingSeries
 
 FRAMES_A_SECOND: Final = 30.0
 """Images a second of a session whose images have no times."""

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.lag import Lag
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Deviations
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.joints.series import Unit
+from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.state import FilterState
 

@@ -17,7 +17,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import reading_loss
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
-from dvrk_cmaes.joints.series import Unit
+from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
