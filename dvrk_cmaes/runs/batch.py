@@ -205,7 +205,8 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
     out = Path(out)
     manifest = _manifest(out)
     results = read_results(out) if _has_results(out) else None
-    document = summarize({} if results is None else results.frames, manifest, timing)
+    found, session = ({}, None) if results is None else (results.frames, results.session)
+    document = summarize(found, manifest, timing, calibration=session)
     if results is not None:
         write_text(out / POSES, table_text(pose_rows(results.frames.values())))
     write_json(out / SUMMARY, document)

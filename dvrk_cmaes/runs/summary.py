@@ -35,7 +35,12 @@ def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
 
 
 def summarize(
-    results: Mapping[str, Result], manifest: Mapping[str, Any], timing: RunTiming | None = None, *, whole: bool = True
+    results: Mapping[str, Result],
+    manifest: Mapping[str, Any],
+    timing: RunTiming | None = None,
+    *,
+    whole: bool = True,
+    calibration: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the content of summary.json.
 
@@ -50,6 +55,8 @@ def summarize(
     whole
         Whether the results are of the whole session. If False, they are of a shard, and frames of other shards do not
         count as missing.
+    calibration
+        The content of session.json if the frames were solved together; its lag is repeated.
     """
     missing = sorted({name for name, parts in manifest["frames"].items() if whole or parts} - set(results))
     values = list(results.values())
@@ -62,6 +69,7 @@ def summarize(
         "medians": _medians(values),
         "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
         "missing": missing,
+        "lag": None if calibration is None else calibration.get("lag"),
         "timing": {"frame_seconds": _seconds(values), "run": None if timing is None else asdict(timing)},
         "config": manifest["config"],
     }

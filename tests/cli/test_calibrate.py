@@ -82,6 +82,7 @@ def test_output_folder_has_all_files(calibrated: Path) -> None:
     assert {one["source"] for one in results} == {"session"}
     assert all(one["change"]["translation_mm"] >= 0 for one in results)
     assert len(list((calibrated / "overlays").iterdir())) == 5
+    assert json.loads((calibrated / "summary.json").read_text())["lag"] is None
 
 
 def test_session_json_holds_true_base(calibrated: Path, bundled_body: Body) -> None:
