@@ -63,6 +63,7 @@ def estimate(
         Calibration of the session that the frame belongs to. The pose that it predicts is refined first; only if that
         does not explain the mask is the frame searched as without a session. Where the prediction holds, the
         calibration's arm is used instead of ``arm``, and ``camera_from_base`` is computed with the joints' offsets.
+        If its camera was refined, the same change is applied to ``camera``.
     frame, warnings
         The frame's name and warnings to add; both are copied into the result.
     config
@@ -86,6 +87,8 @@ def estimate(
     decimated = decimated_body(body, settings.search.detail_m)
     started = time.perf_counter()
     model, given = body.instrument, dict(joints or {})
+    if session is not None:
+        camera = session.corrected(camera)
     readings, unused, outside = split_readings(model, given, settings)
     evidence = gather_evidence(
         np.asarray(mask, dtype=np.bool_),

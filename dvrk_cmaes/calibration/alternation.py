@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.camera_change import SessionOutlines
+from dvrk_cmaes.calibration.camera_change import SessionOutlines, changed, estimate_camera
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints
 from dvrk_cmaes.calibration.frame_task import (
+    DataOfCamera,
     FitTask,
     FrameReport,
     ReportTask,
@@ -30,11 +31,12 @@ from dvrk_cmaes.calibration.frame_task import (
     report_task,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
-from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera
+from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out, solve
 from dvrk_cmaes.calibration.variances import estimate_variances
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
@@ -55,6 +57,7 @@ _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from pose
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
+_CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -78,6 +81,8 @@ class Alternation:
         Applies a function to many tasks.
     progress
         Called before each stage with its name and the number of frames.
+    refine_camera
+        Whether the change of the camera that the frames fit is used.
     """
 
     def __init__(
@@ -89,6 +94,8 @@ class Alternation:
         config: EstimateConfig,
         run: Run[Any, Any],
         progress: Callable[[str, int], None],
+        *,
+        refine_camera: bool = False,
     ) -> None:
         self.frames = frames
         self._instrument = instrument
@@ -96,6 +103,8 @@ class Alternation:
         self._config = config
         self._run = run
         self._progress = progress
+        self._refine_camera = refine_camera
+        self._change = np.zeros(3)
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
         self.untold: list[str] = []
@@ -131,9 +140,12 @@ class Alternation:
         Raises
         ------
         InputError
-            The arm does not move, the readings only fit another arm or tool, or too few frames remain.
+            The arm does not move, the readings only fit another arm or tool, or too few frames remain; or the camera is
+            to be refined, and the session does not determine it.
         """
         check_motion(self.model)
+        if self._refine_camera and (reason := untested(self.model)):
+            raise InputError(f"--refine-camera: {reason}")
         self._initialise_lag()
         consensus = find_consensus(self.model, self._modes, self._offset_std)
         check_arm(self.model, self._modes, self._offset_std, consensus)
@@ -204,13 +216,15 @@ class Alternation:
         session = self._config.session
         self._progress("gathering evidence", len(self.frames))
         self._stored = self._run(gather_task, self.frames)
-        scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0]
+        scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
+        if self._refine_camera:
+            scales.append(1.0)  # with the camera that all rounds before have found
         calibration = self.solution.calibration
         starts: list[tuple[PoseAndJoints, ...]] = [
             tuple((mode.camera_from_root, mode.joints) for mode in modes) for modes in self._modes
         ]
-        for iteration, scale in enumerate(scales[: session.rounds]):
-            self._progress(f"round {iteration + 1} of {session.rounds}", len(self.frames))
+        for iteration, scale in enumerate(scales):
+            self._progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
             tasks = []
             for i, frame in enumerate(self.frames):
@@ -226,6 +240,7 @@ class Alternation:
                         prior,
                         (*starts[i], *predicted),
                         (own_mode.camera_from_root, own_mode.joints),
+                        self._changed_camera(i) if self._refine_camera else None,
                     )
                 )
             self.fits: list[FrameFit] = self._run(fit_task, tasks)
@@ -239,6 +254,8 @@ class Alternation:
                 self.model = estimate_variances(self.model, stacked, calibration, self.solution.weights, session)
             self.lag.refine(self.model, stacked, calibration, self._prior)
             self._correct_lag()
+            if self._refine_camera and iteration + 1 < len(scales):
+                calibration, starts = self._change_camera(calibration, stacked)
         self.solution = solve(self.model, stacked, calibration, self._prior)
         self.lag.estimate_joints(self.model, stacked, self.solution.calibration, self._prior)
         if self.lag.applied is not None:
@@ -250,14 +267,44 @@ class Alternation:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""
         solution, session = self.solution, self._config.session
         self._progress("checking camera and offsets", len(self.frames))
-        fits = _stacked(self.fits)
-        found = check_camera(self.model, solution.calibration, self._prior, session, fits, self._outlines())
+        applied = self._change if self._refine_camera else None
+        fits, outlines = _stacked(self.fits), self._outlines()
+        found = check_camera(self.model, solution.calibration, self._prior, session, fits, outlines, applied=applied)
         if isinstance(found, str):
             self.untold.append(found)
         else:
             self.camera = found
             self.warnings += found.warnings(session)
         self.warnings += describe_far_offsets(solution.calibration, solution.covariance, self.model, self._offset_std)
+        if self._refine_camera:
+            seen = [
+                replace(one, data=DataOfCamera(one.data, self._changed_camera(i))) for i, one in enumerate(self.frames)
+            ]
+            self._stored = self._run(gather_task, seen)
+
+    def _change_camera(
+        self, calibration: Calibration, fits: FrameFits
+    ) -> tuple[Calibration, list[tuple[PoseAndJoints, ...]]]:
+        """Estimate the change of the camera from the current fits, and use it; as `estimate_camera`.
+
+        Returns the calibration and each frame's pose and joints with the changed camera.
+        """
+        found = estimate_camera(
+            self.model,
+            calibration,
+            self._prior,
+            self._config.session,
+            fits,
+            self._outlines(),
+            start=self._change,
+            passes=_CAMERA_PASSES,
+        )
+        self._change = found.change
+        return found.calibration, [(one,) for one in zip(found.poses, found.joints, strict=True)]
+
+    def _changed_camera(self, i: int) -> Camera:
+        """Return the camera of a frame with the current change."""
+        return changed(self._stored[i].evidence.camera, self._change)
 
     def _outlines(self) -> SessionOutlines:
         """Return the outlines of all frames, as functions of poses, joints and camera."""

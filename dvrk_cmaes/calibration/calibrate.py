@@ -55,6 +55,7 @@ def calibrate_session(
     *,
     series: ReadingSeries | None = None,
     arm: Arm = "classic",
+    refine_camera: bool = False,
     config: EstimateConfig | None = None,
     run: Run[Any, Any] | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
@@ -73,6 +74,9 @@ def calibrate_session(
         and readings is estimated with them. By default the series is made of the frames' own readings.
     arm
         The kinematics of the outer arm.
+    refine_camera
+        Whether to estimate focal length and principal point beside the base, and to solve the session with them. Their
+        prior is wide, 30 % and 300 px. By default they are only compared with those of the frames' camera.
     config
         All settings; those of the calibration are in ``config.session``.
     run
@@ -83,7 +87,8 @@ def calibrate_session(
     Raises
     ------
     InputError
-        Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool.
+        Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool;
+        fewer than ten frames, or 5 mm of insertion, to refine the camera.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -94,7 +99,9 @@ def calibrate_session(
     usable, left_out = _usable(frames, body.instrument)
     if series is None:
         series = _series_of(usable)
-    alternation = Alternation(usable, series, body.instrument, arm, settings, run, progress)
+    alternation = Alternation(
+        usable, series, body.instrument, arm, settings, run, progress, refine_camera=refine_camera
+    )
     alternation.initialise()
     alternation.iterate()
     alternation.check_constants()

@@ -83,6 +83,10 @@ class SessionOutlines:
     used: NDArray[np.bool_]
     run: Run[Any, Any]
 
+    def cameras(self, change: Float64) -> list[Camera]:
+        """Return the frames' cameras after a change (3,); InputError as `Camera.changed`."""
+        return [changed(stored.evidence.camera, change) for stored in self.stored]
+
     @property
     def width(self) -> int:
         """Width of the images, px, to which changes of the camera refer."""
@@ -97,9 +101,9 @@ class SessionOutlines:
             With the changed focal length, the lens distortion is not one-to-one over the image.
         """
         tasks = [
-            CameraTask(stored, readings, (pose, joint), own, changed(stored.evidence.camera, change))
-            for stored, readings, own, pose, joint in zip(
-                self.stored, self.readings, self.own_estimates, poses, joints, strict=True
+            CameraTask(stored, readings, (pose, joint), own, camera)
+            for stored, readings, own, pose, joint, camera in zip(
+                self.stored, self.readings, self.own_estimates, poses, joints, self.cameras(change), strict=True
             )
         ]
         found = self.run(camera_task, tasks)

@@ -16,6 +16,7 @@ from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.solve import Solution
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
@@ -115,6 +116,10 @@ class SessionCalibration:
     def rcm(self) -> Float64:
         """Remote centre of motion in the camera, (3,) m."""
         return np.asarray(self.camera_from_base[:3, 3])
+
+    def corrected(self, camera: Camera) -> Camera:
+        """Return the camera with the change with which the session was solved; the camera itself if there is none."""
+        return camera if self.camera is None else self.camera.corrected(camera)
 
     @property
     def status(self) -> str:

@@ -57,6 +57,7 @@ def fit_frame(
     expected: PosePrior,
     starts: Sequence[PoseAndJoints],
     own_estimate: PoseAndJoints | None,
+    own_camera: Camera | None = None,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
 
@@ -73,24 +74,28 @@ def fit_frame(
     own_estimate
         The frame's pose and joints estimated without the session. The noise of the outline is measured from its
         residuals, to which the session's prior has not contributed. If None, the noise is estimated during the fit.
+    own_camera
+        The camera of ``own_estimate``, for images of the same size, where it is not the evidence's.
     """
     limits = _limits(renderer, readings)
-    outline = _outline_config(renderer, evidence, config, own_estimate)
+    own_renderer = renderer if own_camera is None else Renderer(renderer.body, own_camera, threads=renderer.threads)
+    outline = _outline_config(own_renderer, evidence, config, own_estimate)
     shrinks = (2, 1) if len(starts) > 1 and evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
     count = 0
     for shrink in shrinks:
         refiner = OutlineRefiner(renderer, evidence, limits, outline, shrink=shrink, expected=expected)
         if own_estimate is not None:
-            refiner.set_noise_at(*own_estimate)
+            refiner.set_noise_at(*own_estimate, camera=own_camera)
         fits = sorted(refiner.refine_all(poses, joints), key=lambda fit: fit.score)[:_KEPT]
         poses, joints = np.stack([fit.camera_from_root for fit in fits]), np.stack([fit.joints for fit in fits])
         count += refiner.silhouettes
     best = fits[0]
     prior_information, prior_slope = np.zeros_like(best.information), np.zeros(len(best.information))
     refiner.priors.add(prior_information, prior_slope, best.camera_from_root, best.joints)
-    compared = [(best.camera_from_root, best.joints), *([own_estimate] if own_estimate else [])]
-    overlaps = [_intersection_over_union(renderer, evidence, one) for one in compared]
+    overlaps = [_intersection_over_union(renderer, evidence, (best.camera_from_root, best.joints))]
+    if own_estimate is not None:
+        overlaps.append(_intersection_over_union(own_renderer, evidence, own_estimate))
     # At the optimum, the slopes of outline and priors add up to zero.
     information = best.information - prior_information
     return FrameFit(best.camera_from_root, best.joints, information, -prior_slope, best.score, count, *overlaps)

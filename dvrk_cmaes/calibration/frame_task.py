@@ -48,6 +48,18 @@ class SessionFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class DataOfCamera:
+    """Data of a frame, as in `SessionFrame`, with another camera, for images of the same size."""
+
+    data: FrameData | Callable[[], FrameData]
+    camera: Camera
+
+    def __call__(self) -> FrameData:
+        """Read the data."""
+        return replace(self.data if isinstance(self.data, FrameData) else self.data(), camera=self.camera)
+
+
+@dataclass(frozen=True, eq=False)
 class StoredEvidence:
     """Evidence of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
 
@@ -80,13 +92,17 @@ class StoredEvidence:
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """Arguments of `fit_task`: the frame's stored evidence and readings by name; the others as in `fit_frame`."""
+    """Arguments of `fit_task`: the frame's stored evidence and readings by name; the others as in `fit_frame`.
+
+    ``camera`` is that of the fit, where it is not that of the evidence and of the own estimate.
+    """
 
     stored: StoredEvidence
     readings: Mapping[str, float]
     expected: PosePrior
     starts: tuple[PoseAndJoints, ...]
     own_estimate: PoseAndJoints | None
+    camera: Camera | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,18 +178,33 @@ class _Scene:
     readings: Readings
 
 
-def _scene(body: Body, config: EstimateConfig, stored: StoredEvidence, readings: Mapping[str, float]) -> _Scene:
-    """Restore a frame's evidence and make its renderer."""
+def _scene(
+    body: Body,
+    config: EstimateConfig,
+    stored: StoredEvidence,
+    readings: Mapping[str, float],
+    camera: Camera | None = None,
+) -> _Scene:
+    """Restore a frame's evidence, with another camera if one is given, and make its renderer."""
     evidence = stored.restored()
+    if camera is not None:
+        evidence = replace(evidence, camera=camera)
     of_instrument, _, _ = split_readings(body.instrument, readings, config)
     return _Scene(Renderer(body, evidence.camera, threads=1), evidence, of_instrument)
 
 
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
-    scene = _scene(body, config, task.stored, task.readings)
+    scene = _scene(body, config, task.stored, task.readings, task.camera)
     return fit_frame(
-        scene.renderer, scene.evidence, scene.readings, config, task.expected, task.starts, task.own_estimate
+        scene.renderer,
+        scene.evidence,
+        scene.readings,
+        config,
+        task.expected,
+        task.starts,
+        task.own_estimate,
+        own_camera=None if task.camera is None else task.stored.evidence.camera,
     )
 
 

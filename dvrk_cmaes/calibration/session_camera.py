@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,19 @@ class SessionCamera:
         return [f"the camera file is contradicted: these frames fit {' and '.join(parts)}; {then}"]
 
 
+def untested(model: SessionModel) -> str | None:
+    """Say why a session cannot test its camera; None if it can."""
+    frames, spread = len(model.outer), float(np.ptp(model.outer[:, 2]))
+    if frames < _LEAST_FRAMES:
+        return f"camera: {frames} frames; at least {_LEAST_FRAMES} are needed to test its focal length"
+    if spread < _LEAST_INSERTION:
+        return (
+            f"camera: insertion moves by {spread * 1e3:.1f} mm; at least {_LEAST_INSERTION * 1e3:.0f} mm are needed to "
+            "test its focal length"
+        )
+    return None
+
+
 def check_camera(
     model: SessionModel,
     calibration: Calibration,
@@ -127,24 +140,26 @@ def check_camera(
     config: SessionConfig,
     fits: FrameFits,
     outlines: SessionOutlines,
+    *,
+    applied: Float64 | None = None,
 ) -> SessionCamera | str:
-    """Test the camera of a calibrated session; arguments as in `estimate_camera`.
+    """Test the camera of a calibrated session.
 
-    Returns the reason if the session does not test it.
+    ``applied`` is the change (3,) of the camera with which the frames were fitted, None if they were fitted with the
+    file's; the other arguments are as in `estimate_camera`. Returns the reason if the session does not test the camera.
     """
-    if len(fits.poses) < _LEAST_FRAMES:
-        return f"camera: {len(fits.poses)} frames; at least {_LEAST_FRAMES} are needed to test its focal length"
-    spread = float(np.ptp(model.outer[:, 2]))
-    if spread < _LEAST_INSERTION:
-        return (
-            f"camera: insertion moves by {spread * 1e3:.1f} mm; at least {_LEAST_INSERTION * 1e3:.0f} mm are needed to "
-            "test its focal length"
-        )
+    reason = untested(model)
+    if reason is not None:
+        return reason
     try:
-        estimate = estimate_camera(model, calibration, prior, config, fits, outlines)
+        if applied is None:
+            estimate = estimate_camera(model, calibration, prior, config, fits, outlines)
+        else:
+            estimate = estimate_camera(model, calibration, prior, config, fits, outlines, start=applied, passes=1)
+            estimate = replace(estimate, change=applied)
     except InputError as error:
         return f"camera: {error}"
-    return SessionCamera.of(estimate, config, outlines.width, applied=False)
+    return SessionCamera.of(estimate, config, outlines.width, applied=applied is not None)
 
 
 def _file_std(config: SessionConfig) -> Float64:

@@ -39,6 +39,7 @@ def calibrate(
     results: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
+    refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -71,6 +72,9 @@ def calibrate(
         Folder for session.json, the frames' results and the HTML report; SESSION/calibration by default.
     joints
         File of readings to use instead of the session's own. May be given several times.
+    refine_camera
+        Estimate the focal length and the principal point beside the base, and solve the session with them. They are
+        written to OUT/camera.yaml. Needs at least 10 frames and 5 mm of insertion.
     workers
         Number of worker processes; by default the number of cores.
     camera
@@ -118,6 +122,7 @@ def calibrate(
         target,
         alone=results,
         arm=instrument.arm,
+        refine_camera=refine_camera,
         config=settings,
         workers=workers or usable_cores(),
         progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),

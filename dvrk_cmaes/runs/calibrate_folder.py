@@ -1,7 +1,7 @@
 """Calibration of a session folder from its frames' own results, in several processes, with all files written.
 
-OUT/session.json, OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv,
-OUT/summary.json, OUT/report.html
+OUT/session.json, OUT/camera.yaml (a refined camera), OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg,
+OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv, OUT/summary.json, OUT/report.html
 """
 
 from __future__ import annotations
@@ -35,16 +35,24 @@ from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import spawn_pool
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.synth.files import write_camera_info
+
+CAMERA = "camera.yaml"
+"""File of the camera with which the session was solved, where that is not the session's own."""
 
 _of_this_process: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class DrawTask:
-    """Draw a frame's result and what the session's other frames predict for it; ``files`` has a mask."""
+    """Draw a frame's result and what the session's other frames predict for it; ``files`` has a mask.
+
+    ``camera`` is that of the camera file, ``calibrated`` the one with which the session was solved.
+    """
 
     files: FrameFiles
     camera: Camera
+    calibrated: Camera
     result: Result
     left_out: LeaveOneOutPrediction
 
@@ -59,8 +67,10 @@ class Pictures:
 
 def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
     """Draw one frame."""
-    data = read_frame(task.files, task.camera)
-    overlay = draw_frame(task.result, task.files, data, body)
+    data = read_frame(task.files, task.calibrated)
+    # a frame that is left out keeps its own result
+    drawn = data if task.result.source == "session" else read_frame(task.files, task.camera)
+    overlay = draw_frame(task.result, task.files, drawn, body)
     predicted = Renderer(body, data.camera, threads=1).masks(
         task.left_out.camera_from_root[None], task.left_out.joints[None]
     )[0]
@@ -76,6 +86,7 @@ def calibrate_folder(
     *,
     alone: Path | None = None,
     arm: Arm = "classic",
+    refine_camera: bool = False,
     config: EstimateConfig,
     workers: int,
     progress: Callable[[str, int], None] = lambda stage, count: None,
@@ -108,12 +119,21 @@ def calibrate_folder(
         frames.append(SessionFrame(name, reader, result, one.keypoints))
     with _workers(workers, instrument, config) as run:
         solved = calibrate_session(
-            frames, instrument, series=session.reading_series(), arm=arm, config=config, run=run, progress=progress
+            frames,
+            instrument,
+            series=session.reading_series(),
+            arm=arm,
+            refine_camera=refine_camera,
+            config=config,
+            run=run,
+            progress=progress,
         )
         progress("drawing", len(solved.leave_one_out))
-        (out / SESSION).unlink(missing_ok=True)
+        for name in (SESSION, CAMERA):
+            (out / name).unlink(missing_ok=True)
+        camera = solved.calibration.corrected(session.camera)
         tasks = [
-            DrawTask(files[name], session.camera, solved.results[name], left_out)
+            DrawTask(files[name], session.camera, camera, solved.results[name], left_out)
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
@@ -180,7 +200,10 @@ def _write(
             if alone is not None and overlay_path(alone, name).is_file():
                 write_bytes(overlay_path(out, name), overlay_path(alone, name).read_bytes())
         write_json(result_path(out, name), result.to_dict())
-    write_json(out / SESSION, solved.calibration.to_dict())
+    calibration = solved.calibration
+    if calibration.camera is not None and calibration.camera.applied:
+        write_camera_info(out / CAMERA, calibration.corrected(session.camera), "refined")
+    write_json(out / SESSION, calibration.to_dict())
     setup = BatchSetup(instrument, session.camera, config, arm, session.folder)
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,10 @@ from dvrk_cmaes.silhouette import Body
 
 @dataclass(frozen=True, eq=False)
 class SolvedFrame:
-    """A frame in memory and its result; ``found_mask`` tells whether the mask was found in the image."""
+    """A frame in memory and its result; ``found_mask`` tells whether the mask was found in the image.
+
+    The camera of ``data`` is that of the result: a session's calibration may have changed it.
+    """
 
     data: FrameData
     result: Result
@@ -92,7 +95,8 @@ def solve_frame(
     ``settings`` and ``hints`` say how, as in `segment_and_estimate`. Errors as `estimate` and `segment_and_estimate`.
     """
     if isinstance(frame, FrameData):
-        return SolvedFrame(frame, estimate_frame(files, frame, body, arm=arm, config=config, session=session))
+        result = estimate_frame(files, frame, body, arm=arm, config=config, session=session)
+        return SolvedFrame(_as_calibrated(frame, session), result)
     from dvrk_cmaes.runs.image_frame import segment_and_estimate
 
     segmented = segment_and_estimate(
@@ -107,7 +111,12 @@ def solve_frame(
         settings=settings,
         hints=hints,
     )
-    return SolvedFrame(segmented.data, segmented.result, found_mask=True)
+    return SolvedFrame(_as_calibrated(segmented.data, session), segmented.result, found_mask=True)
+
+
+def _as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
+    """Return a frame's data with the camera with which a session was solved."""
+    return data if session is None else replace(data, camera=session.corrected(data.camera))
 
 
 def estimate_frame(

@@ -120,7 +120,8 @@ def segment_and_estimate(
         result = solve(found.mask, keypoints=keypoints, session=session)
         seconds += result.seconds
     result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
-    return SegmentedFrame(data, found, _with_doubts(result, data, frame.image, found, body))
+    seen = data if session is None else replace(data, camera=session.corrected(data.camera))
+    return SegmentedFrame(data, found, _with_doubts(result, seen, frame.image, found, body))
 
 
 def _with_doubts(result: Result, data: FrameData, image: NDArray[np.uint8], found: Segmentation, body: Body) -> Result:

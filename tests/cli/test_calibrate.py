@@ -17,6 +17,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
@@ -234,3 +235,24 @@ def test_damaged_session_json_is_refused(command: Command, calibrated: Path, tmp
     write_json(path, document)
     ran = command("batch", "session", "--session", path, "--out", tmp_path / "out", *QUICKLY)
     assert ran.refusal == f"{path}: offsets: expected an object, got nothing"
+
+
+def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Body, tmp_path: Path) -> None:
+    write_folder(tmp_path / "session", make_frames_in_memory(bundled_body, 10, level="clean")[2])
+    folders = (tmp_path / "session", "--results", tmp_path / "results", "--out", tmp_path / "out")
+    ran = command("calibrate", *folders, "--refine-camera", *QUICKLY)
+    assert ran.code in (0, 3)
+    assert any(line.startswith("camera, against its file: focal length ") for line in ran.out.splitlines())
+    found = read_calibration(tmp_path / "out" / "session.json")
+    assert found.camera is not None
+    assert found.camera.applied
+    written = read_camera_file(tmp_path / "out" / "camera.yaml").camera
+    right = found.corrected(SMALL)
+    assert (written.fx, written.cx, written.cy) == pytest.approx((right.fx, right.cx, right.cy), abs=1e-4)
+    assert written.fx == pytest.approx(SMALL.fx, rel=0.03)
+
+
+def test_camera_is_not_refined_from_few_frames(command: Command) -> None:
+    ran = command("calibrate", "session", "--results", "results", "--out", "few", "--refine-camera", *QUICKLY)
+    assert ran.code == 2
+    assert ran.refusal.endswith("--refine-camera: camera: 5 frames; at least 10 are needed to test its focal length")
