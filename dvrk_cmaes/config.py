@@ -348,7 +348,7 @@ class TrackConfig:
     sigma_px: float = 0.5
     correlation_px: float = 8.0
     frame_correlation: float = 3.0
-    outlier_sigmas: float = 2.5
+    outlier_sigmas: float = 2.0
     arm_deg: float = 0.1
     insertion_mm: float = 0.3
     slack_mm: float = 0.2

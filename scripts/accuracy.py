@@ -7,6 +7,7 @@
     python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
+    python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
 golden.json, errors and bound report what can be measured without truth. data/demo is such a folder, and `dvrk-cmaes
@@ -35,6 +36,7 @@ from accuracy_session import Outcome, Trial, original_trials, read_bases, run_tr
 from accuracy_session_lies import falsified_report, falsified_session_cases, falsified_trials
 from accuracy_spread_bound import mask_report
 from accuracy_tables import show, write_features
+from accuracy_track import track_report
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -76,7 +78,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
     parser.add_argument(
-        "--frames", type=int, metavar="N", help="largest number of frames of each session, evenly spaced (default: all)"
+        "--frames",
+        type=int,
+        metavar="N",
+        help="largest number of frames of each session, evenly spaced, or the first for track (default: all)",
     )
     parser.add_argument(
         "--workers",
@@ -104,6 +109,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="for lies: seed of the random numbers (default: %(default)s)"
     )
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
+    )
+    parser.add_argument("--no-joints", action="store_true", help="for track: follow without readings")
+    parser.add_argument("--smooth", action="store_true", help="for track: smooth")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
 
@@ -206,6 +216,19 @@ def lag(arguments: argparse.Namespace) -> Report:
     return lag_report(find_lags(arguments.sessions, runs, instrument=arguments.instrument, config=config))
 
 
+def track(arguments: argparse.Namespace) -> Report:
+    """Report the errors of followed recordings."""
+    return track_report(
+        arguments.sessions,
+        arguments.instrument,
+        _config(arguments),
+        frames=arguments.frames,
+        every=arguments.every,
+        use_joints=not arguments.no_joints,
+        smooth=arguments.smooth,
+    )
+
+
 COMMANDS: Final = {
     "errors": errors,
     "calibration": calibration,
@@ -214,6 +237,7 @@ COMMANDS: Final = {
     "sessions": sessions,
     "session-lies": session_lies,
     "lag": lag,
+    "track": track,
 }
 
 

@@ -3,6 +3,7 @@
     python scripts/bench.py render       ms for the loss terms of a candidate, compared with other renderers
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
     python scripts/bench.py scale        time of the renderer by image and mesh size, frames a second by processes
+    python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
 
 The default sessions and instrument are in the folder shared beside the checkout. Alternatives that are compared are run
@@ -24,11 +25,14 @@ import numpy as np
 from bench_cores import cores_report
 from bench_estimate import estimate_report, workers_report
 from bench_render import render_report, scale_report
+from bench_track import track_report
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
 FRAMES: Final = ("made/clean", "made/easy", "made/medium", "made/hard", "real/easy", "real/medium")
+SESSIONS: Final = [SHARED / "frames" / name for name in FRAMES]
+RECORDINGS: Final = [SHARED / "frames" / "video" / name for name in ("easy", "hard")]
 
 
 def main() -> int:
@@ -73,7 +77,14 @@ def _cores(arguments: argparse.Namespace) -> dict[str, Any]:
     return cores_report(arguments.instrument, arguments.golden, repeats=3 if arguments.quick else arguments.repeats)
 
 
-COMMANDS: Final = {"render": _render, "estimate": _estimate, "scale": _scale, "cores": _cores}
+def _track(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command track."""
+    sessions = arguments.sessions if arguments.sessions is not SESSIONS else RECORDINGS
+    frames = 5 if arguments.quick else arguments.frames
+    return track_report(arguments.instrument, sessions, frames=frames, steps=arguments.steps)
+
+
+COMMANDS: Final = {"render": _render, "estimate": _estimate, "scale": _scale, "cores": _cores, "track": _track}
 
 
 def _machine() -> dict[str, Any]:
@@ -120,9 +131,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SESSION",
         help="session with golden.json, for render, scale and cores",
     )
-    sessions = [SHARED / "frames" / name for name in FRAMES]
     parser.add_argument(
-        "--sessions", type=Path, nargs="+", default=sessions, metavar="SESSION", help="sessions, for estimate"
+        "--sessions", type=Path, nargs="+", default=SESSIONS, metavar="SESSION", help="sessions, for estimate and track"
+    )
+    parser.add_argument(
+        "--steps", type=int, default=None, metavar="N", help="for track: steps after which memory is measured"
     )
     parser.add_argument(
         "--repeats", type=int, default=15, metavar="N", help="repetitions of each measurement (default: %(default)s)"

@@ -42,9 +42,9 @@ class Anchor:
         return Anchor(np.zeros(4), np.zeros(joints), np.zeros(4), np.zeros(joints), False, np.zeros(joints, np.bool_))
 
     def then(self, reading: ReadingAt, *, moving: bool = True) -> Anchor:
-        """Return the anchor of later readings; if not ``moving``, the outer readings are not used."""
+        """Return the anchor of later readings; if they are not ``moving``, they are not used."""
         outer_read = reading.has_outer and moving
-        joint_read = ~np.isnan(reading.joints)
+        joint_read = ~np.isnan(reading.joints) & moving
         return Anchor(
             reading.outer if outer_read else self.outer,
             np.where(joint_read, reading.joints, self.joints),

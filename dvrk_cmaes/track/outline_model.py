@@ -14,7 +14,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
 
-_DRAWN_WIDTH = 320  # px; the points of an outline that is drawn this wide are as exact as those of a larger one
+_DRAWN_WIDTH = 640  # px; larger outlines are drawn about this wide, since their points are as exact
 _BORDER = 2.0  # px from the image's border; points closer to it are not used
 _STEP = 1e-5  # m and rad, of central differences
 _NEAREST = 1e-3  # m, least depth of a point
