@@ -8,6 +8,7 @@
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
+    python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
 golden.json, errors and bound report what can be measured without truth. data/demo is such a folder, and `dvrk-cmaes
@@ -28,6 +29,7 @@ from typing import Any, Final
 
 from accuracy_bound import bound_report
 from accuracy_calibration import calibration_report
+from accuracy_camera import camera_report, wrong_camera_cases
 from accuracy_cases import Case, Run, read_cases, run_cases
 from accuracy_errors import error_report, frame_errors, frame_rows
 from accuracy_lag import find_lags, lag_report
@@ -229,6 +231,14 @@ def track(arguments: argparse.Namespace) -> Report:
     )
 
 
+def camera(arguments: argparse.Namespace) -> Report:
+    """Report how many sessions contradict their camera file, right and with a focal length that is 10 % off."""
+    bases, cases = read_bases(arguments.sessions), _original(arguments)
+    runs = _run(arguments, [*cases, *wrong_camera_cases(cases)], label="frames with right and wrong cameras")
+    trials = original_trials(runs[: len(cases)], bases) + original_trials(runs[len(cases) :], bases)
+    return camera_report(_solve(arguments, trials))
+
+
 COMMANDS: Final = {
     "errors": errors,
     "calibration": calibration,
@@ -238,6 +248,7 @@ COMMANDS: Final = {
     "session-lies": session_lies,
     "lag": lag,
     "track": track,
+    "camera": camera,
 }
 
 

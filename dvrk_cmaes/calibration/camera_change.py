@@ -33,8 +33,8 @@ Float64 = NDArray[np.float64]
 WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 """Standard deviations of the prior with which the change is estimated from the frames: relative, and px."""
 
-_PASSES = 4  # largest number of linearisations of the outlines
-_SETTLED = 1.0  # standard deviations of the change, below which the outlines are not linearised again
+_PASSES = 6  # largest number of linearisations of the outlines
+_SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
 _EM_ITERATIONS = 3  # estimates of the calibration and the variance components for each linearisation
 _STEPS = 10  # largest number of Gauss-Newton steps of each
 
