@@ -200,34 +200,34 @@ class TrustConfig:
 
     Attributes
     ----------
+    tip_mm
+        Largest expected error of the jaw tips, mm.
+    least_mode_probability
+        Least probability that the pose is in the right mode.
     least_iou
         Least intersection over union of silhouette and mask.
-    largest_contour_px
-        Largest 95th percentile of the distances from the mask's contour to the silhouette's outline.
+    largest_distal_px
+        Largest root mean square distance of the mask's contour beyond the shaft from the silhouette's outline.
     largest_bend_px, largest_bend_share
         Largest deviation of the silhouette from a straight line along a straight edge that ends the mask: the larger of
         ``largest_bend_px`` and ``largest_bend_share`` times the width of the shaft in the image.
-    least_score_gap
-        Least difference of the negative log-likelihood to every other mode.
     largest_outline_gap
         Largest difference of the negative log-likelihood of the outline alone by which another mode may be better.
     largest_reading_sigmas
         Largest deviation of a joint from its reading, in standard deviations of the reading.
     largest_reading_sum
         Largest sum of the squares of these deviations over all joints.
-    unobservable_share
-        Largest standard deviation of a joint, in standard deviations of its reading.
     """
 
+    tip_mm: float = 2.0
+    least_mode_probability: float = 0.8
     least_iou: float = 0.85
-    largest_contour_px: float = 3.5
+    largest_distal_px: float = 2.8
     largest_bend_px: float = 3.0
     largest_bend_share: float = 0.06
-    least_score_gap: float = 3.0
     largest_outline_gap: float = 2.0
     largest_reading_sigmas: float = 2.8
     largest_reading_sum: float = 7.8
-    unobservable_share: float = 0.9
 
 
 @dataclass(frozen=True)

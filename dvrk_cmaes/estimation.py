@@ -18,6 +18,7 @@ from dvrk_cmaes.evidence.joint_prior import describe_limits, split_readings
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -107,6 +108,7 @@ def estimate(
     else:
         found, source = find_pose(renderer, decimated, evidence, readings, settings), "frame"
         base = find_camera_from_base(found.camera_from_root, given, arm, roll_offset=model.roll_offset)
+    tips, tips_px = locate_tips(model, camera, found.camera_from_root, found.joints)
     return Result(
         frame=frame,
         status="doubtful" if found.reasons else "ok",
@@ -121,7 +123,11 @@ def estimate(
         camera_from_base=base,
         source=source,
         quality=found.quality,
+        tips=tips,
+        tips_px=tips_px,
         covariance=found.covariance,
+        expected_error=found.expected_error,
+        mode_probability=found.mode_probability,
         alternatives=found.alternatives,
         seconds=time.perf_counter() - started,
         evaluations=found.evaluations,

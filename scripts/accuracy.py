@@ -2,6 +2,7 @@
 
     python scripts/accuracy.py errors SESSION...       errors, scatter over a session, share of doubtful results
     python scripts/accuracy.py calibration SESSION...  share of 90 % intervals that contain the truth
+    python scripts/accuracy.py trust SESSION...        expected errors, probabilities of the mode and statuses
     python scripts/accuracy.py lies SESSION...         share of falsified frames that are doubtful
     python scripts/accuracy.py bound SESSION...        errors and scatter compared with the Cramer-Rao bound
     python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
@@ -39,6 +40,7 @@ from accuracy_session_lies import falsified_report, falsified_session_cases, fal
 from accuracy_spread_bound import mask_report
 from accuracy_tables import show, write_features
 from accuracy_track import track_report
+from accuracy_trust import trust_report
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -168,6 +170,13 @@ def calibration(arguments: argparse.Namespace) -> Report:
     return {"90 % intervals that hold the truth": calibration_report(instrument, runs)}
 
 
+def trust(arguments: argparse.Namespace) -> Report:
+    """Report how well expected errors, probabilities of the mode and statuses agree with the truth."""
+    runs = _run(arguments, _original(arguments))
+    config = _config(arguments)
+    return trust_report(prepare(arguments.instrument).instrument, runs, config.trust.tip_mm)
+
+
 def lies(arguments: argparse.Namespace) -> Report:
     """Report the share of falsified frames that are doubtful."""
     original = _original(arguments)
@@ -242,6 +251,7 @@ def camera(arguments: argparse.Namespace) -> Report:
 COMMANDS: Final = {
     "errors": errors,
     "calibration": calibration,
+    "trust": trust,
     "lies": lies,
     "bound": bound,
     "sessions": sessions,

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from accuracy_calibration import jacobian, shaft_direction, tip_position
 from accuracy_cases import Case, Run, by_level
 from accuracy_errors import frame_errors
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.pose.expected_error import jacobian, shaft_direction, tip_position
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]

@@ -7,8 +7,8 @@ chi-squared distribution if the covariance is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from accuracy_cases import Run, by_level
@@ -16,44 +16,10 @@ from accuracy_errors import frame_errors
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
-from dvrk_cmaes.geometry import frame_along, moved
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.expected_error import INTERVAL, Quantity, jacobian, shaft_direction, tip_position
 
 Float64 = NDArray[np.float64]
-Quantity = Callable[[Float64, Float64], Float64]
-"""Function of poses (C, 4, 4) and joints (C, J) with values (C, n)."""
-
-INTERVAL: Final = 0.9
-_STEP: Final = 1e-5  # m and rad
-
-
-def jacobian(quantity: Quantity, pose: Float64, joints: Float64) -> Float64:
-    """Return the derivatives (n, 6 + J) of a quantity by small changes [t, r, joints], from central differences."""
-    count = 6 + len(joints)
-    change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
-    values = quantity(moved(pose, change[:, :6]), joints + change[:, 6:])
-    return np.asarray((values[:count] - values[count:]).T / (2 * _STEP))
-
-
-def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
-    """Return the quantity: mean position of some jaw tips in the camera, (C, 3) m."""
-
-    def position(poses: Float64, joints: Float64) -> Float64:
-        tips = instrument.tips(joints)[:, list(which)].mean(axis=1)
-        return np.asarray(np.einsum("nij,nj->ni", poses[:, :3, :3], tips) + poses[:, :3, 3])
-
-    return position
-
-
-def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
-    """Return the quantity: the two components (C, 2) of the shaft's direction across that of the pose ``about``."""
-    along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
-    across = frame_along(about[:3, :3] @ along)[:, :2]
-
-    def direction(poses: Float64, joints: Float64) -> Float64:
-        return np.asarray(poses[:, :3, :3] @ along @ across)
-
-    return direction
 
 
 def joint_value(index: int) -> Quantity:

@@ -29,7 +29,6 @@ from typing import Any, Final
 
 import numpy as np
 from accuracy_bound import PIXEL_SIGMA, find_crossings, reading_information, true_joints
-from accuracy_calibration import jacobian, tip_position
 from accuracy_cases import Case, Run
 from accuracy_errors import frame_errors
 from numpy.typing import NDArray
@@ -40,6 +39,7 @@ from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, converge_shafts, rcm_s
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.pose.expected_error import jacobian, tip_position
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]

@@ -17,7 +17,9 @@ from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.pose.quality import doubts_of_fit, measure_quality
+from dvrk_cmaes.pose.doubts import doubts_of_fit
+from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.priors import PosePrior
 from dvrk_cmaes.pose.search.modes import HasPose, are_distinct
 from dvrk_cmaes.results.result import Alternative, Quality, Result
@@ -248,7 +250,9 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
 def _result_of_fit(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
     """Return the result of a frame that agrees with the session; ``quality`` is that of its fit."""
     own_result = task.result
-    doubts = doubts_of_fit(task.fit, quality, scene.evidence, body.instrument, config.trust) + list(task.doubts)
+    error = expected_error(body.instrument, task.fit.camera_from_root, task.fit.joints, task.covariance)
+    tips, tips_px = locate_tips(body.instrument, scene.evidence.camera, task.fit.camera_from_root, task.fit.joints)
+    doubts = doubts_of_fit(task.fit, quality, error, scene.evidence, body.instrument, config.trust) + list(task.doubts)
     names = body.instrument.joint_names
     return replace(
         own_result,
@@ -260,7 +264,11 @@ def _result_of_fit(body: Body, config: EstimateConfig, task: ReportTask, scene: 
         source="session",
         change=_change(own_result, task.fit, names),
         quality=quality,
+        tips=tips,
+        tips_px=tips_px,
         covariance=task.covariance,
+        expected_error=error,
+        mode_probability=None,
         alternatives=_alternatives(own_result, task.fit, names, scene.readings),
         config=dict(task.config),
     )

@@ -15,14 +15,17 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.pose.doubts import doubts_of_fit
+from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
-from dvrk_cmaes.pose.quality import doubts_of_fit, measure_quality
+from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.priors import PosePrior
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
 _OVERLAP_LOSS = 0.03  # below the session's median intersection over union, from which on a pose is rejected
+_LARGEST_PX = 3.5  # contour_px_95, within which a pose is not rejected
 _CONTOUR_FACTOR = 1.5  # on the session's median of contour_px_95, beyond which a pose is rejected
 
 
@@ -77,7 +80,7 @@ def fit_session_pose(
     )
     deviation = expected.deviation(fit.camera_from_root, fit.joints)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
-    largest_px = max(config.trust.largest_contour_px, _CONTOUR_FACTOR * session.contour_px_95)
+    largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
     if quality.iou < session.iou - _OVERLAP_LOSS or quality.contour_px_95 > largest_px:
         return (
             f"session: what it expects does not explain the mask (IoU {quality.iou:.3f}, "
@@ -85,12 +88,15 @@ def fit_session_pose(
         )
     if misfit > config.session.largest_misfit:
         return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
-    doubts = doubts_of_fit(fit, quality, evidence, instrument, config.trust)
+    fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
+    error = expected_error(instrument, fit.camera_from_root, fit.joints, fitted)
+    doubts = doubts_of_fit(fit, quality, error, evidence, instrument, config.trust)
     base_from_root = model.base_from_root(calibration.offsets)[0]
     return FoundPose(
         camera_from_root=fit.camera_from_root,
         joints=fit.joints,
-        covariance=np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64),
+        covariance=fitted,
+        expected_error=error,
         quality=quality,
         reasons=tuple(doubts),
         evaluations=first.evaluations + fit.evaluations + renderer.poses,

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
-    """Yield the lines of a result: status with reasons, pose, joints, fit, alternatives and the files written."""
-    heading = f"{result.frame}: {result.status}" if result.frame else result.status
-    yield Line(heading, STATUS_STYLES[result.status])
+    """Yield the lines of a result: accuracy, status, reasons, pose, joints, fit, alternatives and the files written."""
+    accuracy = "" if result.expected_error is None else f"{result.expected_error.in_words}, "
+    yield Line(f"{result.frame}: " * bool(result.frame) + accuracy + result.status, STATUS_STYLES[result.status])
     for reason in result.reasons:
         yield Line(f"  {reason}", STATUS_STYLES[result.status].removeprefix("bold "))
     for left_out in result.unused:
@@ -28,6 +28,9 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
         q = result.quality
         yield Line("fit", "bold")
         yield Line(f"  IoU {q.iou:.3f}, contour {q.contour_px_median:.1f} px median, {q.contour_px_95:.1f} px at 95 %")
+        yield Line(f"  {100 * q.steady_share:.0f} % of the contour is off in stretches (shadows, cut highlights)")
+    if result.mode_probability is not None:
+        yield Line(f"  in the right mode with a probability of {result.mode_probability:.2f}")
     if result.alternatives:
         yield Line("alternatives", "bold")
     for other in result.alternatives:

@@ -1,8 +1,9 @@
 """Overlay of a result over its frame.
 
 On the image, or on a dark background, it shows the contours of the mask and of the silhouette, the pixels in only one
-of the two, the shaft's edges and the jaw tips as found and as projected, the skeleton and the root's axes. A strip
-above gives the status and the reasons; a strip below gives the legend, and the joints with their readings.
+of the two, the stretches of the mask's contour that are off together, the shaft's edges and the jaw tips as found and
+as projected, the skeleton and the root's axes. A strip above gives the expected error, the status and the reasons; a
+strip below gives the legend, and the joints with their readings.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from dvrk_cmaes.draw.canvas import (
     ORANGE,
     PURPLE,
     SKY_BLUE,
+    VERMILLION,
     WHITE,
     YELLOW,
     Canvas,
@@ -28,19 +30,22 @@ from dvrk_cmaes.draw.canvas import (
 from dvrk_cmaes.draw.panels import footer, header
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
 
-MASK, SILHOUETTE, FOUND, PROJECTED, SKELETON = YELLOW, SKY_BLUE, ORANGE, PURPLE, WHITE
+MASK, SILHOUETTE, FOUND, PROJECTED, SKELETON, STEADY = YELLOW, SKY_BLUE, ORANGE, PURPLE, WHITE, VERMILLION
 
 LEGEND = (
     ("mask", MASK, "line"),
     ("silhouette", SILHOUETTE, "line"),
     ("mask only", MASK, "area"),
     ("silhouette only", SILHOUETTE, "area"),
+    ("mask, off in a stretch", STEADY, "line"),
     ("shaft edges, found", FOUND, "dash"),
     ("projected", PROJECTED, "dash"),
     ("tips, found", FOUND, "cross"),
@@ -152,6 +157,8 @@ def _draw_pose(
     canvas.tint(silhouette & ~seen, SILHOUETTE, 0.5)
     canvas.outline(seen, MASK)
     canvas.outline(silhouette, SILHOUETTE)
+    for stretch in _steady_stretches(evidence, silhouette, frame):
+        canvas.line(stretch, STEADY, width=3.0)
 
     for edge in projected_edges(instrument, pose, camera):
         canvas.line(frame.at(edge), PROJECTED, width=2.0, dash=(14, 26), phase=20)
@@ -168,6 +175,17 @@ def _draw_pose(
     for tip in [] if evidence.tips is None else evidence.tips:
         canvas.cross(frame.at(tip), FOUND)
     _axes(frame, pose)
+
+
+def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: _Frame) -> list[Float64]:
+    """Return the stretches of the mask's contour that are off together, each (N, 2) px of the canvas."""
+    contour = evidence.contour.pixels
+    if silhouette.all() or not silhouette.any():
+        return []
+    distances = sampled(signed_distance(silhouette), frame.at(contour)) / frame.scale
+    index = np.flatnonzero(steady_stretches(contour, distances))
+    breaks = np.flatnonzero((np.diff(index) > 1) | (np.diff(distances[index] > 0) != 0)) + 1
+    return [frame.at(contour[part]) for part in np.split(index, breaks) if len(part)]
 
 
 def _axes(frame: _Frame, pose: Float64) -> None:

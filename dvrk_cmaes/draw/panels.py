@@ -28,7 +28,7 @@ def _strip(width: int, lines: float, unit: float) -> Canvas:
 
 
 def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
-    """Draw the strip above: status, frame, IoU, contour distances and the result's reasons, (h, width, 3) BGR."""
+    """Draw the strip above: accuracy, status, frame, IoU, contour distances and the reasons, (h, width, 3) BGR."""
     probe = _strip(width, 1, unit)
     margin = _MARGIN * unit
     reasons = [line for reason in result.reasons for line in probe.wrapped(f"- {reason}", width - 2 * margin)]
@@ -36,11 +36,15 @@ def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
         reasons[_MOST_REASONS - 1 :] = ["- ... (all of them are in the result's JSON)"]
     canvas = _strip(width, 1 + len(reasons), unit)
     middle = (6 + _LINE / 2) * unit
+    left, right = margin, width - margin
+    if result.expected_error is not None:
+        canvas.text(result.expected_error.in_words, (left, middle), WHITE, size=0.6)
+        left += canvas.text_width(result.expected_error.in_words, 0.6) + 14 * unit
     word, colour = BADGES[result.status]
     badge = canvas.text_width(word, 0.6) + 16 * unit
-    canvas.box((margin, middle - 11 * unit), (badge, 22 * unit), colour)
-    canvas.text(word, (margin + 8 * unit, middle), DARK, size=0.6)
-    left, right = margin + badge + 14 * unit, width - margin
+    canvas.box((left, middle - 11 * unit), (badge, 22 * unit), colour)
+    canvas.text(word, (left + 8 * unit, middle), DARK, size=0.6)
+    left += badge + 14 * unit
     if result.quality is not None:
         q = result.quality
         text = f"IoU {q.iou:.3f}   contour {q.contour_px_median:.1f} px median, {q.contour_px_95:.1f} px at 95 %"

@@ -2,8 +2,9 @@
 
 ``camera_from_root_*`` and ``camera_from_base_*`` map points from the frames of the instrument's root link and of the
 arm's base to the camera frame (OpenCV's axes): translation in mm, quaternion in the order of ROS. ``std_t*`` and
-``std_r*`` are standard deviations along and about the axes of the root link. Joint columns are estimated values,
-``*_read_*`` are readings, in deg, insertion in mm.
+``std_r*`` are standard deviations along and about the axes of the root link. Jaw tips are within ``tips_90_mm`` with
+90 %; ``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values, ``*_read_*`` are
+readings, in deg, insertion in mm.
 """
 
 from __future__ import annotations
@@ -56,10 +57,17 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iter
     for name in readings:
         yield _scaled(name, "_read", result.readings.get(name))
     yield from _deviations(result, joints)
+    expected = result.expected_error
+    yield "tips_90_mm", None if expected is None else round(expected.tip_90_mm, _DIGITS)
+    yield "std_tips_mm", None if expected is None else round(expected.of_tips_mm, _DIGITS)
+    yield "std_shaft_deg", None if expected is None else round(expected.shaft_deg, _DIGITS)
+    yield "mode_probability", result.mode_probability
     yield "iou", None if quality is None else quality.iou
     yield "loss", None if quality is None else quality.loss
     yield "contour_px_median", None if quality is None else quality.contour_px_median
     yield "contour_px_95", None if quality is None else quality.contour_px_95
+    yield "steady_share", None if quality is None else quality.steady_share
+    yield "distal_px", None if quality is None else quality.distal_px
     yield from _pose("camera_from_base", result.camera_from_base)
     yield "source", result.source
     yield "alternatives", len(result.alternatives)

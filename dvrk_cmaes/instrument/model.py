@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -153,10 +154,23 @@ class Instrument:
         The result has the shape (..., 2, 3), or (..., 0, 3) for an instrument without a pair of jaws.
         """
         values = self._values(joints)
-        if not self.jaw_tips:
-            return np.empty((*values.shape[:-1], 0, 3))
-        poses = self.chain.forward(values, [self.link_joints[tip.link] for tip in self.jaw_tips])
-        positions = np.stack([tip.position for tip in self.jaw_tips])
+        return self._points(self.jaw_tips, values) if self.jaw_tips else np.empty((*values.shape[:-1], 0, 3))
+
+    def ends(self, joints: ArrayLike) -> NDArray[np.float64]:
+        """Compute the jaw tips (..., 2, 3) as `tips`, or for an instrument without a pair of jaws its end (..., 1, 3).
+
+        The end is the vertex of the last link that is farthest from the root's origin with all joints at zero.
+        """
+        if self.jaw_tips:
+            return self.tips(joints)
+        pose, vertices = self.forward(np.zeros(len(self.joint_names)))[-1], self.links[-1].vertices
+        farthest = np.linalg.norm(vertices @ pose[:3, :3].T + pose[:3, 3], axis=1).argmax()
+        return self._points([JawTip(len(self.links) - 1, vertices[farthest])], self._values(joints))
+
+    def _points(self, points: Sequence[JawTip], values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute points of links in the root link's frame, (..., K, 3) m, from joint values (..., J)."""
+        poses = self.chain.forward(values, [self.link_joints[point.link] for point in points])
+        positions = np.stack([point.position for point in points])
         return np.asarray((poses[..., :3, :3] @ positions[:, :, None])[..., 0] + poses[..., :3, 3])
 
     def joint_index(self, name: str) -> int:

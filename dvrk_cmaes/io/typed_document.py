@@ -50,10 +50,12 @@ def _array_type(*shape: int) -> ABCMeta:
 if TYPE_CHECKING:  # arrays to a type checker, classes with a shape to msgspec
     Transform = NDArray[np.float64]
     Point = NDArray[np.float64]
+    Pixel = NDArray[np.float64]
     PointPair = NDArray[np.float64]
 else:
     Transform = _array_type(4, 4)  # a rigid transform
     Point = _array_type(3)
+    Pixel = _array_type(2)
     PointPair = _array_type(2, 3)
 
 

@@ -18,7 +18,7 @@ _NAMES: dict[str, Collection[str]] = {
     "distance_field": FIELDS,
 }
 _MAY_BE_ZERO = ("seed", "weights.", "trust.", "search.free_share", "refine.outline.noise_floor")
-_SHARES = ("search.free_share", "trust.least_iou", "trust.largest_bend_share", "trust.unobservable_share")
+_SHARES = ("search.free_share", "trust.least_iou", "trust.largest_bend_share", "trust.least_mode_probability")
 
 
 def check_config(config: EstimateConfig) -> None:

@@ -11,11 +11,15 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.quality import judge, measure_quality
+from dvrk_cmaes.pose.covariance import pose_covariance
+from dvrk_cmaes.pose.doubts import judge
+from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.mode_probability import mode_probability
+from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
 from dvrk_cmaes.pose.refine.outline import OutlineFit
 from dvrk_cmaes.pose.search.global_search import find_candidates
-from dvrk_cmaes.results.result import Alternative, Quality
+from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
@@ -26,9 +30,10 @@ class FoundPose:
     """The pose found in one frame and what supports it.
 
     ``camera_from_root`` (4, 4) and ``joints`` (J,), rad, have the ``covariance`` (6 + J, 6 + J) of the small changes
-    [t, r, joints] in the root's axes. ``reasons`` say why the pose is doubtful; none if it is not.
-    ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the readings.
-    ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced.
+    [t, r, joints] in the root's axes; ``expected_error`` is that of tips and shaft. ``mode_probability`` is that of the
+    pose's mode, None where a session's prediction tells the mode. ``reasons`` say why the pose is doubtful; none if it
+    is not. ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the
+    readings. ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced.
     """
 
     camera_from_root: Float64
@@ -38,6 +43,8 @@ class FoundPose:
     reasons: tuple[str, ...]
     evaluations: int
     rays: int
+    expected_error: ExpectedError
+    mode_probability: float | None = None
     alternatives: tuple[Alternative, ...] = ()
     camera_from_base: Float64 | None = None
 
@@ -59,15 +66,20 @@ def find_pose(
     qualities, confirming = measure_quality(
         renderer, evidence, readings, modes, config.weights, decay=config.decay_px, field=config.distance_field
     )
-    reasons = judge(best, modes, qualities[0], evidence, readings, instrument, config.trust)
+    covariance = pose_covariance(modes, qualities[0])
+    expected = expected_error(instrument, best.camera_from_root, best.joints, covariance)
+    probability = mode_probability(modes, expected.of_tips_mm)
+    reasons = judge(modes, qualities[0], expected, probability, evidence, readings, instrument, config.trust)
     return FoundPose(
         camera_from_root=best.camera_from_root,
         joints=best.joints,
-        covariance=np.asarray(np.linalg.inv(best.information), dtype=np.float64),
+        covariance=covariance,
         quality=qualities[0],
         reasons=tuple(reasons),
         evaluations=objective.evaluations + local.silhouettes + renderer.poses,
         rays=objective.renderer.rays + local.rays + renderer.rays + confirming,
+        expected_error=expected,
+        mode_probability=probability,
         alternatives=tuple(
             _alternative(instrument, readings, best, mode, quality)
             for mode, quality in zip(modes[1:], qualities[1:], strict=True)

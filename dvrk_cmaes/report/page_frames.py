@@ -157,6 +157,10 @@ def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | N
         keys["rcm"] = 1e3 * float(np.linalg.norm(from_median))
     if left_out is not None and left_out.iou is not None:
         keys["predicted"] = left_out.iou
+    if result.expected_error is not None:
+        keys["tips"] = result.expected_error.tip_90_mm
+    if result.mode_probability is not None:
+        keys["mode"] = result.mode_probability
     return {name: round(value, 4) for name, value in keys.items() if math.isfinite(value)}
 
 
@@ -176,6 +180,12 @@ def _pose(result: Result, from_median: Float64 | None) -> Iterable[TableRow]:
         yield TableRow(f"{result.root_link}: axis-angle, deg", _cells(axis_angle(pose), 2))
         if result.std_rotation_deg is not None:
             yield TableRow("standard deviation about its own axes, deg", _cells(result.std_rotation_deg, 2), minor=True)
+    for k, tip in enumerate(result.tips, start=1):
+        name = "tip" if len(result.tips) == 1 else f"jaw_{k}"
+        yield TableRow(f"{name if name == 'tip' else name + ', tip'}: position, mm", _cells(1e3 * tip, 2))
+        if result.expected_error is not None and name in result.expected_error.tip_axes_mm:
+            axes = _cells(result.expected_error.tip_axes_mm[name], 2)
+            yield TableRow("standard deviation along the camera's axes, mm", axes, minor=True)
     if result.camera_from_base is not None:
         yield TableRow("arm's base (RCM): position, mm", _cells(1e3 * result.camera_from_base[:3, 3], 2))
         if from_median is not None:
@@ -208,12 +218,19 @@ def _joints(result: Result) -> Iterable[TableRow]:
 
 
 def _fit(result: Result) -> Iterable[tuple[str, str]]:
-    """Yield names and values: agreement of silhouette and mask, loss, time, and how the frame was solved."""
+    """Yield names and values: expected errors, agreement with the mask, loss, time, and how the frame was solved."""
+    if result.expected_error is not None:
+        yield "expected error of the tips, rms", f"{fixed(result.expected_error.of_tips_mm, 2)} mm"
+        yield "expected error of the shaft's direction, rms", f"{fixed(result.expected_error.shaft_deg, 2)} deg"
+    if result.mode_probability is not None:
+        yield "probability of the right mode", fixed(result.mode_probability, 2)
     q = result.quality
     if q is not None:
         yield "overlap (IoU)", fixed(q.iou, 4)
         yield "outline to mask, median", f"{fixed(q.contour_px_median, 2)} px"
         yield "outline to mask, 95 %", f"{fixed(q.contour_px_95, 2)} px"
+        yield "contour off in stretches", f"{fixed(100 * q.steady_share, 0)} %"
+        yield "contour beyond the shaft, rms", f"{fixed(q.distal_px, 2)} px"
         terms = ", ".join(f"{name} {value:.3g}" for name, value in q.terms.items())
         yield "loss", f"{q.loss:.4g}" + (f" ({terms})" if terms else "")
     yield "time", f"{fixed(result.seconds, 2)} s, {result.evaluations:,} silhouettes, {result.rays:,} rays"

@@ -134,6 +134,11 @@ def session_figures(results: Sequence[Result], base: FrameBases | None, run: Run
             f"95 % of it within {np.median([q.contour_px_95 for q, _ in judged]):.1f} px, "
             f"in the worst frame {max(q.contour_px_95 for q, _ in judged):.1f} px",
         )
+    tips = [(result.expected_error.tip_90_mm, result.frame) for result in results if result.expected_error is not None]
+    if tips:
+        most, where = max(tips)
+        figure = f"{np.median([tip for tip, _ in tips]):.2f} mm"
+        yield KeyFigure("Tips within (90 %), median", figure, f"at worst {most:.1f} mm ({where})")
     seconds = [result.seconds for result in results if result.status != "failed"]
     if seconds:
         note = f"slowest {max(seconds):.2f} s"

@@ -14,6 +14,8 @@ from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, round
 from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
+    Pixel,
+    Point,
     Texts,
     Transform,
     check_schema,
@@ -81,6 +83,8 @@ class Quality:
     iou : intersection over union. loss : weighted sum of ``terms``, the terms of the search's loss by name.
     contour_px_median, contour_px_95 : median and 95th percentile of the distances.
     bend_px : deviation of the silhouette from a straight line at which the mask ends; 0 where it ends at none.
+    steady_share : share of the contour on stretches that are off together, such as a shadow beside the shaft.
+    distal_px : root mean square of the distances (of at most 15 px) beyond the shaft, at wrist and jaws.
     """
 
     iou: Number
@@ -89,6 +93,46 @@ class Quality:
     contour_px_median: Number
     contour_px_95: Number
     bend_px: Number = 0.0
+    steady_share: Number = 0.0
+    distal_px: Number = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedError:
+    """Standard deviations of the tips and of the shaft's direction, from the covariance of pose and joints.
+
+    The tips are ``jaw_1``, ``jaw_2`` and their ``mean``, or ``tip`` of an instrument without a pair of jaws.
+
+    tip_mm : root mean square of each tip's distance from its true position, mm.
+    tip_axes_mm : (3,) standard deviations of each tip along the camera's axes, mm.
+    tip_90_mm : distance within which each single tip lies with a probability of 90 %, mm.
+    shaft_deg : root mean square of the angle between the shaft's direction and the true one, degrees.
+    """
+
+    tip_mm: dict[str, Number]
+    tip_axes_mm: dict[str, Point]
+    tip_90_mm: Number
+    shaft_deg: Number
+
+    @property
+    def of_tips_mm(self) -> float:
+        """Expected error of the tips as a whole, mm: of their mean, or of the only tip."""
+        return self.tip_mm["mean" if "mean" in self.tip_mm else "tip"]
+
+    @property
+    def in_words(self) -> str:
+        """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``."""
+        digits = 2 if self.tip_90_mm < 1 else 1
+        return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as they are in ``std`` of a result."""
+        return {
+            "tip_mm": rounded_values(self.tip_mm),
+            "tip_axes_mm": {name: rounded_array(axes) for name, axes in self.tip_axes_mm.items()},
+            "tip_90_mm": rounded(self.tip_90_mm),
+            "shaft_deg": rounded(self.shaft_deg),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +144,11 @@ class Result:
     reasons : of a doubtful or failed status. warnings : remarks on the inputs. unused : evidence not used, and why.
     camera_from_base : (4, 4), m, where the readings of the outer joints were given.
     source : whether the frame was solved by itself or with its session. change : from the former to the latter.
+    tips : (3,) each, m in the camera's frame: jaw_1 and jaw_2, or the end of an instrument without a pair of jaws.
+    tips_px : (2,) each, their pixels; empty if one is behind the camera.
     covariance : (6 + J, 6 + J), of [tx ty tz rx ry rz] in the root link's axes (m, rad), then of the joints (rad).
+    expected_error : of the tips and the shaft's direction, from the covariance.
+    mode_probability : that the pose is in the true mode, not in one of the alternatives' or the mirror twin's.
     alternatives : other modes, by decreasing likelihood.
     seconds : from arrays in memory to the result. evaluations, rays : silhouettes computed and rays traced.
     """
@@ -119,7 +167,11 @@ class Result:
     source: Source = "frame"
     change: dict[str, Any] | None = None
     quality: Quality | None = None
+    tips: tuple[Point, ...] = ()
+    tips_px: tuple[Pixel, ...] = ()
     covariance: Float64 | None = None
+    expected_error: ExpectedError | None = None
+    mode_probability: Number | None = None
     alternatives: tuple[Alternative, ...] = ()
     seconds: Number = 0.0
     evaluations: Count = 0
@@ -172,6 +224,9 @@ class Result:
         fields = present_fields(where, document)
         check_schema(where, fields, SCHEMA)
         covariance = fields.pop("covariance", None)
+        std = fields.pop("std", None)
+        if isinstance(std, dict) and "tip_mm" in std:
+            fields["expected_error"] = std
         if isinstance(fields.get("quality"), dict):
             fields["quality"] = {"terms": {}, **present_fields(where, fields["quality"])}
         result = convert_document(where, {**_LEAST, **fields}, cls)
@@ -207,6 +262,7 @@ class Result:
                 "translation_mm": rounded_array(self.std_translation_mm),
                 "rotation_deg": rounded_array(self.std_rotation_deg),
                 "joints_deg": rounded_values(self.std_joints_deg or {}),
+                **({} if self.expected_error is None else self.expected_error.to_dict()),
             }
         covariance = None
         if self.covariance is not None:
@@ -221,6 +277,8 @@ class Result:
                 "contour_px_median": rounded(self.quality.contour_px_median),
                 "contour_px_95": rounded(self.quality.contour_px_95),
                 "bend_px": rounded(self.quality.bend_px),
+                "steady_share": rounded(self.quality.steady_share),
+                "distal_px": rounded(self.quality.distal_px),
             }
         return {
             "schema": SCHEMA,
@@ -232,6 +290,8 @@ class Result:
             "camera_from_root": None if self.camera_from_root is None else rounded_array(self.camera_from_root),
             "joints": rounded_values(self.joints),
             "readings": rounded_values(self.readings),
+            "tips": [rounded_array(tip) for tip in self.tips],
+            "tips_px": [rounded_array(tip) for tip in self.tips_px],
             "warnings": list(self.warnings),
             "unused": list(self.unused),
             "camera_from_base": None if self.camera_from_base is None else rounded_array(self.camera_from_base),
@@ -240,6 +300,7 @@ class Result:
             "quality": quality,
             "std": std,
             "covariance": covariance,
+            "mode_probability": None if self.mode_probability is None else rounded(self.mode_probability),
             "alternatives": [a.to_dict() for a in self.alternatives],
             "seconds": round(self.seconds, 4),
             "evaluations": self.evaluations,

@@ -15,8 +15,9 @@ from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.parallel import batches
-from dvrk_cmaes.pose.refine.correlated_noise import COVARIANCE_FACTOR, fit_correlated, has_correlated_noise
+from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
 from dvrk_cmaes.pose.refine.direct import refine_direct
+from dvrk_cmaes.pose.refine.information import pose_information
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
 from dvrk_cmaes.pose.search.global_search import Candidate, image_size, scale_of_change
 from dvrk_cmaes.pose.search.modes import HasPose, best_per_mode
@@ -140,13 +141,11 @@ class LocalSearch:
         if missing := self._missing_twin(modes[0], modes[1:]):
             modes = best_per_mode([*modes, *self._last(refiner, missing)])
         first, *others = modes
-        inflation = noise.inflation
         if self._config.refine.method == "gauss-newton" and has_correlated_noise(noise):
             fitted = refiner.assess(*fit_correlated(refiner, first.camera_from_root, first.joints))
             if fitted.score < first.score + _AS_GOOD:
                 first = replace(first, camera_from_root=fitted.camera_from_root, joints=fitted.joints)
-                inflation *= COVARIANCE_FACTOR
-        return [replace(first, information=refiner.information(first, noise) / inflation), *others]
+        return [replace(first, information=pose_information(refiner, first, noise)), *others]
 
     def _last(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""

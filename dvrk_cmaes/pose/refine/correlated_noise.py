@@ -25,9 +25,6 @@ from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
 
-COVARIANCE_FACTOR = 0.65
-"""Factor on the covariance of a pose after these steps, determined from 90 % intervals on 236 synthetic frames."""
-
 _LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors
 _LARGEST_LENGTH = 25.0  # px; longer correlation is caused by errors of the instrument's shape
 _LENGTH = 21.0  # px, correlation length
@@ -41,9 +38,14 @@ _STEPS = 6  # at most
 _LARGEST_STEP = 6.0  # standard deviations
 
 
+def is_rough(noise: OutlineNoise) -> bool:
+    """Return whether the errors of a mask's contour are a segmentation's, not those of the quantisation to pixels."""
+    return noise.sigma > _LEAST_SIGMA
+
+
 def has_correlated_noise(noise: OutlineNoise) -> bool:
     """Return whether the noise of a mask's contour is of the kind that `fit_correlated` models."""
-    return noise.sigma > _LEAST_SIGMA and noise.length < _LARGEST_LENGTH
+    return is_rough(noise) and noise.length < _LARGEST_LENGTH
 
 
 def fit_correlated(refiner: OutlineRefiner, pose: Float64, joints: Float64) -> tuple[Float64, Float64]:

@@ -28,15 +28,12 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
 from dvrk_cmaes.evidence.joint_prior import Readings
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import sampled
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.pose.refine.priors import PosePrior, Priors
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
-
-# Largest standard deviations of position, m, and of angles, rad; they keep the information invertible.
-_POSITION_SIGMA, _ANGLE_SIGMA = 1.0, np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,25 +240,6 @@ class OutlineRefiner:
         information, slope = self._normal_equations(state, jacobian, self._config.cauchy)
         scale = self._scale(state.loss)
         return scale * information, scale * slope
-
-    def information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
-        """Compute the information (D, D) of outline and priors about the small changes of a fitted pose."""
-        information = self.outline_information(fit, noise)
-        self.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
-        bounds = [1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (len(self.steps) - 3)
-        return np.asarray(information + np.diag(bounds))
-
-    def outline_information(self, fit: OutlineFit, noise: OutlineNoise) -> Float64:
-        """Compute the information (D, D) of the outline alone about the small changes of a fitted pose.
-
-        Each ``noise.length`` px of outline is one measurement with standard deviation ``noise.sigma``. Points at
-        ignored pixels or farther than three standard deviations from the mask's outline do not count.
-        """
-        outline, jacobian = self.outline_jacobian(fit.camera_from_root, fit.joints)
-        off = sampled(signed_distance(self._mask), outline.pixels)
-        counts = sampled(self._weight, outline.pixels) * (np.abs(off) < 3 * max(noise.sigma, 0.5))
-        length = np.linalg.norm(outline.normals, axis=1)
-        return np.asarray(jacobian.T @ (jacobian * (counts / length)[:, None]) / (noise.sigma**2 * noise.length))
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) without refining them."""

@@ -1,0 +1,38 @@
+"""Covariance of the pose of a frame: of its best mode, and of other modes near it.
+
+Where the mask's contour is far from the silhouette at wrist and jaws, tissue or another tool is in front of them. The
+errors are then larger than the outline's noise tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import change_between, rotation_angle
+from dvrk_cmaes.pose.mode_probability import mode_weights
+from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.results.result import Quality
+
+Float64 = NDArray[np.float64]
+
+_NEAR = np.deg2rad(60.0)  # rotation between modes that are covered by one covariance
+_DISTAL_PX = 2.2  # distance of the contour at wrist and jaws, beyond which the standard deviations grow with it
+
+
+def pose_covariance(modes: Sequence[OutlineFit], quality: Quality) -> Float64:
+    """Return the covariance (6 + J, 6 + J) of small changes of the first mode, whose ``quality`` is given.
+
+    It includes the other modes within 60 degrees, each with its share of the probability. Modes farther away, such as
+    the mirror twin, are not a small change of the pose; they are told by the mode's probability.
+    """
+    best, weights = modes[0], mode_weights(modes)
+    covariance = np.linalg.inv(best.information) * max(1.0, quality.distal_px / _DISTAL_PX) ** 2
+    for mode, weight in zip(modes[1:], weights[1:], strict=True):
+        if rotation_angle(best.camera_from_root, mode.camera_from_root) < _NEAR:
+            change = change_between(best.camera_from_root, mode.camera_from_root)
+            apart = np.concatenate([change, mode.joints - best.joints])
+            covariance += weight / (weight + weights[0]) * np.outer(apart, apart)
+    return np.asarray(covariance, dtype=np.float64)

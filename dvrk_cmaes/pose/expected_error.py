@@ -1,0 +1,93 @@
+"""Expected errors of the jaw tips and of the shaft's direction, propagated from the covariance of a pose.
+
+The covariance of a pose is that of small changes [t, r, joints]. Jacobians from central differences carry it to points
+in the camera's frame. The distance within which a point lies with 90 % is that of a gamma distribution with the mean
+and the variance of the squared distance (Satterthwaite's approximation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import gamma
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import apply, frame_along, moved
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.results.result import ExpectedError
+
+Float64 = NDArray[np.float64]
+Quantity = Callable[[Float64, Float64], Float64]
+"""Function of poses (C, 4, 4) and joints (C, J) with values (C, n)."""
+Points = tuple[Float64, ...]
+
+INTERVAL = 0.9
+"""Probability of the distance ``tip_90_mm``."""
+
+_STEP = 1e-5  # m and rad
+
+
+def jacobian(quantity: Quantity, pose: Float64, joints: Float64) -> Float64:
+    """Return the derivatives (n, 6 + J) of a quantity by small changes [t, r, joints], from central differences."""
+    count = 6 + len(joints)
+    change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
+    values = quantity(moved(pose, change[:, :6]), joints + change[:, 6:])
+    return np.asarray((values[:count] - values[count:]).T / (2 * _STEP))
+
+
+def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
+    """Return the quantity: mean position of some tips in the camera, (C, 3) m."""
+
+    def position(poses: Float64, joints: Float64) -> Float64:
+        tips = instrument.ends(joints)[:, list(which)].mean(axis=1)
+        return np.asarray(np.einsum("nij,nj->ni", poses[:, :3, :3], tips) + poses[:, :3, 3])
+
+    return position
+
+
+def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
+    """Return the quantity: the two components (C, 2) of the shaft's direction across that of the pose ``about``."""
+    along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
+    across = frame_along(about[:3, :3] @ along)[:, :2]
+
+    def direction(poses: Float64, joints: Float64) -> Float64:
+        return np.asarray(poses[:, :3, :3] @ along @ across)
+
+    return direction
+
+
+def largest_distance(covariance: Float64) -> float:
+    """Return the distance within which a point with a covariance (3, 3) lies with 90 %, in the covariance's unit."""
+    mean = float(np.trace(covariance))
+    if mean <= 0:
+        return 0.0
+    variance = 2 * float((covariance**2).sum())
+    return float(np.sqrt(gamma.ppf(INTERVAL, mean**2 / variance, scale=variance / mean)))
+
+
+def expected_error(instrument: Instrument, pose: Float64, joints: Float64, covariance: Float64) -> ExpectedError:
+    """Propagate the covariance (6 + J, 6 + J) of a pose (4, 4) and joints (J,) to tips and shaft."""
+    count = len(instrument.ends(joints))
+    names = {f"jaw_{k + 1}": [k] for k in range(count)} | {"mean": [*range(count)]} if count > 1 else {"tip": [0]}
+    spreads = {}
+    for name, which in names.items():
+        slope = jacobian(tip_position(instrument, which), pose, joints)
+        spreads[name] = 1e6 * slope @ covariance @ slope.T
+    slope = np.degrees(jacobian(shaft_direction(instrument, pose), pose, joints))
+    return ExpectedError(
+        tip_mm={name: float(np.sqrt(np.trace(spread))) for name, spread in spreads.items()},
+        tip_axes_mm={name: np.sqrt(np.diag(spread)) for name, spread in spreads.items()},
+        tip_90_mm=max(largest_distance(spread) for spread in spreads.values()),
+        shaft_deg=float(np.sqrt(np.trace(slope @ covariance @ slope.T))),
+    )
+
+
+def locate_tips(instrument: Instrument, camera: Camera, pose: Float64, joints: Float64) -> tuple[Points, Points]:
+    """Return the tips of a pose (4, 4) and joints (J,): their positions in the camera, (3,) m each, and pixels, (2,).
+
+    There are no pixels if a tip is behind the camera.
+    """
+    points = apply(pose, instrument.ends(joints))
+    return tuple(points), tuple(camera.project(points)) if (points[:, 2] > 0).all() else ()

@@ -1,0 +1,42 @@
+"""Probability that the pose found is in the true mode.
+
+Each mode has the weight exp(-score), its score being a negative log-likelihood of outline and readings. A mode that the
+search has not found has the odds (e / 10 mm)^3 against those found, e being the expected error of the tips: where the
+outline says little about the pose, a search misses more. The exponent and the 10 mm were fitted to made frames of the
+levels medium and hard; `scripts/accuracy.py trust` prints how often a stated probability is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.pose.refine.outline import OutlineFit
+
+Float64 = NDArray[np.float64]
+
+SAME_MODE = np.deg2rad(30.0)
+"""Largest rotation between two poses of one mode, rad."""
+
+_MISSED_MM, _MISSED_POWER = 10.0, 3.0  # odds of a mode that was not found
+
+
+def mode_weights(modes: Sequence[OutlineFit]) -> Float64:
+    """Return the share of each mode (M,) in the posterior probability of all that were found."""
+    weights = np.exp(-(np.array([mode.score for mode in modes]) - min(mode.score for mode in modes)))
+    return np.asarray(weights / weights.sum())
+
+
+def mode_probability(modes: Sequence[OutlineFit], expected_mm: float) -> float:
+    """Return the probability that the first mode is within 30 degrees of the truth.
+
+    ``expected_mm`` is the expected error of the tips if it is.
+    """
+    best = modes[0].camera_from_root
+    same = [float(rotation_angle(best, mode.camera_from_root)) < SAME_MODE for mode in modes]
+    found = float(mode_weights(modes)[same].sum())
+    missed = (expected_mm / _MISSED_MM) ** _MISSED_POWER
+    return float(found / (1 + missed))

@@ -1,0 +1,63 @@
+"""Information about a pose from its outline and priors: the inverse of the covariance that a result states.
+
+Each correlation length of outline is one measurement. Its standard deviation is that of the link to which the outline
+belongs, because an occluder over the jaws or a shadow beside the shaft makes the contour worse on one link only. On a
+rough contour the length is a constant: that of a single frame varies by a factor of two around it, which says nothing
+about the error of the pose, and shadows make it longer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.pose.refine.correlated_noise import is_rough
+from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
+from dvrk_cmaes.silhouette import OutlinePoints
+
+Float64 = NDArray[np.float64]
+
+# Largest standard deviations of position, m, and of angles, rad; they keep the information invertible.
+_POSITION_SIGMA, _ANGLE_SIGMA = 1.0, np.pi
+_CLIP = 3.0  # standard deviations, beyond which a point of the outline does not count
+_LARGEST = 8.0  # standard deviations to which errors are limited in the variance of a link
+_SHARED = 100.0  # px of outline; weight of the variance of the whole outline in that of a link
+_ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
+_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.455, 0.65  # on the covariance; fitted to the 90 % intervals of made frames
+
+
+def pose_information(refiner: OutlineRefiner, fit: OutlineFit, noise: OutlineNoise) -> Float64:
+    """Compute the information (6 + J, 6 + J) of outline and priors about the small changes of a fitted pose."""
+    rough = is_rough(noise)
+    information = outline_information(refiner, fit, noise.sigma, _ROUGH_LENGTH if rough else noise.length)
+    refiner.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+    bounds = [1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (len(information) - 3)
+    factor = noise.inflation * (_ROUGH_FACTOR if rough else _SMOOTH_FACTOR)
+    return np.asarray((information + np.diag(bounds)) / factor)
+
+
+def outline_information(refiner: OutlineRefiner, fit: OutlineFit, sigma: float, correlation: float) -> Float64:
+    """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of a fitted pose.
+
+    ``sigma``, px, is the standard deviation of the whole contour, ``correlation``, px, its correlation length. Points
+    at ignored pixels or farther than three standard deviations from the mask's outline do not count.
+    """
+    outline, jacobian = refiner.outline_jacobian(fit.camera_from_root, fit.joints)
+    off = sampled(signed_distance(refiner.mask), outline.pixels)
+    weight = sampled(refiner.weight, outline.pixels)
+    length = np.linalg.norm(outline.normals, axis=1)
+    counts = weight * (np.abs(off) < _CLIP * max(sigma, 0.5))
+    variance = _link_variances(outline, off, length * weight, sigma)[outline.link]
+    return np.asarray(jacobian.T @ (jacobian * (counts / (length * variance))[:, None]) / correlation)
+
+
+def _link_variances(outline: OutlinePoints, off: Float64, length: Float64, sigma: float) -> Float64:
+    """Estimate the variance of the outline's error on each link, px^2, from errors (N,) and lengths (N,), px.
+
+    It is the mean of the link's squared errors and of ``_SHARED`` px with the variance of the whole outline.
+    """
+    square = np.clip(off, -_LARGEST * sigma, _LARGEST * sigma) ** 2
+    sums = np.bincount(outline.link, length * square)
+    lengths = np.bincount(outline.link, length)
+    return np.asarray((sums + _SHARED * sigma**2) / (lengths + _SHARED))
