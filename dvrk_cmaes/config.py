@@ -217,6 +217,9 @@ class TrustConfig:
         Largest deviation of a joint from its reading, in standard deviations of the reading.
     largest_reading_sum
         Largest sum of the squares of these deviations over all joints.
+    largest_base_deg
+        Largest rotation, degrees, between a frame's camera_from_base and the most central one of a batch's frames. In a
+        batch whose frames scatter more, three times the median rotation counts.
     """
 
     tip_mm: float = 2.0
@@ -228,6 +231,7 @@ class TrustConfig:
     largest_outline_gap: float = 2.0
     largest_reading_sigmas: float = 2.8
     largest_reading_sum: float = 7.8
+    largest_base_deg: float = 10.0
 
 
 @dataclass(frozen=True)

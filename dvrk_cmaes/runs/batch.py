@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.pose_table import pose_rows, table_text
 from dvrk_cmaes.frames.frame import FrameFiles
@@ -26,6 +26,7 @@ from dvrk_cmaes.results.folder import SUMMARY, read_results
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
+from dvrk_cmaes.runs.fellows import compare_frames
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     check_same_frames,
@@ -205,6 +206,9 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
     out = Path(out)
     manifest = _manifest(out)
     results = read_results(out) if _has_results(out) else None
+    if results is not None:
+        limit = manifest["config"].get("trust", {}).get("largest_base_deg", TrustConfig.largest_base_deg)
+        results = replace(results, frames=compare_frames(out, results.frames, limit))
     found, session = ({}, None) if results is None else (results.frames, results.session)
     document = summarize(found, manifest, timing, calibration=session)
     if results is not None:

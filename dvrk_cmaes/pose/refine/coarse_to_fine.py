@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
-from dvrk_cmaes.evidence.outline_noise import measure_noise
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.parallel import batches
@@ -127,8 +127,7 @@ class LocalSearch:
     def _finish(self, modes: list[OutlineFit]) -> list[OutlineFit]:
         """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""
         best = min(modes, key=lambda m: m.score)
-        silhouette = self._renderer.masks(best.camera_from_root[None], best.joints[None])[0]
-        noise = measure_noise(self._evidence.contour, silhouette)
+        noise = self._noise(best)
         refiner = self._refiner(1, correlation=noise.length)
         # Modes that are clearly worse, by score and by outline score, are not refined again, only scored.
         close = [
@@ -145,7 +144,12 @@ class LocalSearch:
             fitted = refiner.assess(*fit_correlated(refiner, first.camera_from_root, first.joints))
             if fitted.score < first.score + _AS_GOOD:
                 first = replace(first, camera_from_root=fitted.camera_from_root, joints=fitted.joints)
-        return [replace(first, information=pose_information(refiner, first, noise)), *others]
+        return [replace(first, information=pose_information(refiner, first, self._noise(first))), *others]
+
+    def _noise(self, mode: HasPose) -> OutlineNoise:
+        """Estimate the noise of the mask's contour from its distances to the silhouette of a mode."""
+        silhouette = self._renderer.masks(mode.camera_from_root[None], mode.joints[None])[0]
+        return measure_noise(self._evidence.contour, silhouette)
 
     def _last(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""
