@@ -13,7 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.results.result import Alternative, Quality, Result
+from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result
 
 POSE = moved(np.eye(4), [0.01, -0.02, 0.1, 0.3, -0.2, 0.9])
 JOINTS = {"wrist_pitch": -0.2, "wrist_yaw": 0.5, "jaw": 0.8}
@@ -36,7 +36,16 @@ def full() -> Result:
         camera_from_base=moved(POSE, [0.1, 0, 0, 0, 0, 1]),
         source="session",
         change={"translation_mm": 0.3, "rotation_deg": 1.0, "joints_deg": {"jaw": 0.2}},
-        quality=Quality(0.97, 0.1, {"mse": 0.02, "dist": 0.01}, 0.6, 2.1, 1.4),
+        quality=Quality(0.97, 0.1, {"mse": 0.02, "dist": 0.01}, 0.6, 2.1, 1.4, 0.08, 1.9),
+        tips=(np.array([0.01, -0.02, 0.11]), np.array([0.02, -0.02, 0.11])),
+        tips_px=(np.array([400.5, 90.25]), np.array([490.0, 95.0])),
+        expected_error=ExpectedError(
+            tip_mm={"jaw_1": 0.6, "jaw_2": 0.7, "mean": 0.5},
+            tip_axes_mm={name: np.array([0.1, 0.2, 0.4]) for name in ("jaw_1", "jaw_2", "mean")},
+            tip_90_mm=1.02,
+            shaft_deg=0.8,
+        ),
+        mode_probability=0.97,
         covariance=np.diag([1e-8, 2e-8, 3e-8, 1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 4e-3]),
         alternatives=(Alternative(POSE, JOINTS, 0.12, 0.96, "mirror twin", 41.0),),
         seconds=0.7,
@@ -75,6 +84,25 @@ def test_minimal_result_is_read(tmp_path: Path) -> None:
     assert (result.frame, result.status, result.root_link) == ("0026", "ok", "roll_link")
     np.testing.assert_array_equal(result.camera_from_root, POSE)
     assert (result.joints, result.seconds, result.covariance) == (JOINTS, 0.7, None)
+
+
+def test_file_without_expected_error_is_read(tmp_path: Path) -> None:
+    document = full().to_dict()
+    document["std"] = {name: document["std"][name] for name in ("translation_mm", "rotation_deg", "joints_deg")}
+    for name in ("tips", "tips_px", "mode_probability"):
+        del document[name]
+    result = read_result(write(tmp_path / "0007.json", document))
+    assert (result.expected_error, result.tips, result.mode_probability) == (None, (), None)
+    assert result.covariance is not None
+
+
+def test_wrong_expected_error_is_named(tmp_path: Path) -> None:
+    document = full().to_dict()
+    document["std"]["tip_90_mm"] = "wide"
+    assert (
+        message(write(tmp_path / "a.json", document))
+        == "expected_error.tip_90_mm: expected a finite number, got 'wide'"
+    )
 
 
 def test_missing_bend_is_read_as_zero(tmp_path: Path) -> None:

@@ -1,0 +1,55 @@
+"""Probability of the mode, and the covariance that includes modes near by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.pose.covariance import pose_covariance
+from dvrk_cmaes.pose.mode_probability import mode_probability
+from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.results.result import Quality
+
+POSE, JOINTS = np.eye(4), np.zeros(3)
+GOOD = Quality(0.97, 0.1, {}, 0.5, 1.5, distal_px=0.8)
+
+
+def mode(turn_deg: float, score: float, shift: float = 0.0) -> OutlineFit:
+    change = np.array([shift, 0, 0, 0, 0, np.deg2rad(turn_deg)])
+    return OutlineFit(moved(POSE, change), JOINTS, score, score, 0.0, np.eye(9) * 1e6)
+
+
+def test_only_mode_of_accurate_pose_is_certain() -> None:
+    assert mode_probability([mode(0, 5.0)], 0.3) == pytest.approx(1, abs=1e-3)
+
+
+def test_equal_twin_has_half_of_probability() -> None:
+    assert mode_probability([mode(0, 5.0), mode(180, 5.0)], 0.3) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_probability_falls_with_gap() -> None:
+    gaps = [mode_probability([mode(0, 0.0), mode(180, gap)], 0.3) for gap in (0, 1, 2, 4, 8)]
+    assert gaps == sorted(gaps)
+    assert gaps[-1] > 0.999
+
+
+def test_pose_near_by_is_same_mode() -> None:
+    assert mode_probability([mode(0, 0.0), mode(20, 0.1)], 0.3) > 0.99
+
+
+def test_expected_error_lowers_probability() -> None:
+    assert mode_probability([mode(0, 0.0)], 10.0) == pytest.approx(0.5)
+
+
+def test_covariance_reaches_live_mode_near_by_but_not_twin() -> None:
+    alone = pose_covariance([mode(0, 0.0)], GOOD)
+    near = pose_covariance([mode(0, 0.0), mode(20, 0.0, shift=0.01)], GOOD)
+    twin = pose_covariance([mode(0, 0.0), mode(180, 0.0, shift=0.01)], GOOD)
+    assert np.sqrt(near[0, 0]) > 0.005
+    np.testing.assert_array_equal(twin, alone)
+
+
+def test_contour_far_off_at_jaws_widens_covariance() -> None:
+    off = Quality(0.9, 0.1, {}, 0.5, 6.0, distal_px=4.4)
+    np.testing.assert_allclose(pose_covariance([mode(0, 0.0)], off), 4 * pose_covariance([mode(0, 0.0)], GOOD))
