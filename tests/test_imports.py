@@ -17,7 +17,7 @@ PACKAGE = ROOT / "dvrk_cmaes"
 LAYERS = (
     ("__main__",),
     ("cli", "scripts"),
-    ("runs",),
+    ("runs", "live"),
     ("report", "__init__"),
     ("track",),
     ("estimation",),

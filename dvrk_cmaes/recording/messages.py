@@ -51,6 +51,11 @@ def image_file(message: Any, where: str) -> ImageFile:
 
 def _raw(message: Any, where: str) -> ImageFile:
     """Convert a sensor_msgs/Image to a PNG file."""
+    return encode_png(image_pixels(message, where))
+
+
+def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
+    """Return the pixels of a sensor_msgs/Image, (H, W) grey or (H, W, 3) BGR; errors as in ``image_file``."""
     width, height, step = int(message.width), int(message.height), int(message.step)
     if message.encoding not in _ENCODINGS:
         names = ", ".join(nearest_first(message.encoding, _ENCODINGS))
@@ -68,7 +73,7 @@ def _raw(message: Any, where: str) -> ImageFile:
         converted = pixels if conversion is None else cv2.cvtColor(pixels, conversion)
     except cv2.error:  # the size does not fit the Bayer pattern or the pixel pairs
         raise InputError(f"{where}: {width} x {height} pixels of {message.encoding} make no image") from None
-    return encode_png(np.ascontiguousarray(converted, np.uint8))
+    return np.ascontiguousarray(converted, np.uint8)
 
 
 def encode_png(pixels: NDArray[np.uint8]) -> ImageFile:

@@ -1,0 +1,119 @@
+"""Conversion of messages of plain values, with bytes as they are or in base64, to arrays, readings and a camera.
+
+Errors are `InputError`, one line that begins with the topic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+import cv2
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import read_camera_info
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.typed_document import Count, Number, Texts, convert_document
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.names import joint_reading
+from dvrk_cmaes.recording.messages import image_pixels, joint_names, stored_image
+
+_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"))  # of ROS 2 and ROS 1
+
+
+Bytes = Annotated[bytes, Meta(description="bytes in base64")]  # converted from base64 where they are a text
+
+
+class _Header(Struct):
+    stamp: dict[str, int]
+
+
+class _Stamped(Struct):
+    header: _Header
+
+
+class _Image(_Stamped):
+    width: Count
+    height: Count
+    encoding: str
+    step: Count
+    data: Bytes
+
+
+class _CompressedImage(_Stamped):
+    data: Bytes
+
+
+class _JointState(_Stamped):
+    position: tuple[Number, ...]
+    name: Texts = ()
+
+
+class Stamp(NamedTuple):
+    """Time of a message, ns, and whether it is written as in ROS 1."""
+
+    time: int
+    ros1: bool
+
+
+class _RawImage(NamedTuple):
+    """The fields of a sensor_msgs/Image that its conversion reads."""
+
+    width: int
+    height: int
+    encoding: str
+    step: int
+    data: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings at a time, ns: joints by name, rad, or m for ``insertion``."""
+
+    time: int
+    joints: Mapping[str, float]
+
+
+def read_stamp(where: str, fields: Mapping[str, Any]) -> Stamp:
+    """Read the time in a message's header."""
+    stamp = convert_document(where, fields, _Stamped).header.stamp
+    for ros1, (seconds, rest) in enumerate(_STAMPS):
+        if seconds in stamp and rest in stamp:
+            return Stamp(stamp[seconds] * NANOSECONDS + stamp[rest], bool(ros1))
+    raise InputError(f"{where}: header.stamp: expected sec and nanosec, or secs and nsecs, got {shown(stamp)}")
+
+
+def read_pixels(where: str, fields: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """Decode an Image or a CompressedImage to (H, W, 3) uint8, BGR."""
+    if "encoding" in fields:
+        image = convert_document(where, fields, _Image)
+        data = np.frombuffer(image.data, np.uint8)
+        pixels = image_pixels(_RawImage(image.width, image.height, image.encoding, image.step, data), where)
+        return pixels if pixels.ndim == 3 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR), np.uint8)
+    file = stored_image(convert_document(where, fields, _CompressedImage).data, where)
+    decoded = cv2.imdecode(np.frombuffer(file.data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if decoded is None:
+        raise InputError(f"{where}: expected a PNG or JPEG, got one that is damaged")
+    return np.asarray(decoded, np.uint8)
+
+
+def read_readings(where: str, fields: Mapping[str, Any]) -> Readings:
+    """Read the positions of a JointState."""
+    message = convert_document(where, fields, _JointState)
+    names = joint_names(message, where)
+    if len(names) != len(message.position):
+        raise InputError(f"{where}: position: expected {len(names)} numbers, got {len(message.position)}")
+    joints = {name: joint_reading(where, name, value) for name, value in zip(names, message.position, strict=True)}
+    return Readings(read_stamp(where, fields).time, joints)
+
+
+def read_camera(where: str, fields: Mapping[str, Any], *, rectified: bool = False) -> Camera:
+    """Read a CameraInfo."""
+    found = read_camera_info(where, fields, rectified=rectified, side="left")
+    assert found.size is not None
+    return Camera(*found.size, found.fx, found.fy, found.cx, found.cy, found.distortion, found.model)

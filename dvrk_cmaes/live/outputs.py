@@ -1,0 +1,142 @@
+"""Publication of a followed instrument: its pose, joints, status and overlay.
+
+Topics, in the namespace ``/dvrk_cmaes/ARM``: ``camera_from_root`` (PoseStamped), ``measured_js`` (JointState, the
+corrected joints) and ``overlay/compressed`` (CompressedImage); and ``/tf`` and ``/diagnostics``. All have the time of
+the image. A lost instrument has a status, and no pose and joints.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.ros_messages import RosMessage, header, joint_message, pose_message, tf_message
+from dvrk_cmaes.export.ros_topics import FOUND
+from dvrk_cmaes.live.connection import Connection
+
+_DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
+_COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
+_LEVELS: Final = {"ok": 0, "doubtful": 1, "lost": 2}  # OK, WARN and ERROR
+_JPEG_QUALITY: Final = 80
+
+
+class StepResult(Protocol):
+    """What a tracker found in an image."""
+
+    @property
+    def camera_from_root(self) -> NDArray[np.float64] | None:
+        """Pose (4, 4) of the root link in the camera, m; None without one."""
+
+    @property
+    def joints(self) -> dict[str, float]:
+        """Corrected joints by name, rad."""
+
+    @property
+    def status(self) -> str:
+        """One of ok, doubtful and lost."""
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """Reasons for another status than ok."""
+
+    @property
+    def tips(self) -> NDArray[np.float64] | None:
+        """Jaw tips (K, 3) in the camera, m; None without a pose."""
+
+
+class Outputs:
+    """Publishes results on a connection; ``root_link`` names the child frame in tf, after the arm."""
+
+    def __init__(self, connection: Connection, names: FrameNames, root_link: str = "roll_link") -> None:
+        names.check_tf()
+        self._connection = connection
+        self._names = names
+        self._child = f"{names.arm}_{root_link}"
+        self._namespace = f"{FOUND}/{names.arm}"
+        for topic, kind in self._topics().items():
+            connection.advertise(topic, kind)
+
+    def publish(
+        self,
+        time: int,
+        result: StepResult,
+        *,
+        ros1: bool = False,
+        age: float = 0.0,
+        silent: Sequence[str] = (),
+        overlay: NDArray[np.uint8] | None = None,
+    ) -> bool:
+        """Publish the result of the image of a time, ns; returns whether everything was sent.
+
+        ``ros1`` writes times as in ROS 1. ``age`` is the time since the image was received, s. ``silent`` are topics
+        that have stopped; ``overlay`` is (H, W, 3), BGR.
+        """
+        messages = [*self._found(time, result), self._status(time, result, age, silent)]
+        if overlay is not None:
+            messages.append(self._overlay(time, overlay))
+        sent = [self._connection.publish(one.topic, _as_ros1(one.fields) if ros1 else one.fields) for one in messages]
+        return all(sent)
+
+    def _topics(self) -> dict[str, str]:
+        """Return the types of all topics."""
+        return {
+            f"{self._namespace}/camera_from_root": "geometry_msgs/msg/PoseStamped",
+            f"{self._namespace}/measured_js": "sensor_msgs/msg/JointState",
+            f"{self._namespace}/overlay/compressed": _COMPRESSED,
+            "/tf": "tf2_msgs/msg/TFMessage",
+            "/diagnostics": _DIAGNOSTICS,
+        }
+
+    def _found(self, time: int, result: StepResult) -> Iterator[RosMessage]:
+        """Yield the messages of a pose and joints that were found."""
+        pose = result.camera_from_root
+        if pose is None or result.status == "lost":
+            return
+        yield pose_message(f"{self._namespace}/camera_from_root", time, self._names.camera, pose)
+        yield tf_message(time, self._names.camera, {self._child: pose})
+        if result.joints:
+            yield joint_message(f"{self._namespace}/measured_js", time, result.joints)
+
+    def _status(self, time: int, result: StepResult, age: float, silent: Sequence[str]) -> RosMessage:
+        """Return the message of the status."""
+        level = max(_LEVELS.get(result.status, 2), 1 if silent else 0)
+        values = {
+            "reasons": "; ".join(result.reasons),
+            "age_ms": f"{1e3 * age:.1f}",
+            "silent_topics": " ".join(silent),
+        }
+        status = {
+            "level": level,
+            "name": f"dvrk_cmaes: {self._names.arm}",
+            "message": result.status,
+            "hardware_id": self._names.arm,
+            "values": [{"key": key, "value": value} for key, value in values.items()],
+        }
+        return RosMessage("/diagnostics", _DIAGNOSTICS, time, {"header": header(time), "status": [status]})
+
+    def _overlay(self, time: int, overlay: NDArray[np.uint8]) -> RosMessage:
+        """Return the message of an overlay, a JPEG."""
+        _, data = cv2.imencode(".jpg", overlay, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
+        fields = {
+            "header": header(time, self._names.camera),
+            "format": "jpeg",
+            "data": base64.b64encode(data.tobytes()).decode("ascii"),
+        }
+        return RosMessage(f"{self._namespace}/overlay/compressed", _COMPRESSED, time, fields)
+
+
+def _as_ros1(value: Any) -> Any:
+    """Return the fields of a message with times as in ROS 1."""
+    if isinstance(value, list):
+        return [_as_ros1(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {"sec", "nanosec"}:
+        return {"secs": value["sec"], "nsecs": value["nanosec"]}
+    return {key: _as_ros1(inner) for key, inner in value.items()}
