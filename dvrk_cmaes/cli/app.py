@@ -18,6 +18,7 @@ from dvrk_cmaes.cli.golden import golden
 from dvrk_cmaes.cli.help import help_topic
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.inspect import inspect
+from dvrk_cmaes.cli.live import live
 from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.segment import segment
 from dvrk_cmaes.cli.synth import synth
@@ -42,6 +43,7 @@ app.command(demo)
 app.command(batch)
 app.command(calibrate)
 app.command(track)
+app.command(live)
 app.command(export)
 app.command(golden)
 app.command(consistency)

@@ -19,7 +19,7 @@ from dvrk_cmaes.live.outputs import Outputs, StepResult
 
 Pixels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
-FindMask = Callable[[Pixels], Mask]
+FindMask = Callable[[Pixels], Mask | None]
 DrawOverlay = Callable[[Pixels, StepResult], Pixels]
 
 _WAIT: Final = 0.1  # s, for an image, before silence is looked for

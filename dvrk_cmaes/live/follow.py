@@ -1,0 +1,90 @@
+"""Following on a connection from beginning to end: wait for the camera, make a tracker, and run the loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import Event
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.live.connection import Connection, Report
+from dvrk_cmaes.live.inputs import Inputs, InputTopics
+from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
+from dvrk_cmaes.live.outputs import Outputs
+from dvrk_cmaes.live.overlay import LiveOverlay
+from dvrk_cmaes.segment import segment
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.tracker import Tracker
+
+_WAIT = 0.2  # s
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSetup:
+    """What is followed, and how.
+
+    ``camera`` is used instead of the topic's if given; ``rectified`` says which of the topic's matrices is used.
+    ``overlay`` publishes an overlay of each image.
+    """
+
+    topics: InputTopics
+    names: FrameNames
+    body: Body
+    arm: Arm = "classic"
+    calibration: SessionCalibration | None = None
+    config: EstimateConfig | None = None
+    lag: float | None = None
+    camera: Camera | None = None
+    rectified: bool = False
+    overlay: bool = False
+
+
+def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event) -> LiveCounts:
+    """Follow an instrument until ``stop`` is set; ``report`` takes lines for the user.
+
+    Raises
+    ------
+    InputError
+        A setting is not valid.
+    """
+    inputs = Inputs(setup.topics, report, rectified=setup.rectified)
+    inputs.subscribe(connection)
+    outputs = Outputs(connection, setup.names, setup.body.instrument.root_link)
+    camera = setup.camera or _received(inputs, stop)
+    if camera is None:
+        return LiveCounts()
+    report(f"camera: {camera.width} x {camera.height} px, focal length {camera.fx:.1f} px")
+    tracker = Tracker(camera, setup.body, setup.calibration, setup.config, arm=setup.arm, lag=setup.lag)
+    loop = LiveLoop(
+        tracker,
+        inputs,
+        outputs,
+        report,
+        find_mask=None if setup.topics.mask else _find_mask,
+        draw=LiveOverlay(setup.body, camera) if setup.overlay else None,
+    )
+    return loop.run(stop)
+
+
+def _received(inputs: Inputs, stop: Event) -> Camera | None:
+    """Wait for the camera; None if ``stop`` is set before it comes."""
+    while not stop.is_set():
+        camera = inputs.cameras.take(_WAIT)
+        if camera is not None:
+            return camera
+    return None
+
+
+def _find_mask(image: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
+    """Find the instrument in an image by the built-in segmentation; None if nothing is found."""
+    try:
+        return segment(image).mask
+    except DvrkCmaesError:
+        return None
