@@ -173,7 +173,7 @@ def trust_report(instrument: Instrument, runs: Sequence[Run], limit_mm: float) -
     def by_name(rows: Callable[[Outcomes], list[dict[str, Any]]]) -> list[Mapping[str, Any]]:
         return [{"level": name, **row} for name, (outcomes, _) in levels.items() for row in rows(outcomes)]
 
-    roc = [
+    roc: list[Mapping[str, Any]] = [
         {
             "level": name,
             "results": len(group),
