@@ -129,7 +129,7 @@ def test_contradicted_file_does_not_pull_the_stated_change() -> None:
 def test_principal_point_far_off_is_named_with_its_direction() -> None:
     found = SessionCamera.of(estimate((0.0, -70.0, 2.0), (0.005, 2.0, 2.0)), CONFIG, 640, applied=False)
     (text,) = found.warnings(CONFIG)
-    assert "a principal point 70 px (std 3) left and 2 px (std 3) down" in text
+    assert "a principal point 70 px (std 2) left and 2 px (std 2) down" in text
     assert "focal length" not in text.split(";")[0]
 
 
