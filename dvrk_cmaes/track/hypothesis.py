@@ -18,6 +18,7 @@ from dvrk_cmaes.track.update import Fit, OutlineUpdate
 
 Float64 = NDArray[np.float64]
 
+_SEEN_MOTION = (5e-4, 1e-2, 5e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
 _SIGMA_SHARE = 0.05  # of an image's standard deviation in the running one
 
 
@@ -54,7 +55,7 @@ class Follower:
     """Carries hypotheses from one image to the next."""
 
     def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
-        self._config = config
+        self.config = config
         self.motion = motion
         self.model = model
         self._update = OutlineUpdate(config, motion, model)
@@ -78,7 +79,7 @@ class Follower:
         if updated is None:
             return None
         fit = updated.fit
-        latest = min(max(fit.sigma, self._config.sigma_px), self._config.support_px)
+        latest = min(max(fit.sigma, self.config.sigma_px), self.config.support_px)
         sigma = (1 - _SIGMA_SHARE) * one.sigma + _SIGMA_SHARE * latest
         return replace(one, state=updated.state, sigma=sigma, score=one.score + fit.cost), fit
 
@@ -98,6 +99,16 @@ class Follower:
             )
         ]
         return Located(pose, joints, covariance, apply(pose, tips), float(np.mean(deviations)) if deviations else 0.0)
+
+    def has_moved(self, before: Hypothesis, predicted: Hypothesis) -> bool:
+        """Whether the readings moved the instrument so far between two images that their masks must differ."""
+        if not predicted.anchor.outer_read:
+            return False
+        pose, joints = self.motion.pose(before.state, before.anchor)
+        moved, bent = self.motion.pose(predicted.state, predicted.anchor)
+        change = np.abs(change_between(pose, moved))
+        parts = (change[:3], change[3:5], np.abs(bent - joints))
+        return any(bool((part > most).any()) for part, most in zip(parts, _SEEN_MOTION, strict=True))
 
     def fused(self, one: Hypothesis, pose: Float64, joints: Float64, covariance: Float64) -> tuple[Hypothesis, float]:
         """Correct a predicted hypothesis by a pose that was found otherwise.

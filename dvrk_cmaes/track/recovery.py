@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import change_between, inverse
@@ -18,12 +18,14 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
+from dvrk_cmaes.track.judge import is_supported
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit
 
 Float64 = NDArray[np.float64]
 
 _WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
+_SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
 _SEARCH_AFTER = 2  # images without support before a global search
 _MOST_WAIT = 32  # images between global searches
 _CLEARLY = 0.1  # difference of the shares of supported outline less unexplained edges
@@ -80,6 +82,36 @@ class GlobalSearch:
             )
         except InputError:
             return None
+
+
+def same_base(follower: Follower, main: Hypothesis, result: Result, evidence: OutlineEvidence) -> Hypothesis | None:
+    """Return the predicted hypothesis corrected by the nearest mode of a single frame's result, and by the image.
+
+    None if no mode is near enough to be of the same base, or the image does not support it.
+    """
+    if result.camera_from_root is None or result.covariance is None:
+        return None
+    names = follower.instrument.joint_names
+    modes = [(result.camera_from_root, result.joints)]
+    modes += [(one.camera_from_root, one.joints) for one in result.alternatives]
+    fused = [
+        follower.fused(main, pose, np.array([joints[name] for name in names]), result.covariance)
+        for pose, joints in modes
+    ]
+    nearest, deviation = min(fused, key=lambda one: one[1])
+    corrected = follower.corrected(nearest, evidence) if deviation < _SAME_BASE else None
+    return None if corrected is None or not is_supported(corrected[1], follower.config) else corrected[0]
+
+
+def explains(result: Result, trust: TrustConfig) -> bool:
+    """Whether the pose of a single frame explains its mask, whatever the readings say."""
+    quality = result.quality
+    return (
+        quality is not None
+        and quality.iou >= trust.least_iou
+        and quality.contour_px_95 <= trust.largest_contour_px
+        and quality.bend_px <= trust.largest_bend_px
+    )
 
 
 @dataclass

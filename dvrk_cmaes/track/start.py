@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.joint_prior import reading_loss
 from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
+from dvrk_cmaes.track.modes import pruned
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.state import FilterState, Layout
 
@@ -77,3 +81,47 @@ def calibrated_state(calibration: SessionCalibration, blank: FilterState) -> Fil
     covariance[index[6:], index[6:]] += np.square(spreads)
     offsets = np.array(list(calibration.offsets.values()))[1:]
     return replace(blank, camera_from_base=calibration.camera_from_base, offsets=offsets, covariance=covariance)
+
+
+def starting_hypotheses(
+    follower: Follower,
+    config: EstimateConfig,
+    calibration: SessionCalibration | None,
+    anchor: Anchor,
+    lag_std: float,
+    result: Result,
+) -> list[Hypothesis]:
+    """Return a hypothesis for each mode of a single frame's result, without those that the readings rule out."""
+    assert result.camera_from_root is not None
+    assert result.covariance is not None
+    names = follower.instrument.joint_names
+    blank = unknown_state(config, follower.motion, anchor, names, lag_std)
+    if calibration is not None and anchor.outer_read:
+        blank = calibrated_state(calibration, blank)
+    sigma = np.deg2rad([config.readings.of(name) for name in names])
+    read = np.where(anchor.joint_read, anchor.joints, np.nan)
+    first = (result.camera_from_root, result.joints, "")
+    modes = [first, *((one.camera_from_root, one.joints, one.relation) for one in result.alternatives)]
+    found = []
+    for pose, joints, relation in modes[: config.track.modes]:
+        values = np.array([joints[name] for name in names])
+        score = 0.5 * float(reading_loss(values, read, sigma))
+        one = Hypothesis(blank, anchor, config.track.sigma_px, score, relation)
+        if calibration is not None and anchor.outer_read:
+            one, _ = follower.fused(one, pose, values, result.covariance)
+        else:
+            one = replace(one, state=placed(blank, follower.motion, anchor, pose, values, result.covariance))
+        found.append(one)
+    return pruned(found)
+
+
+def based_on_arm(
+    follower: Follower, config: EstimateConfig, one: Hypothesis, anchor: Anchor, lag_std: float
+) -> Hypothesis:
+    """Return a hypothesis with the arm's base where the outer joints are read for the first time, else as it is."""
+    if one.anchor.based or not anchor.outer_read:
+        return one
+    located, motion = follower.located(one), follower.motion
+    blank = unknown_state(config, motion, anchor, follower.instrument.joint_names, lag_std)
+    state = placed(blank, motion, anchor, located.camera_from_root, located.joints, located.covariance)
+    return replace(one, state=state, anchor=anchor)

