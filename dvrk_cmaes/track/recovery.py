@@ -109,7 +109,7 @@ def explains(result: Result, trust: TrustConfig) -> bool:
     return (
         quality is not None
         and quality.iou >= trust.least_iou
-        and quality.contour_px_95 <= trust.largest_contour_px
+        and quality.distal_px <= trust.largest_distal_px
         and quality.bend_px <= trust.largest_bend_px
     )
 
