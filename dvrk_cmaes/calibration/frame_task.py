@@ -15,8 +15,10 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance, split_readings
+from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.pose.covariance import rough_covariance
 from dvrk_cmaes.pose.doubts import doubts_of_fit
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.quality import measure_quality
@@ -250,7 +252,9 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
 def _result_of_fit(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
     """Return the result of a frame that agrees with the session; ``quality`` is that of its fit."""
     own_result = task.result
-    error = expected_error(body.instrument, task.fit.camera_from_root, task.fit.joints, task.covariance)
+    silhouette = scene.renderer.masks(task.fit.camera_from_root[None], task.fit.joints[None])[0]
+    covariance = rough_covariance(task.covariance, measure_noise(scene.evidence.contour, silhouette), quality)
+    error = expected_error(body.instrument, task.fit.camera_from_root, task.fit.joints, covariance)
     tips, tips_px = locate_tips(body.instrument, scene.evidence.camera, task.fit.camera_from_root, task.fit.joints)
     doubts = doubts_of_fit(task.fit, quality, error, scene.evidence, body.instrument, config.trust) + list(task.doubts)
     names = body.instrument.joint_names
@@ -266,7 +270,7 @@ def _result_of_fit(body: Body, config: EstimateConfig, task: ReportTask, scene: 
         quality=quality,
         tips=tips,
         tips_px=tips_px,
-        covariance=task.covariance,
+        covariance=covariance,
         expected_error=error,
         mode_probability=None,
         alternatives=_alternatives(own_result, task.fit, names, scene.readings),

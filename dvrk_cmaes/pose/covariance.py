@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import change_between, rotation_angle
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.outline import OutlineFit
@@ -22,6 +23,19 @@ _NEAR = np.deg2rad(60.0)  # rotation between modes that are covered by one covar
 _DISTAL_PX = 2.2  # distance of the contour at wrist and jaws, beyond which the standard deviations grow with it
 
 
+def _occlusion_factor(quality: Quality) -> float:
+    """Return the factor on a covariance for contour that is far off at wrist and jaws."""
+    return max(1.0, quality.distal_px / _DISTAL_PX) ** 2
+
+
+def rough_covariance(covariance: Float64, noise: OutlineNoise, quality: Quality) -> Float64:
+    """Widen the covariance (6 + J, 6 + J) of a frame that was fitted with its session by what a rough contour adds.
+
+    ``covariance`` is that of a Gauss-Newton fit, which holds for errors that are small and normal.
+    """
+    return covariance * noise.inflation * _occlusion_factor(quality)
+
+
 def pose_covariance(modes: Sequence[OutlineFit], quality: Quality) -> Float64:
     """Return the covariance (6 + J, 6 + J) of small changes of the first mode, whose ``quality`` is given.
 
@@ -29,7 +43,7 @@ def pose_covariance(modes: Sequence[OutlineFit], quality: Quality) -> Float64:
     the mirror twin, are not a small change of the pose; they are told by the mode's probability.
     """
     best, weights = modes[0], mode_weights(modes)
-    covariance = np.linalg.inv(best.information) * max(1.0, quality.distal_px / _DISTAL_PX) ** 2
+    covariance = np.linalg.inv(best.information) * _occlusion_factor(quality)
     for mode, weight in zip(modes[1:], weights[1:], strict=True):
         if rotation_angle(best.camera_from_root, mode.camera_from_root) < _NEAR:
             change = change_between(best.camera_from_root, mode.camera_from_root)

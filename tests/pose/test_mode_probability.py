@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.covariance import pose_covariance
+from dvrk_cmaes.pose.covariance import pose_covariance, rough_covariance
 from dvrk_cmaes.pose.mode_probability import mode_probability
 from dvrk_cmaes.pose.refine.outline import OutlineFit
 from dvrk_cmaes.results.result import Quality
@@ -53,3 +54,10 @@ def test_covariance_reaches_live_mode_near_by_but_not_twin() -> None:
 def test_contour_far_off_at_jaws_widens_covariance() -> None:
     off = Quality(0.9, 0.1, {}, 0.5, 6.0, distal_px=4.4)
     np.testing.assert_allclose(pose_covariance([mode(0, 0.0)], off), 4 * pose_covariance([mode(0, 0.0)], GOOD))
+
+
+def test_rough_contour_widens_covariance_of_session_frame() -> None:
+    covariance = np.eye(9)
+    smooth, rough = (rough_covariance(covariance, OutlineNoise(sigma, 20.0), GOOD) for sigma in (0.25, 1.7))
+    assert 1 < smooth[0, 0] < 1.1
+    assert 2.5 < rough[0, 0] < 3.5
