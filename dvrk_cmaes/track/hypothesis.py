@@ -71,7 +71,7 @@ class Follower:
         return replace(one, state=state, anchor=anchor), transition
 
     def corrected(self, one: Hypothesis, evidence: OutlineEvidence) -> tuple[Hypothesis, Fit] | None:
-        """Correct a predicted hypothesis by an image; None if its outline is not in the image."""
+        """Correct a predicted hypothesis by an image; None if that is impossible, as in `OutlineUpdate`."""
         rim = self.model.draw(*self.motion.pose(one.state, one.anchor))
         if rim is None:
             return None

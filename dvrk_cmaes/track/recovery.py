@@ -26,8 +26,10 @@ Float64 = NDArray[np.float64]
 
 _WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
 _SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
-_SEARCH_AFTER = 2  # images without support before a global search
-_MOST_WAIT = 32  # images between global searches
+_DOUBTFUL = 0.25  # part of an image without support that one with doubtful support counts for
+_SEARCH_AFTER = 2.0  # images without support before a global search
+_MOST_WAIT = 32.0  # images between global searches
+_CERTAIN = 0.85  # least such difference of a pose that was found around a wrong prediction
 _CLEARLY = 0.1  # difference of the shares of supported outline less unexplained edges
 _HELD = (3e-3, 0.08, 0.2, 0.2)
 
@@ -116,14 +118,17 @@ def explains(result: Result, trust: TrustConfig) -> bool:
 
 @dataclass
 class Searching:
-    """When to search globally: images without support so far, and how many there must be for the next search."""
+    """When to search globally: images without support so far, and how many there must be for the next search.
 
-    unsupported: int = 0
-    wait: int = _SEARCH_AFTER
+    An image that supports the pose, but not convincingly, counts as a part of one.
+    """
 
-    def missed(self) -> bool:
-        """Count an image without support; return whether to search in it."""
-        self.unsupported += 1
+    unsupported: float = 0.0
+    wait: float = _SEARCH_AFTER
+
+    def missed(self, *, doubtful: bool) -> bool:
+        """Count an image without support, or with doubtful support; return whether to search in it."""
+        self.unsupported += _DOUBTFUL if doubtful else 1.0
         if self.unsupported < self.wait:
             return False
         self.wait = min(2 * self.wait, self.wait + _MOST_WAIT)
@@ -133,3 +138,8 @@ class Searching:
 def is_better(fit: Fit, other: Fit) -> bool:
     """Whether a fit is clearly better supported than another."""
     return fit.supported - fit.unexplained > other.supported - other.unexplained + _CLEARLY
+
+
+def is_certain(fit: Fit) -> bool:
+    """Whether a pose that was found around a wrong prediction fits so well that it is no local optimum."""
+    return fit.supported - fit.unexplained >= _CERTAIN

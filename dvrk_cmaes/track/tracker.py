@@ -32,7 +32,7 @@ from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
-from dvrk_cmaes.track.recovery import GlobalSearch, Searching, explains, is_better, same_base, search_around
+from dvrk_cmaes.track.recovery import GlobalSearch, Searching, explains, is_better, is_certain, same_base, search_around
 from dvrk_cmaes.track.smoother import FilterStep, Recorder
 from dvrk_cmaes.track.start import based_on_arm, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -156,7 +156,7 @@ class Tracker:
             self._hypotheses = [read_hypothesis(one) for one in saved["hypotheses"]]
             self._lag = FoundLag(*(float(value) for value in saved["lag"]))
             self._lags.restore(saved["lags"])
-            self._search = Searching(*(int(value) for value in saved["search"]))
+            self._search = Searching(*(float(value) for value in saved["search"]))
             self._images.last = None if saved["last_image"] is None else int(saved["last_image"])
         except (KeyError, TypeError, ValueError):
             raise InputError("checkpoint: expected the state of a tracker, got something else") from None
@@ -300,14 +300,21 @@ class Tracker:
         main = fits[0]
         if main is None or not is_convincing(main[1], self._config.track):
             around = search_around(self._follower, before[0], self._hypotheses[0], evidence)
-            if around is not None and (main is None or is_better(around[1], main[1])):
+            if around is not None and is_certain(around[1]) and (main is None or is_better(around[1], main[1])):
                 main = fits[0] = around
                 self._step = None
-        if main is None or not is_supported(main[1], self._config.track):
-            if self._search.missed():
-                return self._searched(time, anchor, mask, ignore, evidence)
-            return self._unsupported(time, "lost: the mask's edges do not support the predicted outline")
-        return self._supported(time, [one for one in fits if one is not None])
+        supported = main is not None and is_supported(main[1], self._config.track)
+        searched = False
+        if main is None or not is_convincing(main[1], self._config.track):
+            searched = self._search.missed(doubtful=supported)
+            found = self._searched(time, anchor, mask, ignore, evidence) if searched else None
+            if found is not None:
+                return found
+        if supported:
+            result = self._supported(time, [one for one in fits if one is not None])
+        else:
+            result = self._unsupported(time, "lost: the mask's edges do not support the predicted outline")
+        return replace(result, searched=searched)
 
     def _supported(self, time: float, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
         """Keep the corrected hypotheses, decide between them, and judge the best one."""
@@ -319,7 +326,7 @@ class Tracker:
             self._lags.clear()
         if is_convincing(fit, track):
             self._find_lag(time)
-            if self._search.unsupported:
+            if self._search.unsupported >= 1:
                 reasons.append("found again: one image supports the pose so far")
             self._search = Searching()
         return self._result(time, "doubtful" if reasons else "ok", tuple(reasons))
@@ -336,19 +343,19 @@ class Tracker:
 
     def _searched(
         self, time: float, anchor: Anchor, mask: Mask, ignore: Mask | None, evidence: OutlineEvidence
-    ) -> TrackResult:
-        """Search an image globally, and go on from what is found if the image supports it."""
+    ) -> TrackResult | None:
+        """Search an image globally, and go on from what is found; None if that does not explain the image."""
         result = self._solve(mask, ignore, self._readings(anchor))
         reason = "found again by a global search"
-        found = None if result is None else same_base(self._follower, self._hypotheses[0], result, evidence)
+        if result is None or not explains(result, self._config.trust):
+            return None
+        found = same_base(self._follower, self._hypotheses[0], result, evidence)
         if found is not None:
             self._hypotheses = [found]
             self._step = None
-        elif result is not None and explains(result, self._config.trust):
+        else:
             self._begin(time, result)
             reason += ", away from where the readings say: readings jumped, or the base moved"
-        else:
-            return replace(self._unsupported(time, "lost: a global search found nothing"), searched=True)
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
 
     def _find_lag(self, time: float) -> None:

@@ -16,6 +16,8 @@ from dvrk_cmaes.track.state import FilterState
 
 Float64 = NDArray[np.float64]
 
+_FARTHEST_BEYOND = 4.0  # standard deviations of a joint's limit
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -68,7 +70,8 @@ class OutlineUpdate:
         """Correct a predicted state.
 
         ``anchor`` has the readings, ``sigma`` px is the standard deviation of the evidence, ``rim`` the
-        outline of the predicted pose. Returns None if the corrected pose has no outline in the image.
+        outline of the predicted pose. Returns None if the corrected pose has no outline in the image, or its joints
+        are far beyond their limits.
         """
         c, eye = self._config, np.eye(prior.layout.size)
         state, spread_of = prior, prior.covariance
@@ -88,7 +91,10 @@ class OutlineUpdate:
                 step = np.asarray(np.linalg.solve(system, -prior.covariance @ slope - off), dtype=np.float64)
                 state, off = state.changed(step), np.asarray(off + step, dtype=np.float64)
             spread_of = np.asarray(np.linalg.solve(system, prior.covariance), dtype=np.float64)
-        pixels = self._model.place(rim, *self._motion.pose(state, anchor))
+        pose, joints = self._motion.pose(state, anchor)
+        if max((self._low - joints).max(), (joints - self._high).max()) > _FARTHEST_BEYOND * LIMIT_SIGMA:
+            return None
+        pixels = self._model.place(rim, pose, joints)
         if pixels is None:
             return None
         covariance = (spread_of + spread_of.T) / 2
