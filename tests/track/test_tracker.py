@@ -187,7 +187,7 @@ def test_base_that_moved_is_found_again(world: MovingWorld, first: Result) -> No
     ]
     assert not wrong
     last = followed[-1]
-    assert last.status != "lost"
+    assert last.status == "ok"
     assert np.linalg.norm(last.tips - after[23].tips, axis=1).mean() < 2e-3  # type: ignore[operator]
 
 
