@@ -176,7 +176,7 @@ class Alternation:
         applied = self.lag.applied
         if applied is None:
             return
-        kept = self.lag.has_readings(applied)
+        kept = self.lag.has_readings()
         self._left_out |= {
             frame.name: "no readings once the lag is taken out"
             for frame, has_readings in zip(self.frames, kept, strict=True)

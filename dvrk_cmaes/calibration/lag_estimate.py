@@ -76,10 +76,16 @@ class LagEstimate:
         self._refine(LagRefiner(clock, shifted, FrameFits.of_modes(chosen), found.calibration, prior, start))
 
     def refine(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
-        """Refine a lag that is taken out with the frames' fits; arguments as in `solve`."""
-        if self.applied is not None and self._clock is not None:
-            start = self._clock.delay_of(self.applied)
-            self._refine(LagRefiner(self._clock, model, fits, calibration, prior, start))
+        """Refine a lag that is taken out with the frames' fits; arguments as in `solve`.
+
+        A lag at which a frame would have no readings is not taken.
+        """
+        before = self.applied
+        if before is None or self._clock is None:
+            return
+        self._refine(LagRefiner(self._clock, model, fits, calibration, prior, self._clock.delay_of(before)))
+        if self.applied is not None and not self._clock.has_readings(self._clock.delay_of(self.applied)).all():
+            self.lag = before
 
     def estimate_joints(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
         """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`."""
@@ -91,10 +97,18 @@ class LagEstimate:
             frame = self._clock.series.interval
             self.lag = replace(self.lag, wrist_frames=found.value / frame, std_wrist_frames=found.std / frame)
 
-    def has_readings(self, lag: Lag) -> NDArray[np.bool_]:
-        """Whether each frame has readings of all outer joints at a lag, (N,)."""
+    def has_readings(self) -> NDArray[np.bool_]:
+        """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).
+
+        Near it is within half a step of the search, so that the lag can still be refined.
+        """
         assert self._clock is not None
-        return self._clock.has_readings(self._clock.delay_of(lag))
+        assert self.applied is not None
+        delay, reach = self._clock.delay_of(self.applied), (self._clock.step or 0.0) / 2
+        if not self._clock.interpolable:
+            return self._clock.has_readings(delay)
+        near = [self._clock.has_readings(replace(delay, value=delay.value + by)) for by in (-reach, reach)]
+        return np.asarray(near[0] & near[1])
 
     def corrected(self, model: SessionModel) -> SessionModel:
         """Return the model with the readings of the times of the images less the lag that is taken out."""

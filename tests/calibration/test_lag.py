@@ -11,6 +11,7 @@ from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, World, 
 from dvrk_cmaes.calibration.clock import Clock, Delay
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument, LagRefiner, Refined, describe_lag, search_lag
+from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -202,3 +203,23 @@ def test_true_calibration_is_recovered_at_the_lag() -> None:
     wrong: Calibration = find_consensus(world.model, modes, EXPECTED_OFFSETS).calibration
     off = [np.linalg.norm(one.camera_from_base[:3, 3] - world.truth.camera_from_base[:3, 3]) for one in (right, wrong)]
     assert off[0] < off[1]
+
+
+def test_frames_without_readings_near_the_lag_are_not_kept() -> None:
+    world, clock, modes = moving_world(4.0, seed=2)
+    series, names = clock.series, list(clock.series.frames)
+    late = series.times["yaw"] >= 8.0  # the image of frame 12 shows the arm as read at 8: no lag above 4 can be tried
+    times = {name: stamps[late] for name, stamps in series.times.items()}
+    values = {name: stamps[late] for name, stamps in series.values.items()}
+    estimate = LagEstimate(replace(series, times=times, values=values), names, world.model.deviations.outer)
+    estimate.search(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+    lag = estimate.applied
+    assert lag is not None
+    assert lag.frames == pytest.approx(4.0, abs=0.3)
+    kept = estimate.has_readings()
+    assert names[0] == "0012"
+    assert (bool(kept[0]), bool(kept[1:].all())) == (False, True)
+    estimate.select(np.flatnonzero(kept).tolist())
+    model = world.model.subset(np.flatnonzero(kept))
+    estimate.refine(model, fits_of(modes[1:]), world.truth, PRIOR)
+    assert not np.isnan(estimate.corrected(model).outer).any()
