@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 FOLDER = Group("Folder", sort_key=0)
 
+AUTO = "auto"
+
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _REPORT_EVERY = 5.0  # s
 
@@ -42,7 +44,7 @@ def track(
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     joints: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    lag: Annotated[str, Parameter(group=FOLDER)] = "auto",
+    lag: Annotated[str, Parameter(group=FOLDER, allow_leading_hyphen=True)] = AUTO,
     fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
     smooth: Annotated[Flag, Parameter(group=FOLDER)] = False,
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
@@ -77,7 +79,8 @@ def track(
     joints
         File of readings to use instead of the session's own, or none: follow by masks alone.
     lag
-        Lag of the images behind the readings, in seconds; auto: that of --session, or found while following.
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. auto: that of --session,
+        or found while following.
     fps
         Frames a second of a session whose images have no times.
     smooth
@@ -102,13 +105,14 @@ def track(
         raise InputError(f"--every: expected a whole number of at least 1, got {every}")
     if not (math.isfinite(fps) and fps > 0):
         raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
-    seconds = _lag(lag)
     from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings
 
+    seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
     target = session / "tracks" if out is None else out
     body = instrument.load()
     files = () if joints is None or joints == "none" else (Path(joints),)
@@ -132,19 +136,6 @@ def track(
     if done.interrupted:
         return _INTERRUPTED
     return _DOUBTFUL if set(done.counts) - {"ok"} else 0
-
-
-def _lag(text: str) -> float | None:
-    """Return a lag in seconds; None for auto."""
-    if text == "auto":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < 10:
-        raise InputError(f"--lag: expected auto, or seconds between -10 and 10, got {text!r}")
-    return value
 
 
 def _progress() -> Callable[[int, int, TrackResult | None], None]:

@@ -144,9 +144,9 @@ class Lag:
             f"lag: expected a lag in frames, such as 4frames, since the images have no times, got {self.seconds:g} s"
         )
 
-    def in_frames(self, rate: float) -> float:
-        """Return the lag at ``middle`` in frames of a recording with a number of frames a second."""
-        return self.frames if self.frames is not None else (self.seconds or 0.0) * rate
+    def in_seconds(self, rate: float) -> float:
+        """Return the lag at ``middle`` in seconds, for a recording with a number of frames a second."""
+        return self.seconds if self.seconds is not None else (self.frames or 0.0) / rate
 
     def at(self, times: Float64, unit: Unit) -> Float64:
         """Return the lag at times (N,) of images, all in a unit; errors as `in_unit`."""

@@ -117,7 +117,10 @@ def test_results_of_other_settings_are_not_continued(
     ("options", "expected"),
     [
         (["--every", "0"], "--every: expected a whole number of at least 1, got 0"),
-        (["--lag", "soon"], "--lag: expected auto, or seconds between -10 and 10, got 'soon'"),
+        (
+            ["--lag", "soon"],
+            "--lag: expected a number of seconds such as 0.13, or of frames such as 4frames, got 'soon'",
+        ),
         (["--fps", "0"], "--fps: expected frames a second above 0, got 0"),
         (["--session", "none.json"], "none.json: no such file"),
     ],
