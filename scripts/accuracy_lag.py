@@ -65,7 +65,7 @@ def find_lags(
             for run in own
         ]
         lag, _ = find_lag(frames, body, series=session.reading_series(), config=config)
-        trials.append(LagTrial(name, own[0].case.level, float(plan["lag"]), lag))
+        trials.append(LagTrial(name, own[0].case.level, float(plan["motion_level"]["lag"]), lag))
     return trials
 
 

@@ -28,6 +28,7 @@ def synth(
     level: Literal["clean", "easy", "medium", "hard"] = "medium",
     motion: Literal["free", "rcm", "video"] = "rcm",
     frames: int = 10,
+    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     seed: int = 0,
     images: bool = True,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -80,6 +81,9 @@ def synth(
         video: consecutive frames of a moving arm, for `track`.
     frames
         Number of frames, 1 to 100000.
+    lag
+        Lag of a video's images behind its readings, in seconds or frames, such as 0.13 or 4frames; that of the level by
+        default.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
@@ -95,9 +99,13 @@ def synth(
         raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")
     if seed < 0:
         raise InputError(f"--seed: expected a whole number of at least 0, got {seed}")
+    if lag is not None and motion != "video":
+        raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
     from dvrk_cmaes.frames.markers import read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.synth.levels import LEVELS
+    from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND
     from dvrk_cmaes.synth.session import SessionPlan, default_camera, write_session
 
     body = instrument.load()
@@ -113,6 +121,7 @@ def synth(
         seed=seed,
         markers=table if painted else {},
         arm=instrument.arm,
+        lag=None if lag is None else FRAMES_A_SECOND * Lag.parse("--lag", lag).in_seconds(FRAMES_A_SECOND),
     )
     if motion == "video":
         from dvrk_cmaes.synth.recording import write_recording

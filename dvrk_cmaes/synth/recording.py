@@ -75,6 +75,7 @@ def write_recording(out: Path, plan: SessionPlan, *, overwrite: bool = False) ->
     if plan.body.instrument.shaft is None:
         raise InputError(f"{plan.body.instrument.name}: expected an instrument with a straight shaft, got one without")
     level = MOTION_LEVELS[plan.level.name]
+    level = level if plan.lag is None else replace(level, lag=plan.lag)
     rng = np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), 2])
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
         base, truths = moving_arm(plan.body, plan.camera, rng, plan.frames, level, arm=plan.arm)

@@ -79,6 +79,7 @@ class SessionPlan:
     frames : number of frames. seed : seed of all random numbers.
     markers : markers painted on the instrument, by name; may be empty.
     arm : kinematics of the arm.
+    lag : of a video, lag of its images behind its readings, frames; that of the level by default.
     """
 
     body: Body
@@ -89,6 +90,7 @@ class SessionPlan:
     seed: int
     markers: Mapping[str, Marker]
     arm: Arm = "classic"
+    lag: float | None = None
 
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""

@@ -85,3 +85,12 @@ def test_command_writes_recording(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["synth", str(out), "--motion", "video", "--level", "clean", "--frames", "2"]) == 0
     assert capsys.readouterr().out == f"2 frames, level clean, motion video, seed 0; written: {out}\n"
     assert sorted(path.name for path in (out / "masks").iterdir()) == ["0000.png", "0001.png"]
+
+
+def test_command_makes_images_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["--motion", "video", "--level", "clean", "--frames", "2"]
+    assert main(["synth", str(tmp_path / "made"), *line, "--lag", "0.1"]) == 0
+    assert json.loads((tmp_path / "made" / "synth.json").read_text())["motion_level"]["lag"] == pytest.approx(3.0)
+    assert main(["synth", str(tmp_path / "not"), "--lag", "0.1"]) == 2
+    assert "--lag: expected it with --motion video only, got --motion rcm" in capsys.readouterr().err
+    assert not (tmp_path / "not").exists()
