@@ -26,7 +26,8 @@ QUICK = "[search]\nsamples = 128\nstarts = 3\nevaluations = 65\n"
 
 RESULT_FIELDS = [
     *("schema", "frame", "status", "reasons", "instrument", "root_link", "camera_from_root", "joints", "readings"),
-    *("warnings", "unused", "camera_from_base", "source", "change", "quality", "std", "covariance", "alternatives"),
+    *("tips", "tips_px", "warnings", "unused", "camera_from_base", "source", "change", "quality", "std", "covariance"),
+    *("mode_probability", "alternatives"),
     *("seconds", "evaluations", "rays", "seed", "version", "config"),
 ]
 

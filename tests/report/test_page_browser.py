@@ -268,7 +268,8 @@ def test_thousand_frames_load_and_scroll_quickly(driver: WebDriver, tmp_path: Pa
     loaded = worked(driver)
     assert 0.05 < loaded < 3
     driver.execute_async_script(SCROLL)
-    assert (worked(driver) - loaded) / SCREENS < 0.05
+    # relative to loading, which takes the longer the slower the processor is: 50 ms where loading takes a second
+    assert (worked(driver) - loaded) / SCREENS < 0.05 * loaded
     assert len(shown(driver)) == 1000
 
 
