@@ -122,6 +122,11 @@ class SessionCalibration:
         return camera if self.camera is None else self.camera.corrected(camera)
 
     @property
+    def applied_lag(self) -> Lag | None:
+        """The lag that was taken out of the readings; None if none was."""
+        return self.lag if self.lag is not None and self.lag.applied else None
+
+    @property
     def status(self) -> str:
         """``doubtful`` if there are warnings about the session as a whole, ``ok`` otherwise."""
         return "doubtful" if self.warnings else "ok"

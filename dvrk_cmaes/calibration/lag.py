@@ -76,7 +76,7 @@ class LagCurve:
 
 
 @dataclass(frozen=True, eq=False)
-class LagSearch:
+class SearchedLag:
     """Result of the search for a lag.
 
     ``lag`` is to a step of the search, in the unit of the clock, and ``calibration`` is that on which the frames agree
@@ -98,18 +98,18 @@ class Refined:
     std: float
 
 
-def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> LagSearch:
+def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> SearchedLag:
     """Find the lag at which the frames' modes agree best, and the calibration on which they agree there.
 
     The lag is not determined by too few frames, nor if the best lag is at the end of the range. Readings that cannot be
     interpolated must be at regular times, and the lag must halve the mean misfit.
     """
     if len(modes) < _LEAST_FRAMES:
-        return LagSearch(untold=f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed")
+        return SearchedLag(untold=f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed")
     low, high = RANGE[clock.series.unit]
     step = clock.step
     if step is None:
-        return LagSearch(
+        return SearchedLag(
             untold="the readings are too far apart in time to be interpolated, and at uneven times: give all rows of "
             "the recording, not only those of the frames"
         )
@@ -122,18 +122,18 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     synchronous = int(np.argmin(np.abs(lags)))
     consensus = found[best]
     if consensus is None:
-        return LagSearch(curve=curve, untold="too few frames have readings at any lag")
+        return SearchedLag(curve=curve, untold="too few frames have readings at any lag")
     if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
-        return LagSearch(
+        return SearchedLag(
             curve=curve,
             untold="the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
             "than none: give all rows of the recording",
         )
     if best in (0, len(lags) - 1):
-        return LagSearch(
+        return SearchedLag(
             curve=curve, untold=f"the frames agree best at the end of the range that was searched; {_MOVE}"
         )
-    return LagSearch(float(lags[best]), consensus.calibration, curve)
+    return SearchedLag(float(lags[best]), consensus.calibration, curve)
 
 
 def _consensus_at(

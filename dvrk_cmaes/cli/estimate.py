@@ -144,7 +144,7 @@ def estimate(
     data = read_any_frame(files, camera_file.camera)
     body = instrument.load()
     known = None if calibration is None else read_calibration(calibration)
-    lag = None if known is None or known.lag is None or not known.lag.applied else known.lag
+    lag = None if known is None else known.applied_lag
     found = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
     files = replace(files, readings=found.readings)
     data = replace(data, notes=(*camera_file.notes, *found.notes, *data.notes))

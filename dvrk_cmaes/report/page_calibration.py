@@ -257,5 +257,5 @@ def _corrections(
 
 def _lag(calibration: SessionCalibration) -> str:
     """Describe the lag that was taken out of the readings; empty if there is none."""
-    lag = calibration.lag
-    return "" if lag is None or not lag.applied else lag.describe()
+    lag = calibration.applied_lag
+    return "" if lag is None else lag.describe()

@@ -30,8 +30,8 @@ _FRAMES = 60  # from which a lag is found, evenly spaced
 
 def with_calibrated_lag(session: Session, calibration: SessionCalibration) -> Session:
     """Take the lag of a calibration, if it differs from zero, out of a session's readings."""
-    lag = calibration.lag
-    return session if lag is None or not lag.applied else session.with_lag(lag)
+    lag = calibration.applied_lag
+    return session if lag is None else session.with_lag(lag)
 
 
 @dataclass(frozen=True)
