@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from functools import partial
 from threading import Event
 from typing import Any, Final
 
@@ -60,10 +61,9 @@ class RosbridgeConnection:
         self._ros = self._roslibpy.Ros(host, port)
         factory = self._ros.factory
         factory.maxDelay = _LONGEST_WAIT
-        factory.on("ready", self._on_ready)
-        factory.on("close", self._on_close)
         for topic, receive in self._receivers.items():
             factory.on(topic, receive)
+        self._ros.call_later(0, partial(self._await_connections, factory))
         factory.manager.run()
         if self._ready.wait(timeout):
             return True
@@ -107,7 +107,19 @@ class RosbridgeConnection:
         if protocol is not None:
             protocol.send_ros_message(self._roslibpy.Message(message))
 
+    def _await_connections(self, factory: Any) -> None:
+        """Receive the events of connections; runs on the thread of the connections.
+
+        If that thread runs already, for an earlier connection of this process, it may have opened this one by now, and
+        the event of that is over; ``on_ready`` calls at once then.
+        """
+        factory.on("close", self._on_close)
+        factory.on("ready", self._on_ready)
+        factory.on_ready(partial(self._on_ready))  # another object, since it is removed once called
+
     def _on_ready(self, protocol: Any) -> None:
+        if protocol is self._protocol:
+            return
         self._flow.stopped = False
         protocol.registerProducer(self._flow, True)
         # roslibpy knows the operation and has no handler for it

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import roslibpy
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, sweep
 from helpers.rosbridge_server import RosbridgeServer, wait_for
 from scipy.spatial.transform import Rotation
@@ -357,6 +358,24 @@ def test_server_that_starts_late_is_found() -> None:
     assert lines[1].endswith(": connected")
     connection.close()
     server.stop()
+
+
+def test_connection_that_opens_before_its_events_are_awaited_is_used(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = roslibpy.Ros
+
+    def connected(host: str, port: int) -> roslibpy.Ros:
+        ros = plain(host, port)
+        wait_for(lambda: ros.factory._proto)
+        return ros
+
+    monkeypatch.setattr(roslibpy, "Ros", connected)  # the fixture's connection has started the thread of connections
+    second = RosbridgeConnection("127.0.0.1", live.server.port, live.lines.append)
+    before = len(live.lines)
+    assert second.open(60)
+    assert live.lines[before:] == [f"rosbridge 127.0.0.1:{live.server.port}: connected"]
+    second.close()
 
 
 def mask(time: int, number: int) -> dict[str, Any]:
