@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.frame import draw_frame
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
-from dvrk_cmaes.runs.processes import spawn_pool
+from dvrk_cmaes.runs.processes import Processes, WorkerDied
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.files import write_camera_info
@@ -146,17 +145,18 @@ def _workers(
     count: int, instrument: Instrument, config: EstimateConfig
 ) -> Iterator[Callable[[Callable[[Body, EstimateConfig, Any], Any], Sequence[Any]], list[Any]]]:
     """Start worker processes, and give a function that applies a function of body, settings and task to all tasks."""
-    with spawn_pool(count, functools.partial(_start, instrument, config)) as pool:
-        try:
-            yield functools.partial(_run, pool)
-        except BrokenExecutor:
-            raise DvrkCmaesError("a process died, perhaps for want of memory: try fewer --workers") from None
+    with Processes(functools.partial(_start, instrument, config), count) as processes:
+        yield functools.partial(_run, processes)
 
 
-def _run(
-    pool: ProcessPoolExecutor, function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]
-) -> list[Any]:
-    return list(pool.map(functools.partial(_call, function), tasks))
+def _run(processes: Processes, function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]) -> list[Any]:
+    """Return the values of a function for tasks, in the order of the tasks."""
+    values = {}
+    for (number, _), value in processes.run(enumerate(tasks), functools.partial(_call, function)):
+        if isinstance(value, WorkerDied):
+            raise DvrkCmaesError(f"frame {number + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
+        values[number] = value
+    return [values[number] for number in range(len(tasks))]
 
 
 def _start(instrument: Instrument, config: EstimateConfig) -> None:
@@ -164,8 +164,8 @@ def _start(instrument: Instrument, config: EstimateConfig) -> None:
     _of_this_process["body"], _of_this_process["config"] = Body.prepare(instrument), config
 
 
-def _call(function: Callable[[Body, EstimateConfig, Any], Any], task: Any) -> Any:
-    return function(_of_this_process["body"], _of_this_process["config"], task)
+def _call(function: Callable[[Body, EstimateConfig, Any], Any], numbered: tuple[int, Any]) -> Any:
+    return function(_of_this_process["body"], _of_this_process["config"], numbered[1])
 
 
 def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:

@@ -1,4 +1,4 @@
-"""Worker processes on this machine, and running many tasks in them; a process that dies fails one task only.
+"""Running many tasks in worker processes of this machine; a process that dies fails one task only.
 
 Each process is driven by a thread of its own, so that the task on which a process dies is known. That task is tried
 once more in a new process, since the cause may have been a temporary lack of memory, and then given up.
@@ -7,21 +7,15 @@ once more in a new process, since the cause may have been a temporary lack of me
 from __future__ import annotations
 
 import contextlib
-import functools
-import multiprocessing
-import os
 import queue
-import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from dataclasses import dataclass
+from types import TracebackType
 from typing import Generic, TypeVar
 
-import cv2
-from threadpoolctl import threadpool_limits
-
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.runs.worker_process import CallTimeoutError, ProcessDiedError, WorkerProcess
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -46,52 +40,91 @@ def run_in_processes(
     time_limit: float,
     stop: threading.Event,
 ) -> Iterator[tuple[T, R | WorkerDied]]:
-    """Run tasks in worker processes, and yield each with its value in the order of completion.
+    """Run tasks in worker processes that end with them; the parameters are those of `Processes`."""
+    with Processes(start, workers) as processes:
+        yield from processes.run(tasks, call, time_limit=time_limit, stop=stop)
+
+
+class Processes:
+    """Worker processes, as a context manager at whose end they have ended.
 
     Parameters
     ----------
-    tasks
-        Arguments of ``call``, one each.
-    call, start
-        Picklable functions that do not raise. ``start`` is called first in each process.
+    start
+        Picklable function that is called first in each process and does not raise.
     workers
-        Number of processes.
-    time_limit
-        Seconds after which a task is given up and its process killed.
-    stop
-        Once this event is set, running tasks are finished and no more are started.
-
-    Raises
-    ------
-    DvrkCmaesError
-        Processes cannot be started.
+        Number of processes. Each is started when there is a task for it.
     """
-    source = _Source(tasks, stop)
-    done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = queue.SimpleQueue()
-    processes = [_Process(start) for _ in range(workers)]
-    threads = [
-        threading.Thread(target=_drive, args=(one, source, call, time_limit, done.put), daemon=True)
-        for one in processes
-    ]
-    for thread in threads:
-        thread.start()
-    busy = len(threads)
-    try:
-        while busy:
-            match done.get():
-                case None:
-                    busy -= 1
-                case Exception() as error:
-                    raise error
-                case outcome:
-                    yield outcome
-    finally:
-        source.close()
-        if busy:
-            for process in processes:
+
+    def __init__(self, start: Callable[[], object], workers: int) -> None:
+        self._processes = [_Process(start) for _ in range(workers)]
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in self._processes:
+            if kind is not None:
                 process.end()
+            process.close()
+
+    def run(
+        self,
+        tasks: Iterable[T],
+        call: Callable[[T], R],
+        *,
+        time_limit: float | None = None,
+        stop: threading.Event | None = None,
+    ) -> Iterator[tuple[T, R | WorkerDied]]:
+        """Run tasks, and yield each with its value in the order of completion.
+
+        If the iterator is closed early, the processes are killed, and run no more tasks.
+
+        Parameters
+        ----------
+        tasks
+            Arguments of ``call``, one each.
+        call
+            Picklable function.
+        time_limit
+            Seconds after which a task is given up and its process killed.
+        stop
+            Once this event is set, running tasks are finished and no more are started.
+
+        Raises
+        ------
+        DvrkCmaesError
+            Processes cannot be started.
+        Exception
+            What ``call`` raised.
+        """
+        source = _Source(tasks, stop or threading.Event())
+        done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = queue.SimpleQueue()
+        threads = [
+            threading.Thread(target=_drive, args=(one, source, call, time_limit, done.put), daemon=True)
+            for one in self._processes
+        ]
         for thread in threads:
-            thread.join()
+            thread.start()
+        busy = len(threads)
+        try:
+            while busy:
+                match done.get():
+                    case None:
+                        busy -= 1
+                    case Exception() as error:
+                        raise error
+                    case outcome:
+                        yield outcome
+        finally:
+            source.close()
+            if busy:
+                for process in self._processes:
+                    process.end()
+            for thread in threads:
+                thread.join()
 
 
 class _NothingMoreError(Exception):
@@ -126,7 +159,7 @@ def _drive(
     process: _Process,
     source: _Source[T],
     call: Callable[[T], R],
-    time_limit: float,
+    time_limit: float | None,
     give: Callable[[tuple[T, R | WorkerDied] | Exception | None], None],
 ) -> None:
     """Run tasks one after the other in one process."""
@@ -134,21 +167,23 @@ def _drive(
         with contextlib.suppress(_NothingMoreError):
             for task in source:
                 give((task, _tried(process, call, task, time_limit, source)))
-        process.close(wait=True)
         give(None)
     except Exception as error:
         give(error)
 
 
-def _tried(process: _Process, call: Callable[[T], R], task: T, time_limit: float, source: _Source[T]) -> R | WorkerDied:
+def _tried(
+    process: _Process, call: Callable[[T], R], task: T, time_limit: float | None, source: _Source[T]
+) -> R | WorkerDied:
     """Run a task, and again if its process dies, unless the run has been stopped by then."""
     for _ in range(_TRIES):
         try:
             return process.run(call, task, time_limit)
-        except TimeoutError:
+        except CallTimeoutError:
             process.kill()
+            process.close()
             return WorkerDied(f"no result after {time_limit:g} s: its process was ended")
-        except BrokenExecutor:
+        except ProcessDiedError:
             process.close()
             if source.ended:
                 raise _NothingMoreError from None
@@ -160,85 +195,47 @@ class _Process:
 
     def __init__(self, start: Callable[[], object]) -> None:
         self._start = start
-        self._pool: ProcessPoolExecutor | None = None
-        self._id: int | None = None
+        self._process: WorkerProcess | None = None
         self._over = False
+        self._lock = threading.Lock()  # of both fields: `end` is called while another thread runs a task
 
-    def run(self, call: Callable[[T], R], task: T, time_limit: float) -> R:
-        """Run a task; raises BrokenExecutor if the process died on it, TimeoutError if it takes too long."""
-        pool = self._started()
-        return pool.submit(call, task).result(timeout=time_limit)
+    def run(self, call: Callable[[T], R], task: T, time_limit: float | None) -> R:
+        """Run a task; raises ProcessDiedError if the process died on it, CallTimeoutError if it takes too long."""
+        process = self._process or self._started()
+        return process.call(call, task, time_limit=time_limit)
 
-    def _started(self) -> ProcessPoolExecutor:
-        deaths = 0
-        while self._pool is None and not self._over:
-            pool = spawn_pool(1, self._start)
-            _leave_interrupts_to_the_main_thread()
+    def _started(self) -> WorkerProcess:
+        for _ in range(_STARTS):
+            with self._lock:
+                if self._over:
+                    break
+                self._process = process = WorkerProcess()
             try:
-                self._id = pool.submit(os.getpid).result()
-                self._pool = pool
-            except BrokenExecutor:
-                pool.shutdown(wait=False)
-                deaths += 1
-            if deaths == _STARTS:
-                raise DvrkCmaesError(
-                    f"worker processes died {_STARTS} times at their start: out of memory? Try fewer workers; "
-                    "what is done is kept, and the same command goes on from there"
-                )
-        if self._pool is None or self._over:
-            raise BrokenExecutor("nothing more is to be begun")
-        return self._pool
+                process.call(self._start)
+                return process
+            except (ProcessDiedError, MemoryError):
+                self.close()
+        else:
+            raise DvrkCmaesError(
+                f"worker processes died {_STARTS} times at their start: out of memory? Try fewer workers; "
+                "what is done is kept, and the same command goes on from there"
+            )
+        raise ProcessDiedError
 
-    def close(self, *, wait: bool = False) -> None:
+    def close(self) -> None:
         """Let the process end after its current task."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=wait, cancel_futures=True)
-        self._pool = None
+        with self._lock:
+            process, self._process = self._process, None
+        if process is not None:
+            process.close()
 
     def kill(self) -> None:
         """Kill the process."""
-        for one in multiprocessing.active_children():
-            if one.pid == self._id:
-                one.kill()
-        self.close()
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
 
     def end(self) -> None:
         """Kill the process, and do not start it again."""
         self._over = True
         self.kill()
-
-
-def _leave_interrupts_to_the_main_thread() -> None:
-    """Block SIGINT in this thread; the processes it starts inherit that, and finish their task after Ctrl-C."""
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-
-
-def spawn_pool(workers: int, start: Callable[[], object]) -> ProcessPoolExecutor:
-    """Return a pool of spawned processes, in each of which `prepare_worker` and then ``start`` are called first."""
-    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (start,))
-
-
-def _begin(start: Callable[[], object]) -> None:
-    prepare_worker()
-    start()
-
-
-def prepare_worker() -> None:
-    """Prepare a worker process: its libraries use one thread, and it exits when the process that started it does."""
-    limit_library_threads()
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
-
-
-@functools.cache
-def limit_library_threads() -> threadpool_limits:
-    """Limit OpenCV and the BLAS libraries of this process to one thread each; the cores are used by processes."""
-    cv2.setNumThreads(1)
-    return threadpool_limits(1)
-
-
-def _exit_after(parent: multiprocessing.process.BaseProcess) -> None:
-    parent.join()
-    os._exit(1)

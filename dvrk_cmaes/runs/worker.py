@@ -28,7 +28,7 @@ from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.frame import draw_frame, read_any_frame, solve_frame
-from dvrk_cmaes.runs.processes import limit_library_threads
+from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette import Body
 

@@ -7,6 +7,8 @@ import signal
 import time
 from pathlib import Path
 
+from dvrk_cmaes.errors import InputError
+
 
 def prepare_nothing() -> None:
     """Prepare a process that needs no preparation."""
@@ -15,6 +17,16 @@ def prepare_nothing() -> None:
 def die() -> None:
     """Kill the process that calls this."""
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def process_id(task: int) -> int:
+    """Return the id of the process that calls this."""
+    return os.getpid()
+
+
+def refuse(task: int) -> int:
+    """Raise an error that names the task."""
+    raise InputError(f"refused {task}")
 
 
 def squared(task: int) -> int:

@@ -9,13 +9,22 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 import pytest
-from helpers.worker_tasks import die, prepare_nothing, squared, squared_after_gate, squared_with_faults
+from helpers.worker_tasks import (
+    die,
+    prepare_nothing,
+    process_id,
+    refuse,
+    squared,
+    squared_after_gate,
+    squared_with_faults,
+)
 
-from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.runs.processes import WorkerDied, run_in_processes
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes
 
 
 def run(call: Callable[[int], int], tasks: range, **changes: object) -> dict[int, int | WorkerDied]:
@@ -73,6 +82,28 @@ def test_closed_generator_ends_processes() -> None:
     found.close()  # type: ignore[attr-defined]
     assert time.monotonic() - began < 20
     wait_until(lambda: not multiprocessing.active_children())
+
+
+def test_processes_stay_for_several_runs() -> None:
+    with Processes(prepare_nothing, 1) as processes:
+        first, second = (dict(processes.run(range(2), process_id)) for _ in range(2))
+        assert {*first.values(), *second.values()} == {one.pid for one in multiprocessing.active_children()}
+    assert not multiprocessing.active_children()
+
+
+def test_exception_of_task_is_raised_with_place_in_worker() -> None:
+    with pytest.raises(InputError) as caught:
+        run(refuse, range(3, 4))
+    assert str(caught.value) == "refused 3"
+    assert "worker_tasks.py" in "".join(caught.value.__notes__)
+    assert not multiprocessing.active_children()
+
+
+def test_nothing_is_left_to_resource_tracker(monkeypatch: pytest.MonkeyPatch) -> None:
+    registered: list[str] = []
+    monkeypatch.setattr(resource_tracker, "register", lambda name, kind: registered.append(name))
+    assert run(squared, range(3)) == {0: 0, 1: 1, 2: 4}
+    assert registered == []
 
 
 ORPHANS = """
