@@ -302,8 +302,8 @@ class TrackConfig:
     Attributes
     ----------
     points, draws, steps
-        Points of the outline that are compared with the mask; how often the outline is drawn for an image; steps of
-        the correction after each drawing.
+        Points of the outline that are compared with the mask; largest number of drawings of the outline for an image;
+        steps of the correction after each drawing.
     reach_px, support_px
         Farthest distance of the mask's edge from the predicted outline; distance below which an edge supports a point
         of the outline.
@@ -345,7 +345,7 @@ class TrackConfig:
     """
 
     points: int = 250
-    draws: int = 2
+    draws: int = 3
     steps: int = 2
     reach_px: float = 12.0
     support_px: float = 3.0

@@ -11,12 +11,14 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.track.hypothesis import Hypothesis
 from dvrk_cmaes.track.motion import Anchor
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.state import FilterState
 
 
 def plain_hypothesis(one: Hypothesis) -> dict[str, Any]:
     """Return a hypothesis as plain values; their text in JSON has all digits."""
-    return {**_plain(one), "state": _plain(one.state), "anchor": _plain(one.anchor)}
+    drawn = None if one.rim is None else [one.rim.pose.tolist(), one.rim.joints.tolist()]
+    return {**_plain(one), "state": _plain(one.state), "anchor": _plain(one.anchor), "rim": drawn}
 
 
 def _plain(part: object) -> dict[str, Any]:
@@ -25,8 +27,8 @@ def _plain(part: object) -> dict[str, Any]:
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
-def read_hypothesis(values: Mapping[str, Any]) -> Hypothesis:
-    """Return the hypothesis of plain values; InputError if they are not those of one."""
+def read_hypothesis(values: Mapping[str, Any], model: OutlineModel) -> Hypothesis:
+    """Return the hypothesis of plain values, its outline drawn again; InputError if they are not those of one."""
     try:
         state = FilterState(**{name: np.array(value, dtype=np.float64) for name, value in values["state"].items()})
         plain = values["anchor"]
@@ -35,6 +37,8 @@ def read_hypothesis(values: Mapping[str, Any]) -> Hypothesis:
         )
         read = np.array(plain["joint_read"], dtype=np.bool_)
         anchor = Anchor(outer, joints, outer_rate, joint_rate, bool(plain["outer_read"]), read, bool(plain["based"]))
-        return Hypothesis(state, anchor, float(values["sigma"]), float(values["score"]), str(values["relation"]))
+        drawn = values["rim"]
+        rim = None if drawn is None else model.draw(*(np.array(part, dtype=np.float64) for part in drawn))
+        return Hypothesis(state, anchor, float(values["sigma"]), float(values["score"]), str(values["relation"]), rim)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InputError("checkpoint: expected the state of a tracker, got something else") from None

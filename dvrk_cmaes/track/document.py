@@ -50,6 +50,7 @@ def calibration_of(
         offsets=dict(zip(names, [0.0, *state.offsets.tolist()], strict=True)),
         axes=(*BASE_AXES, *names),
         covariance=covariance,
+        covariance_given_camera=covariance,
         spreads={**outer, **joints, **slack},
         lag=found,
         arm=arm,

@@ -12,13 +12,14 @@ from dvrk_cmaes.geometry import apply, change_between
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel
+from dvrk_cmaes.track.outline_model import OutlineModel, Rim
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit, OutlineUpdate
 
 Float64 = NDArray[np.float64]
 
 _SEEN_MOTION = (5e-4, 1e-2, 5e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
+_KEPT_POINTS = 0.02  # rad, rotation of the root or of a joint up to which the last image's outline is the first one
 _SIGMA_SHARE = 0.05  # of an image's standard deviation in the running one
 
 
@@ -28,6 +29,7 @@ class Hypothesis:
 
     ``sigma`` px is the running standard deviation of the evidence's edges. ``score`` is the negative log-likelihood of
     all images so far, up to a constant that is the same for all hypotheses. ``relation`` is that to the first one.
+    ``rim`` is the outline that was drawn last; None before the first image.
     """
 
     state: FilterState
@@ -35,6 +37,7 @@ class Hypothesis:
     sigma: float
     score: float = 0.0
     relation: str = ""
+    rim: Rim | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +75,12 @@ class Follower:
 
     def corrected(self, one: Hypothesis, evidence: OutlineEvidence) -> tuple[Hypothesis, Fit] | None:
         """Correct a predicted hypothesis by an image; None if that is impossible, as in `OutlineUpdate`."""
-        rim = self.model.draw(*self.motion.pose(one.state, one.anchor))
+        pose, joints = self.motion.pose(one.state, one.anchor)
+        rim = (
+            one.rim
+            if one.rim is not None and one.rim.turned(pose, joints) < _KEPT_POINTS
+            else self.model.draw(pose, joints)
+        )
         if rim is None:
             return None
         updated = self._update(one.state, one.anchor, evidence, one.sigma, rim)
@@ -81,7 +89,7 @@ class Follower:
         fit = updated.fit
         latest = min(max(fit.sigma, self.config.sigma_px), self.config.support_px)
         sigma = (1 - _SIGMA_SHARE) * one.sigma + _SIGMA_SHARE * latest
-        return replace(one, state=updated.state, sigma=sigma, score=one.score + fit.cost), fit
+        return replace(one, state=updated.state, sigma=sigma, score=one.score + fit.cost, rim=updated.rim), fit
 
     def located(self, one: Hypothesis) -> Located:
         """Return pose, joints and tips of a hypothesis."""

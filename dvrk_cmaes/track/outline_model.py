@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import apply, change_between
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
@@ -26,7 +26,7 @@ class Rim:
 
     link : (N,) index of the link. points : (N, 3) m, in the link's frame. normals : (N, 2) unit vectors in the image,
     out of the silhouette. lengths : (N,) px of outline that each represents. ``all_pixels`` (M, 2) are all points of
-    the outline, before N of them were chosen.
+    the outline, before N of them were chosen. ``pose`` (4, 4) and ``joints`` (J,) are those it was drawn at.
     """
 
     link: NDArray[np.intp]
@@ -34,6 +34,12 @@ class Rim:
     normals: Float64
     lengths: Float64
     all_pixels: Float64
+    pose: Float64
+    joints: Float64
+
+    def turned(self, pose: Float64, joints: Float64) -> float:
+        """Return the largest angle, rad, between the root or a joint and those it was drawn at."""
+        return float(max(np.abs(change_between(self.pose, pose)[3:]).max(), np.abs(self.joints - joints).max()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +82,8 @@ class OutlineModel:
             outline.normals[chosen] / length[:, None],
             length * every * float(self._scale.mean()),
             pixels[inside],
+            pose,
+            joints,
         )
 
     def place(self, rim: Rim, pose: Float64, joints: Float64) -> Float64 | None:

@@ -73,7 +73,7 @@ def calibrated_state(calibration: SessionCalibration, blank: FilterState) -> Fil
     keep = [*range(6), *range(7, 8 + at.joints)]  # all but insertion's offset
     covariance = blank.covariance.copy()
     index = np.arange(7 + at.joints)
-    covariance[np.ix_(index, index)] = calibration.covariance[np.ix_(keep, keep)]
+    covariance[np.ix_(index, index)] = calibration.covariance_given_camera[np.ix_(keep, keep)]
     insertion = calibration.offsets["insertion"]
     moved = insertion**2 + calibration.spreads["slack_translation"] ** 2
     covariance[at.base, at.base] += np.diag([moved] * 3 + [0.0] * 3)

@@ -153,7 +153,7 @@ class Tracker:
         """
         try:
             self._time = None if saved["time"] is None else float(saved["time"])
-            self._hypotheses = [read_hypothesis(one) for one in saved["hypotheses"]]
+            self._hypotheses = [read_hypothesis(one, self._follower.model) for one in saved["hypotheses"]]
             self._lag = FoundLag(*(float(value) for value in saved["lag"]))
             self._lags.restore(saved["lags"])
             self._search = Searching(*(float(value) for value in saved["search"]))

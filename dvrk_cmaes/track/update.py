@@ -16,6 +16,7 @@ from dvrk_cmaes.track.state import FilterState
 
 Float64 = NDArray[np.float64]
 
+_KEPT_POINTS = 0.01  # rad, rotation of the root or of a joint up to which an outline is not drawn again
 _FARTHEST_BEYOND = 4.0  # standard deviations of a joint's limit
 
 
@@ -38,16 +39,18 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Updated:
-    """The state after an image, and how well it fits."""
+    """The state after an image, how well it fits, and the outline that was drawn last."""
 
     state: FilterState
     fit: Fit
+    rim: Rim
 
 
 class OutlineUpdate:
     """Kalman update of the state by signed distances along the outline.
 
-    The outline is drawn ``track.draws`` times; between two drawings its points move with the instrument.
+    The outline is drawn up to ``track.draws`` times, as long as the steps still turn the instrument noticeably; between
+    two drawings its points move with the instrument.
     """
 
     def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
@@ -77,8 +80,9 @@ class OutlineUpdate:
         state, spread_of = prior, prior.covariance
         off: Float64 = np.zeros(prior.layout.size)
         for draw in range(c.draws):
-            if draw:
-                drawn = self._model.draw(*self._motion.pose(state, anchor))
+            pose, joints = self._motion.pose(state, anchor)
+            if draw and rim.turned(pose, joints) > _KEPT_POINTS:
+                drawn = self._model.draw(pose, joints)
                 if drawn is None:
                     return None
                 rim = drawn
@@ -100,7 +104,7 @@ class OutlineUpdate:
         covariance = (spread_of + spread_of.T) / 2
         residuals = self._residuals(pixels, rim, evidence, sigma, c.outlier_sigmas * sigma)
         cost = 0.5 * (residuals.cost + self._deviation(off, prior.covariance) + float(np.linalg.slogdet(system)[1]))
-        return Updated(replace(state, covariance=covariance), self._fit(residuals, evidence, rim, cost))
+        return Updated(replace(state, covariance=covariance), self._fit(residuals, evidence, rim, cost), rim)
 
     @staticmethod
     def _deviation(off: Float64, covariance: Float64) -> float:
