@@ -6,14 +6,15 @@
     python scripts/accuracy.py lies SESSION...         share of falsified frames that are doubtful
     python scripts/accuracy.py bound SESSION...        errors and scatter compared with the Cramer-Rao bound
     python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
+    python scripts/accuracy.py halves SESSION...       difference of the bases of the halves of each session
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
-golden.json, errors and bound report what can be measured without truth. data/demo is such a folder, and `dvrk-cmaes
-synth` writes others. The level of a session (clean, easy, ...) is its name up to the first digit. The command
+golden.json, errors, bound and halves report what can be measured without truth. data/demo is such a folder, and
+`dvrk-cmaes synth` writes others. The level of a session (clean, easy, ...) is its name up to the first digit. The command
 calibration needs at least 200 frames for useful figures. --keep DIR writes results to a folder and reuses those in it,
 also for other commands; delete the folder after a change of the program. scripts/experiments/ablation.py measures the
 contribution of each part of the method.
@@ -28,11 +29,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from accuracy_bound import bound_report
 from accuracy_calibration import calibration_report
 from accuracy_camera import camera_report, wrong_camera_cases
 from accuracy_cases import Case, Run, read_cases, run_cases
 from accuracy_errors import error_report, frame_errors, frame_rows
+from accuracy_halves import halved, halves_report
 from accuracy_lag import find_lags, lag_report
 from accuracy_lies import doubt_report, falsified_cases, load_others
 from accuracy_session import Outcome, Trial, original_trials, read_bases, run_trials, session_report
@@ -209,6 +212,13 @@ def sessions(arguments: argparse.Namespace) -> Report:
     return session_report(prepare(arguments.instrument).instrument, outcomes)
 
 
+def halves(arguments: argparse.Namespace) -> Report:
+    """Report how far the bases of the halves of each session differ."""
+    cases = _original(arguments, truth=False)
+    bases = dict.fromkeys((case.session for case in cases), np.eye(4))  # not compared
+    return halves_report(_solve(arguments, halved(original_trials(_run(arguments, cases), bases))))
+
+
 def session_lies(arguments: argparse.Namespace) -> Report:
     """Report the share of falsified sessions that are reported as such."""
     bases, cases = read_bases(arguments.sessions), _original(arguments)
@@ -255,6 +265,7 @@ COMMANDS: Final = {
     "lies": lies,
     "bound": bound,
     "sessions": sessions,
+    "halves": halves,
     "session-lies": session_lies,
     "lag": lag,
     "track": track,

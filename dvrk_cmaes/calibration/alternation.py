@@ -67,7 +67,8 @@ class Alternation:
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``untold`` about what it
     does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change of
-    the camera that the frames fit, None where it is not determined.
+    the camera that the frames fit, None where it is not determined. ``of_camera`` (K, K) is the mean square of the
+    solution's errors that errors of the camera cause.
 
     Parameters
     ----------
@@ -105,6 +106,7 @@ class Alternation:
         self._progress = progress
         self._refine_camera = refine_camera
         self._change = np.zeros(3)
+        self.of_camera: Float64
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
         self.untold: list[str] = []
@@ -270,11 +272,11 @@ class Alternation:
         applied = self._change if self._refine_camera else None
         fits, outlines = _stacked(self.fits), self._outlines()
         found = check_camera(self.model, solution.calibration, self._prior, session, fits, outlines, applied=applied)
-        if isinstance(found, str):
-            self.untold.append(found)
+        self.of_camera, self.camera = found.covariance, found.camera
+        if found.camera is None:
+            self.untold.append(found.untold)
         else:
-            self.camera = found
-            self.warnings += found.warnings(session)
+            self.warnings += found.camera.warnings(session)
         self.warnings += describe_far_offsets(solution.calibration, solution.covariance, self.model, self._offset_std)
         if self._refine_camera:
             seen = [

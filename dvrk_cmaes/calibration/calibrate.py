@@ -111,7 +111,7 @@ def calibrate_session(
     left_out |= reasons
     used = [results[frame.name].quality for frame in alternation.frames if frame.name not in left_out]
     qualities = [quality for quality in used if quality is not None]
-    described = describe_solution(alternation.model, alternation.solution, settings)
+    described = describe_solution(alternation.model, alternation.solution, alternation.of_camera, settings)
     described["untold"] += tuple(alternation.untold)
     if alternation.lag.lag is None:
         described["untold"] += (f"lag between images and readings: {alternation.lag.untold}",)

@@ -33,7 +33,6 @@ Float64 = NDArray[np.float64]
 WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 """Standard deviations of the prior with which the change is estimated from the frames: relative, and px."""
 
-_PASSES = 6  # largest number of linearisations of the outlines
 _SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
 _EM_ITERATIONS = 3  # estimates of the calibration and the variance components for each linearisation
 _STEPS = 10  # largest number of Gauss-Newton steps of each
@@ -120,12 +119,14 @@ def changed(camera: Camera, change: Float64) -> Camera:
 class CameraEstimate:
     """The change (3,) of the camera that a session's frames fit best, and the calibration with it.
 
-    ``covariance`` (3, 3) is that of the change, whose prior is `WEAK_PRIOR`. ``poses`` (N, 4, 4) and ``joints`` (N, J),
+    ``covariance`` (3, 3) is that of the change, whose prior is `WEAK_PRIOR`. ``sensitivity`` (K, 3) is the derivative
+    of the calibration, in the order of `SessionModel.axes`, by the change. ``poses`` (N, 4, 4) and ``joints`` (N, J),
     rad, are the frames' with the changed camera.
     """
 
     change: Float64
     covariance: Float64
+    sensitivity: Float64
     calibration: Calibration
     poses: Float64
     joints: Float64
@@ -140,7 +141,7 @@ def estimate_camera(
     outlines: SessionOutlines,
     *,
     start: Float64 | None = None,
-    passes: int = _PASSES,
+    passes: int,
 ) -> CameraEstimate:
     """Estimate the change of the camera beside the calibration, by Gauss-Newton steps for all frames and both.
 
@@ -171,14 +172,16 @@ def estimate_camera(
     for _ in range(passes):
         before, terms = change, outlines.terms(change, poses, joints)
         for _ in range(_EM_ITERATIONS):
-            calibration, change, covariance = _solve(model, terms, calibration, change, prior)
+            calibration, change, information = _solve(model, terms, calibration, change, prior)
             weights = _Linearised.at(model, terms, calibration, change).weights
             model = estimate_variances(model, terms.fits_at(change), calibration, weights, config)
+        covariance = np.asarray(np.linalg.inv(information)[-3:, -3:], dtype=np.float64)
         frames = marginalise(model, terms.fits_at(change), calibration)
         poses, joints = moved(poses, frames.step[:, :6]), joints + frames.step[:, 6:]
         if (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
-    return CameraEstimate(change, covariance, calibration, poses, joints)
+    sensitivity = np.asarray(-np.linalg.solve(information[:-3, :-3], information[:-3, -3:]), dtype=np.float64)
+    return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints)
 
 
 def _solve(
@@ -186,7 +189,7 @@ def _solve(
 ) -> tuple[Calibration, Float64, Float64]:
     """Estimate calibration and change (3,) by reweighted Gauss-Newton steps.
 
-    Returns both, and the covariance (3, 3) of the change.
+    Returns both, and their information matrix (K + 3, K + 3).
     """
     count = len(prior)
     whole_prior = np.zeros((count + 3, count + 3))
@@ -200,7 +203,7 @@ def _solve(
         calibration, change = calibration.changed(step[:count]), change + step[count:]
         if step @ information @ step < 1e-6 * len(step):
             break
-    return calibration, change, np.asarray(np.linalg.inv(information)[count:, count:], dtype=np.float64)
+    return calibration, change, np.asarray(information)
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,7 +77,8 @@ class SessionCalibration:
     camera_from_base : (4, 4) m; its translation is the remote centre of motion in the camera.
     offsets : by joint, rad or m: true = reading + offset.
     covariance : (K, K) in the order of ``axes``: small changes of camera_from_base along and about the base's axes,
-    then the offsets.
+    then the offsets. It includes the effect of errors of the camera file.
+    covariance_given_camera : (K, K) without that effect, for predictions in images of the same camera.
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
     leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
@@ -94,6 +95,7 @@ class SessionCalibration:
     offsets: dict[str, Number]
     axes: Texts
     covariance: Float64
+    covariance_given_camera: Float64
     spreads: dict[str, PositiveNumber]
     frames: Texts = ()
     left_out: dict[str, str] = field(default_factory=dict)
@@ -146,7 +148,11 @@ class SessionCalibration:
                 "base_rotation_deg": rounded_array(np.degrees(std[3:6])),
                 "offsets": {name: rounded(value) for name, value in zip(self.offsets, std[6:], strict=True)},
             },
-            "covariance": {"axes": list(self.axes), "matrix": rounded_matrix(self.covariance)},
+            "covariance": {
+                "axes": list(self.axes),
+                "matrix": rounded_matrix(self.covariance),
+                "given_camera": rounded_matrix(self.covariance_given_camera),
+            },
             "spreads": rounded_values(self.spreads),
             "untold": list(self.untold),
             "warnings": list(self.warnings),
@@ -180,9 +186,12 @@ class SessionCalibration:
         check_schema(where, fields, SCHEMA)
         parts = convert_document(where, fields, _Parts)
         axes = (*BASE_AXES, *parts.offsets)
+        covariance = read_covariance(where, fields.get("covariance"), axes)
+        given_camera = {"axes": [*axes], "matrix": fields["covariance"].get("given_camera", covariance.tolist())}
         fields |= {
             "axes": axes,
-            "covariance": read_covariance(where, fields.get("covariance"), axes),
+            "covariance": covariance,
+            "covariance_given_camera": read_covariance(where, given_camera, axes),
             "left_out": {one.frame: one.reason for one in parts.left_out},
             "leave_one_out": {name: (one.iou, one.contour_px) for name, one in parts.leave_one_out.items()},
             "iou": parts.quality.iou,
@@ -219,16 +228,23 @@ class SessionCalibration:
         return model, Calibration(self.camera_from_base, np.array(list(self.offsets.values())))
 
 
-def describe_solution(model: SessionModel, solution: Solution, config: EstimateConfig) -> dict[str, Any]:
-    """Return the parts of a solution as fields of a `SessionCalibration`."""
+def describe_solution(
+    model: SessionModel, solution: Solution, of_camera: Float64, config: EstimateConfig
+) -> dict[str, Any]:
+    """Return the parts of a solution as fields of a `SessionCalibration`.
+
+    ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera file cause.
+    """
     names = (*OUTER_OFFSETS, *model.names)
-    deviations = model.deviations
-    std = np.sqrt(np.diag(solution.covariance))
+    deviations, given_camera = model.deviations, solution.covariance
+    covariance = given_camera + of_camera
+    std = np.sqrt(np.diag(covariance))
     return {
         "camera_from_base": solution.calibration.camera_from_base,
         "offsets": dict(zip(names, solution.calibration.offsets.tolist(), strict=True)),
         "axes": (*BASE_AXES, *names),
-        "covariance": solution.covariance,
+        "covariance": covariance,
+        "covariance_given_camera": given_camera,
         "spreads": {
             **dict(zip(("yaw", "pitch", "insertion", "roll"), deviations.outer.tolist(), strict=True)),
             **dict(zip(model.names, deviations.joints.tolist(), strict=True)),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.clock import RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, robust_cost, solve
+from dvrk_cmaes.calibration.solve import FrameFits, robust_costs, scatter, solve
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.joints.lag import Lag, Unit
@@ -220,25 +220,29 @@ class LagRefiner:
         if cost is None:
             return None
         values = self._step * np.arange(-_JOINT_STEPS, _JOINT_STEPS + 1)
-        best = int(np.argmin([cost(value) for value in values]))
+        best = int(np.argmin([cost(value).sum() for value in values]))
         if best in (0, len(values) - 1):
             return None
         # Whole steps only: between two readings, noise of the readings themselves would be averaged, and the cost less.
         found = self._minimum(at, float(values[best]), self._step, iterations=1)
         return None if found is None or found.std > _LARGEST_STD * self._clock.series.interval else found
 
-    def _cost(self, at: Callable[[float], Delay], low: float, high: float) -> Callable[[float], float] | None:
-        """Return the robust cost as a function of a value from ``low`` to ``high``; None with too few frames."""
+    def _cost(self, at: Callable[[float], Delay], low: float, high: float) -> Callable[[float], Float64] | None:
+        """Return the frames' robust costs, in the order of their times, as a function of a value.
+
+        The value may be from ``low`` to ``high``; None if too few frames have readings at both.
+        """
         if not (self._clock.interpolable and self._step > 0):
             return None
         has = np.flatnonzero(self._clock.has_readings(at(low)) & self._clock.has_readings(at(high)))
         if len(has) < _LEAST_AT_LAG:
             return None
+        has = has[np.argsort(self._clock.times[has], kind="stable")]
         clock, model, fits = self._clock.subset(has), self._model.subset(has), self._fits.subset(has)
 
-        def cost(value: float) -> float:
+        def cost(value: float) -> Float64:
             solution = solve(clock.model_at(model, at(value)), fits, self._calibration, self._prior)
-            return robust_cost(solution.misfit, 6 + len(model.names))
+            return robust_costs(solution.misfit, 6 + len(model.names))
 
         return cost
 
@@ -252,25 +256,24 @@ class LagRefiner:
         iterations: int = _REFINEMENTS,
     ) -> Refined | None:
         """Find the minimum of the cost and of a prior about zero with a weight, at most half a step from the start."""
-        robust = self._cost(at, start - step, start + step)
-        if robust is None:
+        cost = self._cost(at, start - step, start + step)
+        if cost is None:
             return None
-
-        def cost(value: float) -> float:
-            return robust(value) + weight * value**2
-
         value, width = start, step
         for _ in range(iterations):
             before, here, after = cost(value - width), cost(value), cost(value + width)
-            curvature = (before - 2 * here + after) / width**2
+            curvature = float((before - 2 * here + after).sum()) / width**2 + 2 * weight
             if not curvature > 0:
                 return None
-            value += float(np.clip((before - after) / (2 * width * curvature), -width, width))
+            slopes = (after - before) / (2 * width)
+            slope = float(slopes.sum()) + 2 * weight * value
+            value += float(np.clip(-slope / curvature, -width, width))
             value = float(np.clip(value, start - step / 2, start + step / 2))
             width = max(width / 2, _LEAST_STEP * step)
             if abs(value - start) + width > step:
                 width = step - abs(value - start)
-        return Refined(value, _SHARED_ERRORS * float(np.sqrt(2 / curvature)))
+        alone = _SHARED_ERRORS * float(np.sqrt(2 / curvature))
+        return Refined(value, max(alone, float(np.sqrt(scatter(slopes[:, None])[0, 0])) / curvature))
 
 
 def describe_lag(clock: Clock, lag: Refined, drift: Refined | None = None) -> Lag | str:

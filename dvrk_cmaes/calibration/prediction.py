@@ -69,7 +69,7 @@ def fit_session_pose(
         return f"session: no reading of {', '.join(missing)}: searched without it"
     poses, joints = model.predict(calibration)
     jacobian = model.jacobian(calibration)[0]
-    covariance = model.covariance(calibration)[0] + jacobian @ session.covariance @ jacobian.T
+    covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
     expected = PosePrior(poses[0], joints[0], np.asarray(np.linalg.inv(covariance), dtype=np.float64))
     start = (poses[0], joints[0])
     first = fit_frame(renderer, evidence, readings, config, expected, (start,), None)

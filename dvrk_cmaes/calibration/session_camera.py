@@ -29,6 +29,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 """
 
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
+_PASSES = 6  # largest number of linearisations of the outlines
 _NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
@@ -62,8 +63,7 @@ class SessionCamera:
         file_covariance = np.diag(_file_std(config) ** 2)
         contradicts = bool(change @ np.linalg.solve(covariance + file_covariance, change) > _CONTRADICTION)
         if not (contradicts or applied):
-            gain = file_covariance @ np.linalg.inv(covariance + file_covariance)
-            change, covariance = gain @ change, gain @ covariance
+            change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
         return cls(
             focal_scale=scale,
@@ -139,6 +139,19 @@ def untested(model: SessionModel) -> str | None:
     return None
 
 
+@dataclass(frozen=True, eq=False)
+class CameraCheck:
+    """What a session's frames tell about the camera, and what errors of the camera do to the calibration.
+
+    ``camera`` is None where the session does not test it, and ``untold`` then says why. ``covariance`` (K, K) is the
+    mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
+    """
+
+    camera: SessionCamera | None
+    untold: str
+    covariance: Float64
+
+
 def check_camera(
     model: SessionModel,
     calibration: Calibration,
@@ -148,24 +161,47 @@ def check_camera(
     outlines: SessionOutlines,
     *,
     applied: Float64 | None = None,
-) -> SessionCamera | str:
+) -> CameraCheck:
     """Test the camera of a calibrated session.
 
     ``applied`` is the change (3,) of the camera with which the frames were fitted, None if they were fitted with the
-    file's; the other arguments are as in `estimate_camera`. Returns the reason if the session does not test the camera.
+    file's; the other arguments are as in `estimate_camera`.
     """
     reason = untested(model)
-    if reason is not None:
-        return reason
+    passes = _PASSES if reason is None and applied is None else 1
     try:
-        if applied is None:
-            estimate = estimate_camera(model, calibration, prior, config, fits, outlines)
-        else:
-            estimate = estimate_camera(model, calibration, prior, config, fits, outlines, start=applied, passes=1)
-            estimate = replace(estimate, change=applied)
+        estimate = estimate_camera(model, calibration, prior, config, fits, outlines, start=applied, passes=passes)
     except InputError as error:
-        return f"camera: {error}"
-    return SessionCamera.of(estimate, config, outlines.width, applied=applied is not None)
+        return CameraCheck(None, f"camera: {error}", np.zeros_like(prior))
+    if applied is not None:
+        estimate = replace(estimate, change=applied)
+    covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
+    if reason is not None:
+        return CameraCheck(None, reason, covariance)
+    return CameraCheck(SessionCamera.of(estimate, config, outlines.width, applied=applied is not None), "", covariance)
+
+
+def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:
+    """Return the mean square (K, K) of the calibration's errors that errors of the camera cause.
+
+    If the frames do not test the camera, its errors are those expected of its file. Otherwise they are what frames and
+    file together tell: the mean error, whose effect is not corrected unless the change is applied, and its covariance.
+    """
+    if not tested:
+        square = np.diag(_file_std(config) ** 2)
+    elif applied:
+        square = _SHARED_ERRORS**2 * estimate.covariance
+    else:
+        change, covariance = _with_file(estimate.change, _SHARED_ERRORS**2 * estimate.covariance, config)
+        square = covariance + np.outer(change, change)
+    return np.asarray(estimate.sensitivity @ square @ estimate.sensitivity.T)
+
+
+def _with_file(change: Float64, covariance: Float64, config: SessionConfig) -> tuple[Float64, Float64]:
+    """Return a change (3,) and its covariance (3, 3) with the camera file as a measurement that says: no change."""
+    file_covariance = np.diag(_file_std(config) ** 2)
+    gain = file_covariance @ np.linalg.inv(covariance + file_covariance)
+    return gain @ change, gain @ covariance
 
 
 def _file_std(config: SessionConfig) -> Float64:

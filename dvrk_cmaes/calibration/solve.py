@@ -24,6 +24,7 @@ _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
 
 _ITERATIONS = 30
+_PARTS = 8  # of a recording, whose errors are taken for independent of each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,8 @@ class Solution:
 
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
     outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
-    information matrix and to the gradient of half the sum of squares at the solution.
+    information matrix and to the gradient of half the sum of squares at the solution. The frames are in the order they
+    were taken.
     """
 
     calibration: Calibration
@@ -71,8 +73,16 @@ class Solution:
 
     @property
     def covariance(self) -> Float64:
-        """Covariance (K, K) of the calibration, in the order of `SessionModel.axes`."""
-        return np.asarray(np.linalg.inv(self.information))
+        """Covariance (K, K) of the calibration, in the order of `SessionModel.axes`.
+
+        Frames that follow each other share errors, of shadows and cables for example, which do not average out as those
+        of independent frames do. Standard deviations are therefore at least those that follow from how much the slopes
+        of successive parts of the recording scatter (the covariance for clustered errors).
+        """
+        independent = np.linalg.inv(self.information)
+        factor = np.sqrt(np.diag(independent @ scatter(self.frame_slopes) @ independent) / np.diag(independent))
+        factor = np.maximum(factor, 1.0)
+        return np.asarray(factor[:, None] * independent * factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +175,21 @@ def robust_weights(misfit: Float64, dimension: int) -> Float64:
     return np.asarray(np.minimum((1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)), 1) ** 2)
 
 
-def robust_cost(misfit: Float64, dimension: int) -> float:
-    """Return the sum over N frames of the robust cost (Geman-McClure) whose weights `solve` uses.
+def robust_costs(misfit: Float64, dimension: int) -> Float64:
+    """Return the robust cost (Geman-McClure) of each of N frames, (N,), whose weights `solve` uses.
 
     ``misfit`` (N,) are squared Mahalanobis distances, whose expectation is ``dimension`` if the model holds.
     """
-    return float((misfit * (1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2))).sum())
+    return np.asarray(misfit * (1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)))
+
+
+def scatter(slopes: Float64) -> Float64:
+    """Return the covariance (K, K) of the sum of the slopes (N, K) of frames in the order they were taken.
+
+    It is that of the sums over successive parts of the recording, so errors that frames of a part share count in full.
+    """
+    sums = np.array([part.sum(axis=0) for part in np.array_split(slopes, min(_PARTS, len(slopes)))])
+    return np.atleast_2d(len(sums) * np.cov(sums, rowvar=False))
 
 
 def leave_one_out(solution: Solution, index: int) -> Calibration:

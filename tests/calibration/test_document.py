@@ -44,6 +44,7 @@ def calibration() -> SessionCalibration:
         offsets=OFFSETS,
         axes=(*BASE_AXES, *OFFSETS),
         covariance=root @ root.T,
+        covariance_given_camera=root @ root.T / 4,
         spreads=SPREADS,
         frames=("0000", "0002"),
         left_out={"0001": "disagrees with the session"},

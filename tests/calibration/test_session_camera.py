@@ -12,12 +12,13 @@ from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
 from dvrk_cmaes.calibration.frame_task import StoredEvidence
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
-from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera
-from dvrk_cmaes.calibration.solve import solve
+from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera
+from dvrk_cmaes.calibration.solve import Solution, solve
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
@@ -34,7 +35,7 @@ def made(bundled_body: Body) -> Made:
     return make_frames_in_memory(bundled_body, FRAMES, level="clean")
 
 
-def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0) -> SessionCamera | str:
+def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0) -> tuple[CameraCheck, Solution]:
     """Check a file whose focal length is the true one divided by ``focal_scale``, from poses as seen with that file.
 
     The readings of insertion are scaled about their mean by ``insertion``.
@@ -63,13 +64,14 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
     model = SessionModel(outer, read, names, Deviations.of(CONFIG, names), roll_offset=body.instrument.roll_offset)
     fits = outlines.terms(np.zeros(3), poses, joints).fits
     solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
-    return check_camera(model, solution.calibration, PRIOR, CONFIG, fits, outlines)
+    return check_camera(model, solution.calibration, PRIOR, CONFIG, fits, outlines), solution
 
 
 def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:
     nothing = np.zeros((0, 4, 4))
     calibration = Calibration(np.eye(4), np.zeros(5))
-    return CameraEstimate(np.array(change), np.diag(np.array(std) ** 2), calibration, nothing, np.zeros((0, 3)))
+    covariance = np.diag(np.array(std) ** 2)
+    return CameraEstimate(np.array(change), covariance, np.zeros((11, 3)), calibration, nothing, np.zeros((0, 3)))
 
 
 # the change that frames fit
@@ -77,8 +79,8 @@ def estimate(change: tuple[float, float, float], std: tuple[float, float, float]
 
 @pytest.mark.parametrize("focal_scale", [0.9, 1.1])
 def test_focal_length_ten_percent_off_is_found_and_named(bundled_body: Body, made: Made, focal_scale: float) -> None:
-    found = check(bundled_body, made, focal_scale)
-    assert isinstance(found, SessionCamera)
+    found = check(bundled_body, made, focal_scale)[0].camera
+    assert found is not None
     assert found.contradicts
     assert not found.applied
     assert found.focal_scale == pytest.approx(focal_scale, abs=max(0.02, 2 * found.std_focal_scale))
@@ -91,8 +93,8 @@ def test_focal_length_ten_percent_off_is_found_and_named(bundled_body: Body, mad
 
 
 def test_right_camera_is_not_contradicted(bundled_body: Body, made: Made) -> None:
-    found = check(bundled_body, made, 1.0)
-    assert isinstance(found, SessionCamera)
+    found = check(bundled_body, made, 1.0)[0].camera
+    assert found is not None
     assert not found.contradicts
     assert found.warnings(CONFIG) == []
     assert found.focal_scale == pytest.approx(1.0, abs=3 * found.std_focal_scale)
@@ -102,11 +104,24 @@ def test_right_camera_is_not_contradicted(bundled_body: Body, made: Made) -> Non
 
 def test_few_frames_and_still_insertion_do_not_test_the_camera(bundled_body: Body, made: Made) -> None:
     base, truths, frames = made
-    few = check(bundled_body, (base, truths[:9], frames[:9]), 1.0)
-    assert few == "camera: 9 frames; at least 10 are needed to test its focal length"
-    still = check(bundled_body, made, 1.0, insertion=0.01)
-    assert isinstance(still, str)
-    assert still.endswith(" mm; at least 5 mm are needed to test its focal length")
+    few, _ = check(bundled_body, (base, truths[:9], frames[:9]), 1.0)
+    assert few.camera is None
+    assert few.untold == "camera: 9 frames; at least 10 are needed to test its focal length"
+    assert np.linalg.matrix_rank(few.covariance) == 3  # the errors of the file are expected all the same
+    still, _ = check(bundled_body, made, 1.0, insertion=0.01)
+    assert still.camera is None
+    assert still.untold.endswith(" mm; at least 5 mm are needed to test its focal length")
+
+
+@pytest.mark.parametrize("focal_scale", [0.98, 1.1])
+def test_covariance_covers_what_a_wrong_camera_does_to_the_base(
+    bundled_body: Body, made: Made, focal_scale: float
+) -> None:
+    found, solution = check(bundled_body, made, focal_scale)
+    off = change_between(made[0], solution.calibration.camera_from_base)
+    alone, with_camera = solution.covariance[:6, :6], (solution.covariance + found.covariance)[:6, :6]
+    assert off @ np.linalg.solve(alone, off) > 6 * 3**2
+    assert off @ np.linalg.solve(with_camera, off) < 6 * 2**2
 
 
 # the decision

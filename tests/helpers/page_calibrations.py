@@ -51,6 +51,7 @@ def calibration(frames: Sequence[Result], **changes: object) -> SessionCalibrati
         offsets=dict(OFFSETS),
         axes=(*BASE_AXES, *OFFSETS),
         covariance=np.diag([*BASE_STD, *STD.values()]) ** 2,
+        covariance_given_camera=np.diag([*BASE_STD, *STD.values()]) ** 2,
         spreads={**SPREADS, "slack_translation": 2e-4, "slack_rotation": 2e-3},
         frames=tuple(frame.frame for frame in frames),
         leave_one_out={frame.frame: (0.8 + 0.01 * k, 3.0 - 0.1 * k) for k, frame in enumerate(frames)},

@@ -169,12 +169,14 @@ def true_calibration(
     known = {"slack_translation": float(spreads.slack[0]), "slack_rotation": float(spreads.slack[3])}
     known |= dict(zip(OUTER_JOINTS, spreads.outer.tolist(), strict=True))
     known |= dict(zip(body.instrument.joint_names, spreads.joints.tolist(), strict=True))
+    covariance = np.diag([*[(3e-4) ** 2] * 3, *[np.deg2rad(0.3) ** 2] * 3, *[1e-6] * len(names)])
     return SessionCalibration(
         instrument=body.instrument.name,
         camera_from_base=base,
         offsets=dict(zip(names, np.mean(off, axis=0).tolist(), strict=True)),
         axes=(*BASE_AXES, *names),
-        covariance=np.diag([*[(3e-4) ** 2] * 3, *[np.deg2rad(0.3) ** 2] * 3, *[1e-6] * len(names)]),
+        covariance=covariance,
+        covariance_given_camera=covariance,
         spreads=known,
         frames=tuple(frame.name for frame in frames),
         iou=0.95,

@@ -48,6 +48,7 @@ def outcome(cases: Sequence[Case], focal_scale: float | None, *, contradicts: bo
         offsets={},
         axes=BASE_AXES,
         covariance=np.eye(6),
+        covariance_given_camera=np.eye(6),
         spreads={},
         camera=camera,
     )

@@ -53,6 +53,7 @@ def outcome(cases: Sequence[Case], off: np.ndarray, kind: str = "honest", **fiel
         offsets={},
         axes=BASE_AXES,
         covariance=np.diag(SPREAD**2),
+        covariance_given_camera=np.diag(SPREAD**2),
         spreads={},
         **fields,
     )
