@@ -14,10 +14,10 @@
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
 golden.json, errors, bound and halves report what can be measured without truth. data/demo is such a folder, and
-`dvrk-cmaes synth` writes others. The level of a session (clean, easy, ...) is its name up to the first digit. The command
-calibration needs at least 200 frames for useful figures. --keep DIR writes results to a folder and reuses those in it,
-also for other commands; delete the folder after a change of the program. scripts/experiments/ablation.py measures the
-contribution of each part of the method.
+`dvrk-cmaes synth` writes others. The level of a session (clean, easy, ...) is its name up to the first digit. The
+command calibration needs at least 200 frames for useful figures. --keep DIR writes results to a folder and reuses
+those in it, also for other commands; delete the folder after a change of the program. scripts/experiments/ablation.py
+measures the contribution of each part of the method.
 """
 
 from __future__ import annotations
