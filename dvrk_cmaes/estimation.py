@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,7 @@ def estimate(
     arm: Arm = "classic",
     session: SessionCalibration | None = None,
     frame: str = "",
+    time: float | None = None,
     config: EstimateConfig | None = None,
     warnings: Sequence[str] = (),
 ) -> Result:
@@ -65,8 +66,8 @@ def estimate(
         does not explain the mask is the frame searched as without a session. Where the prediction holds, the
         calibration's arm is used instead of ``arm``, and ``camera_from_base`` is computed with the joints' offsets.
         If its camera was refined, the same change is applied to ``camera``.
-    frame, warnings
-        The frame's name and warnings to add; both are copied into the result.
+    frame, time, warnings
+        The frame's name, the time of its image, s, and warnings to add; they are copied into the result.
     config
         All settings. The defaults are chosen for images of 640 x 480 pixels.
 
@@ -86,7 +87,7 @@ def estimate(
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
     decimated = decimated_body(body, settings.search.detail_m)
-    started = time.perf_counter()
+    started = perf_counter()
     model, given = body.instrument, dict(joints or {})
     if session is not None:
         camera = session.corrected(camera)
@@ -123,16 +124,18 @@ def estimate(
         camera_from_base=base,
         source=source,
         quality=found.quality,
+        time=time,
         tips=tips,
         tips_px=tips_px,
         covariance=found.covariance,
         expected_error=found.expected_error,
         mode_probability=found.mode_probability,
         alternatives=found.alternatives,
-        seconds=time.perf_counter() - started,
+        seconds=perf_counter() - started,
         evaluations=found.evaluations,
         rays=found.rays,
         seed=settings.seed,
         version=__version__,
         config={**settings.as_dict(), "instrument": describe_limits(model, arm)},
+        model=model,
     )

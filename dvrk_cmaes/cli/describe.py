@@ -23,6 +23,7 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
         yield Line(f"  not used: {left_out}")
     if result.camera_from_root is not None:
         yield from _pose(result)
+    yield from _tips(result)
     yield from _joints(result)
     if result.quality is not None:
         q = result.quality
@@ -59,6 +60,18 @@ def _pose(result: Result) -> Iterator[Line]:
         yield Line(f"{title} in the camera (x right, y down, z forward)", "bold")
         yield Line(f"  position, mm    {_triple(1e3 * pose[:3, 3], 9)}{std_t_text}")
         yield Line(f"  axis-angle, deg {_triple(axis_angle, 9)}{std_r_text}")
+
+
+def _tips(result: Result) -> Iterator[Line]:
+    """Yield the tips: position in the camera, standard deviations along its axes, pixel."""
+    if result.tips:
+        yield Line("tips in the camera", "bold")
+    for k, tip in enumerate(result.tips):
+        name = "tip" if len(result.tips) == 1 else f"jaw_{k + 1}"
+        axes = None if result.expected_error is None else result.expected_error.tip_axes_mm.get(name)
+        std = "" if axes is None else f"   std {_triple(axes)} along the camera's axes"
+        pixel = "" if not result.tips_px else f", pixel {result.tips_px[k][0]:.1f} {result.tips_px[k][1]:.1f}"
+        yield Line(f"  {name + ', mm':<15} {_triple(1e3 * tip, 9)}{std}{pixel}")
 
 
 def _triple(values: Iterable[float], width: int = 0) -> str:

@@ -139,7 +139,8 @@ def estimate(
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
-    files = FrameFiles(named.stem if frame is None else frame, mask, {}, image, ignore, tips, label, picked)
+    name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
+    files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
     camera_file = camera.read(lambda: frame_size(files))
     data = read_any_frame(files, camera_file.camera)
     body = instrument.load()
@@ -166,6 +167,15 @@ def estimate(
     else:
         show(describe(run.result, run.written))
     return EXIT_CODES[run.result.status]
+
+
+def _moment(time: str | None, image: str) -> float | None:
+    """Return the time of the image, s: as given, or at the end of its name; None if neither is known."""
+    from dvrk_cmaes.joints.interpolation import NANOSECONDS
+    from dvrk_cmaes.joints.times import parse_time, time_in_name
+
+    found = time_in_name(image) if time is None else parse_time("--time", time)
+    return None if found is None else found / NANOSECONDS
 
 
 def _readings(

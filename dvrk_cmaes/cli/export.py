@@ -16,6 +16,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.export.formats import Exported
     from dvrk_cmaes.export.ros_topics import ToolTip
+    from dvrk_cmaes.results.result import Result
 
 NAMES = Group.create_ordered("Names")
 DVRK = Group.create_ordered("dVRK")
@@ -31,7 +32,8 @@ class BagOptions:
     ----------
     times
         Table of the frames' times (images.csv with the columns frame and time), or a session folder with one. By
-        default the times at the end of the frames' names, or if there are none, one second between frames.
+        default the times at the end of the frames' names, or those in the results, or if there are none, one second
+        between frames.
     tool
         Description of the tool in the dVRK's format (JSON), whose tip measured_cp is the pose of. A Large Needle Driver
         400006 by default.
@@ -40,14 +42,20 @@ class BagOptions:
     times: Path | None = None
     tool: Path | None = None
 
-    def read_times(self, frames: Sequence[str]) -> dict[str, int]:
-        """Return the times of frames, ns, from the table or from their names; empty if some have none."""
+    def read_times(self, results: Sequence[Result]) -> dict[str, int]:
+        """Return the times of frames, ns, from the table, their names or the results; empty if some have none."""
+        from dvrk_cmaes.joints.interpolation import NANOSECONDS
         from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
         if self.times is not None:
             return read_image_times(self.times / "images.csv" if self.times.is_dir() else self.times)
-        named = {frame: time for frame in frames if (time := time_in_name(frame)) is not None}
-        return named if len(named) == len(frames) else {}
+        named = {one.frame: time_in_name(one.frame) for one in results}
+        stated = {one.frame: None if one.time is None else round(one.time * NANOSECONDS) for one in results}
+        for times in (named, stated):
+            known = {frame: time for frame, time in times.items() if time is not None}
+            if len(known) == len(results):
+                return known
+        return {}
 
     def read_tip(self) -> ToolTip:
         """Return the tool tip frame of the tool."""
@@ -154,7 +162,7 @@ def export(
     names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
     pose = None if ecm_pose is None else read_cartesian_pose(ecm_pose)
     source = read_source(results, frame)
-    times = bag.read_times([result.frame for result in source.results])
+    times = bag.read_times(source.results)
     options = FormatOptions(scene, object_id, dvrk_version, pose, times, bag.read_tip())
     exported = exported_files(source, to, names, options)
     folder = _results_folder(results) / "exports" if out is None else out

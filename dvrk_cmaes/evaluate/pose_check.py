@@ -108,8 +108,8 @@ def _rows(instrument: Instrument, found: Pose, expected: Pose, tolerance: Tolera
 def _values(instrument: Instrument, pose: Float64, joints: Mapping[str, float]) -> dict[str, Sequence[float]]:
     """Return the values of a pose by quantity: positions in the camera, mm, direction of the shaft, joints, deg."""
     values: dict[str, Sequence[float]] = {"root": (1e3 * pose[:3, 3]).tolist(), "shaft": pose[:3, 2].tolist()}
-    if instrument.jaw_tips and all(name in joints for name in instrument.joint_names):
-        tips = instrument.tips([joints[name] for name in instrument.joint_names])
+    if all(name in joints for name in instrument.joint_names):
+        tips = instrument.ends([joints[name] for name in instrument.joint_names])
         values["tip"] = (1e3 * apply(pose, tips).mean(axis=0)).tolist()
     own = [name for name in instrument.joint_names if name in joints]
     return values | {name: (float(np.degrees(joints[name])),) for name in own}

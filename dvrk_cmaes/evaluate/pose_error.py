@@ -50,7 +50,8 @@ class PoseError:
     """Errors of a pose.
 
     root_mm : distance between the positions of the root's origin.
-    tip_mm : mean distance between the positions of the two jaw tips; None without jaws or without all true joints.
+    tip_mm : mean distance between the positions of the tips (of the end, without a pair of jaws); None without all true
+        joints.
     rotation_deg : angle of the whole rotation error.
     shaft_deg, roll_deg : angle between the shaft's directions, and about the shaft.
     joints_deg : found less true, by name.
@@ -96,9 +97,9 @@ def compare_poses(
     roll = 2 * np.arctan2(z, w)
     swing = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, w))
     tip_mm = None
-    if instrument.jaw_tips and all(name in true_joints for name in instrument.joint_names):
+    if all(name in true_joints for name in instrument.joint_names):
         ends = [
-            apply(t, instrument.tips([q[name] for name in instrument.joint_names]))
+            apply(t, instrument.ends([q[name] for name in instrument.joint_names]))
             for t, q in ((pose, joints), (true_pose, true_joints))
         ]
         tip_mm = float(1e3 * np.linalg.norm(ends[0] - ends[1], axis=1).mean())

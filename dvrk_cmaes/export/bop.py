@@ -31,7 +31,9 @@ def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dic
         rotation = " ".join(map(repr, result.camera_from_root[:3, :3].ravel().tolist()))
         translation = " ".join(map(repr, (1e3 * result.camera_from_root[:3, 3]).tolist()))
         score = 1.0 if result.quality is None else result.quality.iou
-        lines.append(f"{scene},{numbers[result.frame]},{obj},{score!r},{rotation},{translation},{result.seconds!r}")
+        lines.append(
+            f"{scene},{numbers[result.frame]},{obj},{score!r},{rotation},{translation},{result.seconds or -1.0!r}"
+        )
     files = {RESULTS: "\n".join(lines) + "\n"}
     if not _numbered(list(numbers)):
         files[IM_IDS] = table_text([{"im_id": number, "frame": frame} for frame, number in numbers.items()])

@@ -2,8 +2,10 @@
 
 ``camera_from_root_*`` and ``camera_from_base_*`` map points from the frames of the instrument's root link and of the
 arm's base to the camera frame (OpenCV's axes): translation in mm, quaternion in the order of ROS. ``std_t*`` and
-``std_r*`` are standard deviations along and about the axes of the root link. Jaw tips are within ``tips_90_mm`` with
-90 %; ``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values, ``*_read_*`` are
+``std_r*`` are standard deviations along and about the axes of the root link. ``tip_1_*`` and ``tip_2_*`` are the tips
+of jaw_1 and jaw_2, or the end of an instrument without a pair of jaws, in the camera, with standard deviations along
+the camera's axes, and their pixels. ``time`` is that of the image, s. Jaw tips are within ``tips_90_mm`` with 90 %;
+``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values, ``*_read_*`` are
 readings, in deg, insertion in mm.
 """
 
@@ -32,7 +34,8 @@ def pose_rows(results: Iterable[Result]) -> list[dict[str, Any]]:
     results = list(results)
     joints = list(dict.fromkeys(name for result in results for name in result.joints))
     readings = list(dict.fromkeys(name for result in results for name in result.readings))
-    return [dict(_row(result, joints, readings)) for result in results]
+    tips = max((len(result.tips) for result in results), default=0)
+    return [dict(_row(result, joints, readings, tips)) for result in results]
 
 
 def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -46,10 +49,11 @@ def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
-def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iterator[tuple[str, Any]]:
-    """Yield the columns and values of one result."""
+def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: int) -> Iterator[tuple[str, Any]]:
+    """Yield the columns and values of one result; ``tips`` is the largest number of tips of all results."""
     quality = result.quality
     yield "frame", result.frame
+    yield "time", result.time
     yield "status", result.status
     yield from _pose("camera_from_root", result.camera_from_root)
     for name in joints:
@@ -57,6 +61,8 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iter
     for name in readings:
         yield _scaled(name, "_read", result.readings.get(name))
     yield from _deviations(result, joints)
+    for number in range(tips):
+        yield from _tip(result, number)
     expected = result.expected_error
     yield "tips_90_mm", None if expected is None else round(expected.tip_90_mm, _DIGITS)
     yield "std_tips_mm", None if expected is None else round(expected.of_tips_mm, _DIGITS)
@@ -71,7 +77,7 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str]) -> Iter
     yield from _pose("camera_from_base", result.camera_from_base)
     yield "source", result.source
     yield "alternatives", len(result.alternatives)
-    yield "seconds", result.seconds
+    yield "seconds", result.seconds or None
     yield "reasons", "; ".join(result.reasons)
     yield "warnings", "; ".join(result.warnings)
     yield "unused", "; ".join(result.unused)
@@ -83,6 +89,20 @@ def _pose(name: str, pose: NDArray[np.float64] | None) -> Iterator[tuple[str, fl
     quaternion = [None] * 4 if pose is None else np.round(quaternion_xyzw(pose), 9).tolist()
     yield from ((f"{name}_{axis}_mm", value) for axis, value in zip("xyz", translation, strict=True))
     yield from ((f"{name}_q{axis}", value) for axis, value in zip("xyzw", quaternion, strict=True))
+
+
+def _tip(result: Result, number: int) -> Iterator[tuple[str, float | None]]:
+    """Yield the columns and values of a tip, counted from 0: position, standard deviations, pixel."""
+    there = number < len(result.tips)
+    name = f"jaw_{number + 1}" if len(result.tips) > 1 else "tip"
+    axes = None if result.expected_error is None else result.expected_error.tip_axes_mm.get(name)
+    for kind, unit, parts, values in (
+        ("", "mm", "xyz", 1e3 * result.tips[number] if there else None),
+        ("std_", "mm", "xyz", axes if there else None),
+        ("", "px", "uv", result.tips_px[number] if number < len(result.tips_px) else None),
+    ):
+        for k, part in enumerate(parts):
+            yield f"{kind}tip_{number + 1}_{part}_{unit}", None if values is None else round(float(values[k]), _DIGITS)
 
 
 def _scaled(name: str, suffix: str, value: float | None) -> tuple[str, float | None]:

@@ -29,8 +29,8 @@ class FrameFiles:
 
     A frame without a mask has an image, in which the instrument is to be segmented. ``readings`` are by joint name, rad
     (insertion: m); ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and ``pick`` select the
-    instrument in the mask, as in ``read_mask``. ``notes`` state how camera and readings were chosen; ``problem`` states
-    why this frame cannot be used, None if it can.
+    instrument in the mask, as in ``read_mask``. ``time`` is that of the image, s, if it is known. ``notes`` state how
+    camera and readings were chosen; ``problem`` states why this frame cannot be used, None if it can.
     """
 
     name: str
@@ -41,6 +41,7 @@ class FrameFiles:
     keypoints: NDArray[np.float64] | None = None
     label: int | None = None
     pick: tuple[float, float] | None = None
+    time: float | None = None
     notes: tuple[str, ...] = ()
     problem: str | None = None
 

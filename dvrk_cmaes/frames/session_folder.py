@@ -169,7 +169,14 @@ def _session_frames(
     image_times = {name: times.get(name, time_in_name(name)) for name in sorted({*masks, *images})}
     frames, farthest = [], None
     for name, time in image_times.items():
-        frame = FrameFiles(name, masks.get(name), {}, images.get(name), ignore.get(name), tips.get(name))
+        frame = FrameFiles(
+            name,
+            masks.get(name),
+            image=images.get(name),
+            ignore=ignore.get(name),
+            keypoints=tips.get(name),
+            time=_seconds_of(files, name, time),
+        )
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)
         except InputError as error:
@@ -181,6 +188,14 @@ def _session_frames(
         raise InputError(str(frames[0].problem))
     notes = (*_described(files), *_interpolation(farthest, tolerance))
     return tuple(frames), tuple(files), image_times, notes
+
+
+def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) -> float | None:
+    """Return the time of a frame, s: that of its image (ns), or else of its row in the readings, if either is known."""
+    rows = (file.rows.get(frame) for file in files if file.labels == "frame")
+    times = [image_time, *(row.time for row in rows if row is not None)]
+    known = next((time for time in times if time is not None), None)
+    return None if known is None else known / NANOSECONDS
 
 
 def _joint_files(root: Path) -> list[Path]:

@@ -18,15 +18,16 @@ from numpy.typing import NDArray
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.rounding import rounded_array, rounded_values
-from dvrk_cmaes.io.typed_document import Number, PointPair, Transform, convert_document, present_fields
+from dvrk_cmaes.io.typed_document import Number, Point, Transform, convert_document, present_fields, refused
 
 _EXPECTED = "the truth of a session (golden.json)"
+_MOST_TIPS = 2
 
 
 class _TruthEntry(Struct):
     T_camera_roll_link: Transform
     joints: dict[str, Number]
-    tips_camera_m: PointPair | None = None
+    tips_camera_m: tuple[Point, ...] | None = None
 
 
 class _Document(Struct):
@@ -36,7 +37,7 @@ class _Document(Struct):
 
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """True ``camera_from_root`` (4, 4), joints (rad or m) and, if known, jaw tips (2, 3) in the camera's frame, m."""
+    """True ``camera_from_root`` (4, 4), joints (rad or m) and, if known, tips (2 or 1, 3) in the camera, m."""
 
     camera_from_root: NDArray[np.float64]
     joints: Mapping[str, float]
@@ -81,7 +82,10 @@ def _read_frame(where: str, document: object) -> FrameTruth:
     if not fields.get("tips_camera_m"):
         fields.pop("tips_camera_m", None)  # an empty list for an instrument without jaws
     entry = convert_document(where, fields, _TruthEntry)
-    return FrameTruth(entry.T_camera_roll_link, entry.joints, entry.tips_camera_m)
+    tips = None if entry.tips_camera_m is None else np.stack(entry.tips_camera_m)
+    if tips is not None and len(tips) > _MOST_TIPS:
+        raise refused(where, "tips_camera_m", "1 or 2 rows of 3 finite numbers", tips.tolist())
+    return FrameTruth(entry.T_camera_roll_link, entry.joints, tips)
 
 
 def _entry(frame: FrameTruth) -> dict[str, Any]:

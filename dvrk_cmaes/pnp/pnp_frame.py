@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
+from time import perf_counter
 from typing import Final, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pnp.pnp import PointPose, Solver, solve_points
 from dvrk_cmaes.pnp.tip_pose import solve_tips
+from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
@@ -69,7 +70,7 @@ def pose_from_markers(
     strangers = sorted(set(seen) - set(table))
     if strangers:
         raise InputError(f"frame {files.name}: marker {strangers[0]}: expected one of {', '.join(table)}")
-    started = time.perf_counter()
+    started = perf_counter()
     joints = _readings(files, instrument)
     answer: PointPose | str
     if isinstance(joints, str):
@@ -80,7 +81,7 @@ def pose_from_markers(
         points = np.array(list(places.values()), dtype=np.float64).reshape(-1, 3)
         answer = solve_points(camera, pixels, points, solver)
     config = {"method": "pnp", "points": "markers", "solver": solver}
-    return _result(files, instrument, answer, config, time.perf_counter() - started, arm)
+    return _result(files, camera, instrument, answer, config, perf_counter() - started, arm)
 
 
 def pose_from_tips(
@@ -90,7 +91,7 @@ def pose_from_tips(
 
     ``seed`` is that of the random numbers used in gathering the evidence.
     """
-    started = time.perf_counter()
+    started = perf_counter()
     joints = _readings(files, instrument)
     answer: PointPose | str
     if isinstance(joints, str):
@@ -106,7 +107,7 @@ def pose_from_tips(
         else:
             answer = next((text for text in evidence.unused if text.startswith("shaft edges")), "no shaft edges")
     config = {"method": "pnp", "points": "tips and shaft edges", "seed": seed}
-    return _result(files, instrument, answer, config, time.perf_counter() - started, arm)
+    return _result(files, data.camera, instrument, answer, config, perf_counter() - started, arm)
 
 
 def _readings(files: FrameFiles, instrument: Instrument) -> Float64 | str:
@@ -119,6 +120,7 @@ def _readings(files: FrameFiles, instrument: Instrument) -> Float64 | str:
 
 def _result(
     files: FrameFiles,
+    camera: Camera,
     instrument: Instrument,
     answer: PointPose | str,
     config: Mapping[str, object],
@@ -130,10 +132,14 @@ def _result(
     reasons: tuple[str, ...] = () if posed else (str(answer),)
     doubtful = isinstance(answer, PointPose) and answer.error_px > LARGEST_ERROR_PX
     base = None
+    tips: tuple[Float64, ...] = ()
+    tips_px: tuple[Float64, ...] = ()
     if isinstance(answer, PointPose):
         if doubtful:
             reasons = (f"points: {answer.error_px:.1f} px rms from where the pose puts them",)
         base = find_camera_from_base(answer.camera_from_root, files.readings, arm, roll_offset=instrument.roll_offset)
+        joints = np.array([files.readings[name] for name in instrument.joint_names])
+        tips, tips_px = locate_tips(instrument, camera, answer.camera_from_root, joints)
     return Result(
         frame=files.name,
         status="failed" if not posed else "doubtful" if doubtful else "ok",
@@ -145,7 +151,11 @@ def _result(
         readings=dict(files.readings),
         warnings=files.notes,
         camera_from_base=base,
+        time=files.time,
+        tips=tips,
+        tips_px=tips_px,
         seconds=seconds,
         version=__version__,
         config={**config, "instrument": describe_limits(instrument, arm)},
+        model=instrument,
     )

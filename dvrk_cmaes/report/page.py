@@ -95,6 +95,7 @@ def render_page(folder: ResultsFolder) -> str:
         script_hash=_hash(script),
         style_hash=_hash(style),
         results=results,
+        times=any(result.time is not None for result in results),
         run=run,
         instruments=sorted({result.instrument for result in results} - {""}),
         statuses=STATUSES,

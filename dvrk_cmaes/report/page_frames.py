@@ -147,7 +147,9 @@ def signed(value: float | None, digits: int) -> str:
 
 def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | None) -> dict[str, float]:
     """Return the known numbers that frames can be sorted by, by name."""
-    keys = {"seconds": result.seconds}
+    keys = {"seconds": result.seconds} if result.seconds else {}
+    if result.time is not None:
+        keys["time"] = result.time
     if result.quality is not None:
         keys |= {"iou": result.quality.iou, "contour": result.quality.contour_px_95}
     off = [abs(change) for change in (correction(result, joint) for joint in result.joints) if change is not None]
@@ -233,7 +235,10 @@ def _fit(result: Result) -> Iterable[tuple[str, str]]:
         yield "contour beyond the shaft, rms", f"{fixed(q.distal_px, 2)} px"
         terms = ", ".join(f"{name} {value:.3g}" for name, value in q.terms.items())
         yield "loss", f"{q.loss:.4g}" + (f" ({terms})" if terms else "")
-    yield "time", f"{fixed(result.seconds, 2)} s, {result.evaluations:,} silhouettes, {result.rays:,} rays"
+    if result.time is not None:
+        yield "image at", f"{result.time:.3f} s"
+    if result.seconds:
+        yield "time", f"{fixed(result.seconds, 2)} s, {result.evaluations:,} silhouettes, {result.rays:,} rays"
     yield "solved", "with the session's frames" if result.source == "session" else "by itself"
 
 

@@ -139,7 +139,7 @@ def session_figures(results: Sequence[Result], base: FrameBases | None, run: Run
         most, where = max(tips)
         figure = f"{np.median([tip for tip, _ in tips]):.2f} mm"
         yield KeyFigure("Tips within (90 %), median", figure, f"at worst {most:.1f} mm ({where})")
-    seconds = [result.seconds for result in results if result.status != "failed"]
+    seconds = [result.seconds for result in results if result.seconds and result.status != "failed"]
     if seconds:
         note = f"slowest {max(seconds):.2f} s"
         if run.seconds is not None and run.frames:

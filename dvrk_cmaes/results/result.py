@@ -24,10 +24,13 @@ from dvrk_cmaes.io.typed_document import (
     read_covariance,
     refused,
 )
+from dvrk_cmaes.results.links import LinkModel, camera_from_links
+from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality
+
+__all__ = ["POSE_AXES", "SCHEMA", "Alternative", "ExpectedError", "Quality", "Result", "Source", "Status"]
 
 Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
-Relation = Literal["mirror twin", "other mode"]
 Source = Literal["frame", "session"]
 
 SCHEMA = 1
@@ -44,95 +47,8 @@ _LEAST: Final[Mapping[str, Any]] = {
     "camera_from_root": None,
     "joints": None,
     "readings": {},
-    "seconds": None,
 }
-"""Values of fields that are missing in a document; null for ``joints`` and ``seconds`` is refused."""
-
-
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """Another mode of the frame's pose.
-
-    camera_from_root : (4, 4), m. joints : rad. loss, iou : as in `Quality`. relation : to the result's own mode.
-    reading_distance_deg : root mean square of the distances from the readings, over the joints read; None without any.
-    """
-
-    camera_from_root: Transform
-    joints: dict[str, Number]
-    loss: Number
-    iou: Number
-    relation: Relation
-    reading_distance_deg: Number | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the alternative in the result's schema."""
-        return {
-            "camera_from_root": rounded_array(self.camera_from_root),
-            "joints": rounded_values(self.joints),
-            "loss": rounded(self.loss),
-            "iou": rounded(self.iou),
-            "relation": self.relation,
-            "reading_distance_deg": None if self.reading_distance_deg is None else rounded(self.reading_distance_deg),
-        }
-
-
-@dataclass(frozen=True)
-class Quality:
-    """Agreement of the silhouette with the mask; distances of their contours in px of the full image.
-
-    iou : intersection over union. loss : weighted sum of ``terms``, the terms of the search's loss by name.
-    contour_px_median, contour_px_95 : median and 95th percentile of the distances.
-    bend_px : deviation of the silhouette from a straight line at which the mask ends; 0 where it ends at none.
-    steady_share : share of the contour on stretches that are off together, such as a shadow beside the shaft.
-    distal_px : root mean square of the distances (of at most 15 px) beyond the shaft, at wrist and jaws.
-    """
-
-    iou: Number
-    loss: Number
-    terms: dict[str, Number]
-    contour_px_median: Number
-    contour_px_95: Number
-    bend_px: Number = 0.0
-    steady_share: Number = 0.0
-    distal_px: Number = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class ExpectedError:
-    """Standard deviations of the tips and of the shaft's direction, from the covariance of pose and joints.
-
-    The tips are ``jaw_1``, ``jaw_2`` and their ``mean``, or ``tip`` of an instrument without a pair of jaws.
-
-    tip_mm : root mean square of each tip's distance from its true position, mm.
-    tip_axes_mm : (3,) standard deviations of each tip along the camera's axes, mm.
-    tip_90_mm : distance within which each single tip lies with a probability of 90 %, mm.
-    shaft_deg : root mean square of the angle between the shaft's direction and the true one, degrees.
-    """
-
-    tip_mm: dict[str, Number]
-    tip_axes_mm: dict[str, Point]
-    tip_90_mm: Number
-    shaft_deg: Number
-
-    @property
-    def of_tips_mm(self) -> float:
-        """Expected error of the tips as a whole, mm: of their mean, or of the only tip."""
-        return self.tip_mm["mean" if "mean" in self.tip_mm else "tip"]
-
-    @property
-    def in_words(self) -> str:
-        """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``."""
-        digits = 2 if self.tip_90_mm < 1 else 1
-        return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as they are in ``std`` of a result."""
-        return {
-            "tip_mm": rounded_values(self.tip_mm),
-            "tip_axes_mm": {name: rounded_array(axes) for name, axes in self.tip_axes_mm.items()},
-            "tip_90_mm": rounded(self.tip_90_mm),
-            "shaft_deg": rounded(self.shaft_deg),
-        }
+"""Values of fields that are missing in a document; null for ``joints`` is refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +60,16 @@ class Result:
     reasons : of a doubtful or failed status. warnings : remarks on the inputs. unused : evidence not used, and why.
     camera_from_base : (4, 4), m, where the readings of the outer joints were given.
     source : whether the frame was solved by itself or with its session. change : from the former to the latter.
+    time : of the image, s; None if it is not known.
     tips : (3,) each, m in the camera's frame: jaw_1 and jaw_2, or the end of an instrument without a pair of jaws.
     tips_px : (2,) each, their pixels; empty if one is behind the camera.
     covariance : (6 + J, 6 + J), of [tx ty tz rx ry rz] in the root link's axes (m, rad), then of the joints (rad).
     expected_error : of the tips and the shaft's direction, from the covariance.
     mode_probability : that the pose is in the true mode, not in one of the alternatives' or the mirror twin's.
     alternatives : other modes, by decreasing likelihood.
-    seconds : from arrays in memory to the result. evaluations, rays : silhouettes computed and rays traced.
+    seconds : from arrays in memory to the result, 0 if not stated.
+    evaluations, rays : silhouettes computed and rays traced.
+    model : the instrument, for `links`; it is not written to files.
     """
 
     frame: str
@@ -167,6 +86,7 @@ class Result:
     source: Source = "frame"
     change: dict[str, Any] | None = None
     quality: Quality | None = None
+    time: Number | None = None
     tips: tuple[Point, ...] = ()
     tips_px: tuple[Pixel, ...] = ()
     covariance: Float64 | None = None
@@ -179,6 +99,7 @@ class Result:
     seed: Count = 0
     version: str = ""
     config: dict[str, Any] = field(default_factory=dict)
+    model: LinkModel | None = field(default=None, repr=False)
 
     @classmethod
     def failed(
@@ -190,6 +111,7 @@ class Result:
         instrument: str,
         root_link: str,
         warnings: Sequence[str] = (),
+        time: float | None = None,
         seed: int = 0,
         config: Mapping[str, Any] | None = None,
     ) -> Result:
@@ -204,6 +126,7 @@ class Result:
             joints={},
             readings=dict(readings),
             warnings=tuple(warnings),
+            time=time,
             seed=seed,
             version=__version__,
             config=dict(config or {}),
@@ -213,8 +136,8 @@ class Result:
     def from_dict(cls, document: object, *, where: str = "result") -> Result:
         """Read a result from a document in the schema of ``to_dict``.
 
-        ``camera_from_root`` (null for a failed frame), ``joints`` and ``seconds`` are required; the other fields have
-        defaults. Standard deviations follow from the covariance; unknown fields are ignored.
+        ``camera_from_root`` (null for a failed frame) and ``joints`` are required; the other fields have defaults.
+        Standard deviations follow from the covariance; unknown fields are ignored.
 
         Raises
         ------
@@ -225,6 +148,7 @@ class Result:
         check_schema(where, fields, SCHEMA)
         covariance = fields.pop("covariance", None)
         std = fields.pop("std", None)
+        fields.pop("model", None)
         if isinstance(std, dict) and "tip_mm" in std:
             fields["expected_error"] = std
         if isinstance(fields.get("quality"), dict):
@@ -253,6 +177,20 @@ class Result:
             return None
         sigma = np.degrees(np.sqrt(np.diag(self.covariance)[6:]))
         return dict(zip(self.joints, sigma.tolist(), strict=True))
+
+    def links(self, instrument: LinkModel | None = None) -> dict[str, Float64]:
+        """Return camera_from_link (4, 4), m, of each link with geometry by name; empty without a pose.
+
+        ``instrument`` is needed for a result that was read from a file; by default it is the one that was estimated.
+
+        Raises
+        ------
+        InputError
+            The instrument is not known, or has a joint that the result does not have.
+        """
+        if self.camera_from_root is None:
+            return {}
+        return camera_from_links(self.camera_from_root, self.joints, instrument or self.model)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result in the documented schema, ready for JSON."""
@@ -283,6 +221,7 @@ class Result:
         return {
             "schema": SCHEMA,
             "frame": self.frame,
+            "time": None if self.time is None else rounded(self.time),
             "status": self.status,
             "reasons": list(self.reasons),
             "instrument": self.instrument,

@@ -40,11 +40,13 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
         for name, path in (("mask", files.mask), ("image", files.image), ("ignore", files.ignore))
         if path is not None
     }
-    rest = {
+    rest: dict[str, Any] = {
         "readings": (dict(sorted(files.readings.items())), files.notes, files.problem),
         "keypoints": files.keypoints,
         "part of the mask": (files.label, files.pick),
     }
+    if files.time is not None:
+        rest["time"] = files.time
     return digests | {name: _digest(value) for name, value in rest.items()}
 
 

@@ -106,6 +106,7 @@ def solve_frame(
         body,
         keypoints=files.keypoints,
         arm=arm,
+        time=files.time,
         session=session,
         config=config,
         settings=settings,
@@ -139,6 +140,7 @@ def estimate_frame(
         arm=arm,
         session=session,
         frame=files.name,
+        time=files.time,
         config=config,
         warnings=data.notes,
     )

@@ -39,7 +39,12 @@ def estimate_all(
         except DvrkCmaesError as error:
             model = body.instrument
             yield Result.failed(
-                files.name, str(error), files.readings, instrument=model.name, root_link=model.root_link
+                files.name,
+                str(error),
+                files.readings,
+                instrument=model.name,
+                root_link=model.root_link,
+                time=files.time,
             )
 
 
@@ -51,10 +56,8 @@ def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful:
         if result.camera_from_root is None or (result.status != "ok" and not allow_doubtful):
             left_out[result.frame] = f"{result.status}: {'; '.join(result.reasons)}"
             continue
-        tips = None
-        if instrument.jaw_tips:
-            tips_in_root = instrument.tips([result.joints[name] for name in instrument.joint_names])
-            tips = apply(result.camera_from_root, tips_in_root)
+        ends = instrument.ends([result.joints[name] for name in instrument.joint_names])
+        tips = apply(result.camera_from_root, ends)
         kept[result.frame] = FrameTruth(result.camera_from_root, result.joints, tips)
     return GoldenRecord(SessionTruth(kept), left_out)
 

@@ -48,6 +48,7 @@ def segment_and_estimate(
     *,
     keypoints: ArrayLike | None = None,
     arm: Arm = "classic",
+    time: float | None = None,
     session: SessionCalibration | None = None,
     config: EstimateConfig | None = None,
     settings: SegmentSettings | None = None,
@@ -65,7 +66,7 @@ def segment_and_estimate(
         The image and its camera.
     name
         The frame's name.
-    readings, body, keypoints, arm, session, config
+    readings, body, keypoints, arm, time, session, config
         As in `estimate`.
     settings
         The model that segments the image.
@@ -98,6 +99,7 @@ def segment_and_estimate(
         ignore=frame.ignore,
         arm=arm,
         frame=name,
+        time=time,
         config=config,
     )
     result: Result | None = None  # of the last mask, without keypoints and session

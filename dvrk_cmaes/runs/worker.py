@@ -111,6 +111,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         instrument=setup.instrument.name,
         root_link=setup.instrument.root_link,
         warnings=files.notes,
+        time=files.time,
         seed=setup.config.seed,
         config=setup.config.as_dict(),
     )

@@ -96,9 +96,9 @@ class Follower:
         pose, joints = self.motion.pose(one.state, one.anchor)
         loadings = self.motion.loadings(one.state, one.anchor)
         covariance = loadings @ one.state.covariance @ loadings.T
-        tips = self.instrument.tips(joints)
+        tips = self.instrument.ends(joints)
         step = 1e-5
-        bent = self.instrument.tips(joints + step * np.eye(len(joints)))
+        bent = self.instrument.ends(joints + step * np.eye(len(joints)))
         deviations = [
             float(np.sqrt(max(np.trace(jacobian @ covariance @ jacobian.T), 0.0)))
             for jacobian in (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,6 +58,12 @@ def test_joints_move_the_tips(bundled_body: Body) -> None:
     assert found.root_mm == 0
     assert found.tip_mm is not None
     assert 1.0 < found.tip_mm < 2.5  # 0.1 rad at some 18 mm
+
+
+def test_end_of_tool_without_jaws_is_its_tip(bundled_body: Body) -> None:
+    hook = replace(bundled_body.instrument, jaw_tips=())
+    found = compare_poses(hook, (moved(TRUTH, [0.003, 0, 0.004, 0, 0, 0]), JOINTS), (TRUTH, JOINTS))
+    assert found.tip_mm == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize(

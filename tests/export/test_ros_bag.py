@@ -158,6 +158,14 @@ def test_recording_is_the_same_every_time(run: Run, results: Path) -> None:
         assert [path.read_bytes() for path in paths] == first
 
 
+def test_times_in_results_are_used(run: Run, tmp_path: Path) -> None:
+    out = write_results(tmp_path / "out", *(canned(f"{k:04d}", k, time=50.25 + k) for k in range(3)))
+    ran = run(out, "--to", "ros1-bag")
+    assert ran.err == ""
+    messages = read_bag(out / "exports" / "PSM1.bag")
+    assert stamps(messages, f"{FOUND}/camera_from_root") == [50_250_000_000 + k * 10**9 for k in range(3)]
+
+
 def test_without_times_frames_are_numbered_with_warning(run: Run, results: Path) -> None:
     ran = run(results, "--to", "ros1-bag")
     assert ran.code == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.truth import read_golden, write_golden
+from dvrk_cmaes.frames.truth import SessionTruth, read_golden, write_golden
 from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
@@ -48,6 +49,29 @@ def test_frames_have_their_files() -> None:
     assert set(session.truth.frames) == {frame.name for frame in session.frames}
     assert session.truth.frames["0000"].camera_from_root.shape == (4, 4)
     assert session.truth.camera_from_base is not None
+
+
+def test_times_of_images_are_those_of_frames(folder: Path) -> None:
+    (folder / "images.csv").write_text("frame,time\n0000,1.5\n0002,1755000000250\n")
+    times = [frame.time for frame in read_session(folder).frames]
+    assert times == [1.5, None, 1755000000.25, None, None]
+
+
+def test_times_of_readings_are_those_of_frames(folder: Path) -> None:
+    header, *rows = (folder / "joints.csv").read_text().splitlines()
+    timed = [f"{row},{k / 4}" for k, row in enumerate(rows)]
+    (folder / "joints.csv").write_text("\n".join([f"{header},time", *timed]))
+    assert [frame.time for frame in read_session(folder).frames] == [0, 0.25, 0.5, 0.75, 1]
+
+
+@pytest.mark.parametrize("tips", [1, 2])
+def test_golden_tips_are_one_or_two(folder: Path, tips: int) -> None:
+    truth = read_golden(folder / "golden.json")
+    frame = truth.frames["0000"]
+    assert frame.tips is not None
+    write_golden(folder / "golden.json", SessionTruth({"0000": replace(frame, tips=frame.tips[:tips])}))
+    again = read_golden(folder / "golden.json").frames["0000"].tips
+    np.testing.assert_allclose(again, frame.tips[:tips], atol=1e-9)
 
 
 def test_optional_files(folder: Path) -> None:

@@ -71,6 +71,14 @@ def test_exact_points_and_readings_give_exact_pose(bundled_body: Body, solver: s
     np.testing.assert_allclose(result.camera_from_base, SESSION.truth.camera_from_base, atol=1e-4)
 
 
+def test_tips_are_those_of_pose_and_readings(bundled_body: Body) -> None:
+    seen, truth = seen_in(bundled_body, "0001"), TRUTH["0001"]
+    result = pose_from_markers(true_files("0001", time=3.5), SESSION.camera, bundled_body.instrument, TABLE, seen)
+    np.testing.assert_allclose(result.tips, truth.tips, atol=2e-5)
+    np.testing.assert_allclose(result.tips_px, SESSION.camera.project(truth.tips), atol=0.1)
+    assert result.time == 3.5
+
+
 def test_ransac_tolerates_swapped_markers(bundled_body: Body) -> None:
     seen = seen_in(bundled_body, "0001")
     seen["roll_1_front"], seen["yaw_1"] = seen["yaw_1"], seen["roll_1_front"]

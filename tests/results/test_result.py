@@ -24,6 +24,7 @@ def full() -> Result:
     """Make a result with every field set."""
     return Result(
         frame="0007",
+        time=1755000000.25,
         status="doubtful",
         reasons=("the twin explains the frame as well",),
         instrument="lnd",
@@ -86,6 +87,11 @@ def test_minimal_result_is_read(tmp_path: Path) -> None:
     assert (result.joints, result.seconds, result.covariance) == (JOINTS, 0.7, None)
 
 
+def test_result_of_another_program_needs_no_seconds(tmp_path: Path) -> None:
+    others = {name: LEAST[name] for name in ("camera_from_root", "joints")}
+    assert read_result(write(tmp_path / "0026.json", others)).seconds == 0
+
+
 def test_file_without_expected_error_is_read(tmp_path: Path) -> None:
     document = full().to_dict()
     document["std"] = {name: document["std"][name] for name in ("translation_mm", "rotation_deg", "joints_deg")}
@@ -126,6 +132,7 @@ def test_failed_frame_has_no_pose(tmp_path: Path) -> None:
             {"camera_from_root": [[1, 2], [3]]},
             "camera_from_root: expected 4 rows of 4 finite numbers, got [[1, 2], [3]]",
         ),
+        ({"time": "noon"}, "time: expected a finite number, got 'noon'"),
         ({"seconds": "0.7"}, "seconds: expected a finite number, got '0.7'"),
         ({"joints": {"jaw": True}}, "joints.jaw: expected a finite number, got True"),
         ({"joints": None}, "joints: expected an object, got nothing"),

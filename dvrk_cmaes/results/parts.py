@@ -1,0 +1,97 @@
+"""Parts of a frame's result: its quality of fit, its expected errors, and other modes of its pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
+from dvrk_cmaes.io.typed_document import Number, Point, Transform
+
+Relation = Literal["mirror twin", "other mode"]
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another mode of the frame's pose.
+
+    camera_from_root : (4, 4), m. joints : rad. loss, iou : as in `Quality`. relation : to the result's own mode.
+    reading_distance_deg : root mean square of the distances from the readings, over the joints read; None without any.
+    """
+
+    camera_from_root: Transform
+    joints: dict[str, Number]
+    loss: Number
+    iou: Number
+    relation: Relation
+    reading_distance_deg: Number | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the alternative in the result's schema."""
+        return {
+            "camera_from_root": rounded_array(self.camera_from_root),
+            "joints": rounded_values(self.joints),
+            "loss": rounded(self.loss),
+            "iou": rounded(self.iou),
+            "relation": self.relation,
+            "reading_distance_deg": None if self.reading_distance_deg is None else rounded(self.reading_distance_deg),
+        }
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Agreement of the silhouette with the mask; distances of their contours in px of the full image.
+
+    iou : intersection over union. loss : weighted sum of ``terms``, the terms of the search's loss by name.
+    contour_px_median, contour_px_95 : median and 95th percentile of the distances.
+    bend_px : deviation of the silhouette from a straight line at which the mask ends; 0 where it ends at none.
+    steady_share : share of the contour on stretches that are off together, such as a shadow beside the shaft.
+    distal_px : root mean square of the distances (of at most 15 px) beyond the shaft, at wrist and jaws.
+    """
+
+    iou: Number
+    loss: Number
+    terms: dict[str, Number]
+    contour_px_median: Number
+    contour_px_95: Number
+    bend_px: Number = 0.0
+    steady_share: Number = 0.0
+    distal_px: Number = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedError:
+    """Standard deviations of the tips and of the shaft's direction, from the covariance of pose and joints.
+
+    The tips are ``jaw_1``, ``jaw_2`` and their ``mean``, or ``tip`` of an instrument without a pair of jaws.
+
+    tip_mm : root mean square of each tip's distance from its true position, mm.
+    tip_axes_mm : (3,) standard deviations of each tip along the camera's axes, mm.
+    tip_90_mm : distance within which each single tip lies with a probability of 90 %, mm.
+    shaft_deg : root mean square of the angle between the shaft's direction and the true one, degrees.
+    """
+
+    tip_mm: dict[str, Number]
+    tip_axes_mm: dict[str, Point]
+    tip_90_mm: Number
+    shaft_deg: Number
+
+    @property
+    def of_tips_mm(self) -> float:
+        """Expected error of the tips as a whole, mm: of their mean, or of the only tip."""
+        return self.tip_mm["mean" if "mean" in self.tip_mm else "tip"]
+
+    @property
+    def in_words(self) -> str:
+        """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``."""
+        digits = 2 if self.tip_90_mm < 1 else 1
+        return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as they are in ``std`` of a result."""
+        return {
+            "tip_mm": rounded_values(self.tip_mm),
+            "tip_axes_mm": {name: rounded_array(axes) for name, axes in self.tip_axes_mm.items()},
+            "tip_90_mm": rounded(self.tip_90_mm),
+            "shaft_deg": rounded(self.shaft_deg),
+        }
