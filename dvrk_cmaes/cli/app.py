@@ -10,6 +10,7 @@ from cyclopts import App, CycloptsError
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.cli.batch import batch
 from dvrk_cmaes.cli.calibrate import calibrate
+from dvrk_cmaes.cli.compare import compare
 from dvrk_cmaes.cli.consistency import consistency
 from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
@@ -46,6 +47,7 @@ app.command(track)
 app.command(live)
 app.command(export)
 app.command(golden)
+app.command(compare)
 app.command(consistency)
 app.command(pnp)
 app.command(synth)

@@ -45,7 +45,7 @@ def consistency(
     Parameters
     ----------
     results
-        Folders of results, written by this program or by any other that writes camera_from_root, joints and seconds; or
+        Folders of results, written by this program or by any other that writes camera_from_root and joints; or
         the paper's poses as a published.csv.
     session
         Session folder or joints.csv whose readings are used instead of those in the results. May be given once for all

@@ -85,6 +85,26 @@ class PoseError:
         ]
 
 
+class RotationError(NamedTuple):
+    """Angle of a rotation error, of its part that tilts the root's z axis, and of its part about that axis, deg."""
+
+    rotation_deg: float
+    shaft_deg: float
+    roll_deg: float
+
+
+def compare_rotations(pose: Float64, true_pose: Float64) -> RotationError:
+    """Compare the rotations of two poses (4, 4), by a swing-twist decomposition about the true root's z axis."""
+    x, y, z, w = Rotation.from_matrix(true_pose[:3, :3].T @ pose[:3, :3]).as_quat()
+    roll = 2 * np.arctan2(z, w)
+    swing = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, w))
+    return RotationError(
+        float(np.degrees(2 * np.arctan2(np.sqrt(x * x + y * y + z * z), abs(w)))),
+        float(np.degrees(swing)),
+        float(abs(np.degrees((roll + np.pi) % (2 * np.pi) - np.pi))),
+    )
+
+
 def compare_poses(
     instrument: Instrument,
     found: tuple[Float64, Mapping[str, float]],
@@ -92,10 +112,7 @@ def compare_poses(
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
     (pose, joints), (true_pose, true_joints) = found, truth
-    # swing-twist decomposition of the rotation error, in the true root's frame, about its z axis
-    x, y, z, w = Rotation.from_matrix(true_pose[:3, :3].T @ pose[:3, :3]).as_quat()
-    roll = 2 * np.arctan2(z, w)
-    swing = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, w))
+    turned = compare_rotations(pose, true_pose)
     tip_mm = None
     if all(name in true_joints for name in instrument.joint_names):
         ends = [
@@ -106,9 +123,9 @@ def compare_poses(
     return PoseError(
         root_mm=float(1e3 * np.linalg.norm(pose[:3, 3] - true_pose[:3, 3])),
         tip_mm=tip_mm,
-        rotation_deg=float(np.degrees(2 * np.arctan2(np.sqrt(x * x + y * y + z * z), abs(w)))),
-        shaft_deg=float(np.degrees(swing)),
-        roll_deg=float(abs(np.degrees((roll + np.pi) % (2 * np.pi) - np.pi))),
+        rotation_deg=turned.rotation_deg,
+        shaft_deg=turned.shaft_deg,
+        roll_deg=turned.roll_deg,
         joints_deg={
             name: float(np.degrees(joints[name] - true_joints[name]))
             for name in instrument.joint_names

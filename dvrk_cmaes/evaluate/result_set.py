@@ -1,7 +1,7 @@
 """Reading of one session's poses for the measures of agreement.
 
-A set is a folder of results (of any program, with ``camera_from_root``, ``joints`` and ``seconds``), or a
-published.csv: the paper's poses as a table of axis-angle vectors and translations.
+A set is a folder of results (of any program, with ``camera_from_root`` and ``joints``), or a published.csv: the paper's
+poses as a table of axis-angle vectors and translations.
 """
 
 from __future__ import annotations

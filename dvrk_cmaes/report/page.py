@@ -7,29 +7,21 @@ give the same bytes: the page does not depend on the time or the machine.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import quote
 
-import jinja2
-
 from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
 from dvrk_cmaes.report.page_frames import (
-    NOTHING,
     STATUSES,
     FrameCard,
     LeaveOneOut,
-    anchor,
     doubt_key,
-    fixed,
     frame_card,
-    signed,
 )
-from dvrk_cmaes.report.page_plots import joint_plot, mark_path, rcm_plot, short
+from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
 from dvrk_cmaes.report.page_session import (
     FrameBases,
     Run,
@@ -39,12 +31,12 @@ from dvrk_cmaes.report.page_session import (
     reason_counts,
     session_figures,
 )
+from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import thumbnail
 from dvrk_cmaes.results.folder import ResultsFolder, read_results, result_paths
 from dvrk_cmaes.results.paths import overlay_path
 from dvrk_cmaes.results.result import Result
 
-_TEMPLATES = Path(__file__).resolve().parent / "templates"
 _THREADS = 2
 
 
@@ -80,20 +72,9 @@ def render_page(folder: ResultsFolder) -> str:
     calibration = calibration_of(folder)
     left_out = {} if calibration is None else left_out_views(folder, calibration, _documents(folder))
     views = _views(folder, results, base, left_out)
-    script, style = _text("page.js"), _text("page.css")
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"fixed": fixed, "signed": signed, "anchor": anchor, "short": short, "mark": mark_path}
-    return environment.get_template("page.html").render(
-        script=script,
-        style=style,
-        script_hash=_hash(script),
-        style_hash=_hash(style),
+    return render_template(
+        "page.html",
+        script="page.js",
         results=results,
         times=any(result.time is not None for result in results),
         run=run,
@@ -111,7 +92,6 @@ def render_page(folder: ResultsFolder) -> str:
         frames=views,
         calibration=None if calibration is None else calibration_view(folder, calibration, left_out),
         provenances=provenances(results),
-        nothing=NOTHING,
     )
 
 
@@ -151,12 +131,3 @@ def _views(
 
 def _address(path: str) -> str:
     return quote(path, errors="replace")
-
-
-def _text(name: str) -> str:
-    return (_TEMPLATES / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    """Return the hash of a script or style for the page's content security policy."""
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")

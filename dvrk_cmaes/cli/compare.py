@@ -1,0 +1,194 @@
+"""``dvrk-cmaes compare``: differences between sets of poses of the same frames, by frame and in sum."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from dvrk_cmaes.cli.options import DEFAULT_INSTRUMENT, OUTPUT, Flag, InstrumentOptions
+from dvrk_cmaes.cli.terminal import Line, show
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.evaluate.compared_set import ComparedSet
+    from dvrk_cmaes.evaluate.comparison import Comparison, Difference
+
+_TABLE = "compare.csv"
+
+
+def compare(
+    *results: Path,
+    frames: int = 20,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Compare two or more sets of poses of the same frames, by frame and in sum, without estimating again.
+
+    The first set is the reference, or the truth if one of the sets is it. Examples: before and after a change of
+    settings, solved alone and calibrated, another program's results, results and their truth.
+
+    Example:
+
+    `dvrk-cmaes compare before after --out differences`
+
+    `dvrk-cmaes compare session/golden.json results`
+
+    Parameters
+    ----------
+    results
+        Folders of results, of this program or of any other that writes camera_from_root and joints; folders of followed
+        recordings; published.csv; golden.json, or a session folder that has one.
+    frames
+        Number of frames in the printed table, the largest differences first; 0 for all.
+    instrument
+        The instrument, for the tips of sets that do not state them.
+    out
+        Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
+    picture
+        File for a figure of the differences over the frames: .png, .pdf, .svg or .jpg.
+    json
+        Print only the comparison, as JSON, on stdout.
+    """
+    from dvrk_cmaes.draw.figure import check_figure_path, write_figure
+    from dvrk_cmaes.evaluate.compared_set import read_compared_set
+    from dvrk_cmaes.evaluate.comparison import compare_sets
+    from dvrk_cmaes.io.atomic import json_text, write_text
+    from dvrk_cmaes.report.compare_page import write_compare_page
+    from dvrk_cmaes.report.compare_picture import draw_comparison
+    from dvrk_cmaes.results.paths import check_writable
+
+    if frames < 0:
+        raise InputError(f"--frames: expected a whole number of at least 0, got {frames}")
+    if picture is not None:
+        check_figure_path(picture)
+    if out is not None:
+        check_writable(out)
+    if len(results) < 2:
+        raise InputError(f"RESULTS: expected at least two sets of poses to compare, got {len(results)}")
+    found = compare_sets([read_compared_set(path) for path in results], instrument.load().instrument)
+    written = []
+    if out is not None:
+        write_text(out / _TABLE, _csv_text(found))
+        written += [out / _TABLE, write_compare_page(out, found)]
+    if picture is not None:
+        write_figure(picture, draw_comparison(found))
+        written.append(picture)
+    if json:
+        print(json_text(found.to_dict()), end="")
+        return 0
+    show(_sets(found))
+    show(_sums(found))
+    show(_frames(found, frames))
+    show(Line(f"written: {path}") for path in written)
+    return 0
+
+
+def _sets(comparison: Comparison) -> Iterator[Line]:
+    """Yield a row for each set: label, path, kind, statuses, overlap."""
+    from dvrk_cmaes.evaluate.comparison import median_of
+
+    width = max(len(str(one.path)) for one in comparison.sets)
+    yield Line(f"   {'results':<{width}}  {'what':<18}  frames    ok  doubtful  failed  IoU, median", "bold")
+    for label, one in zip(comparison.labels, comparison.sets, strict=True):
+        overlap = median_of(frame.iou for frame in one.frames.values())
+        cells = (
+            f"{len(one.frames):>6d}",
+            f"{_count(one, 'ok'):>4}",
+            f"{_count(one, 'doubtful'):>8}",
+            f"{_count(one, 'failed', 'lost'):>6}",
+            f"{'-' if overlap is None else f'{overlap:.4f}':>11}",
+        )
+        yield Line(f"{label}  {one.path!s:<{width}}  {one.kind:<18}  " + "  ".join(cells))
+
+
+def _count(one: ComparedSet, *statuses: str) -> str:
+    """Return the number of frames with one of some statuses; a dash for a set without statuses."""
+    from dvrk_cmaes.evaluate.comparison import count_statuses
+
+    counts = count_statuses(one)
+    return str(sum(counts.get(status, 0) for status in statuses)) if counts else "-"
+
+
+def _sums(comparison: Comparison) -> Iterator[Line]:
+    """Yield the summary of each set's differences from the reference."""
+    from dvrk_cmaes.evaluate.comparison import QUANTITIES
+
+    reference = comparison.labels[comparison.reference]
+    for k in comparison.others:
+        found = comparison.differences[k]
+        yield Line(
+            f"{comparison.labels[k]} from {reference}, {len(found)} frames      median      95 %   largest  in frame",
+            "bold",
+        )
+        for name, spread in comparison.spreads(k).items():
+            if spread is not None:
+                heading = QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg")
+                numbers = f"{spread.median:>10.3f}{spread.percentile_95:>10.3f}{spread.largest:>10.3f}"
+                yield Line(f"  {heading:<20}{numbers}  {spread.frame}")
+        twins = sorted(frame for frame, one in found.items() if one.is_twin)
+        if twins:
+            yield Line(f"  mirror twin of {reference}: {', '.join(twins)}", "yellow")
+        within = comparison.within_90(k)
+        if within is not None:
+            yield Line(f"  tips within the stated 90 % distance of the truth: {within[0]} of {within[1]} frames")
+        missing = [name for name in comparison.frames if name in comparison.sets[comparison.reference].frames]
+        missing = [name for name in missing if name not in found]
+        if missing:
+            yield Line(f"  not compared, without a pose in one of the two: {', '.join(missing)}", "yellow")
+
+
+def _frames(comparison: Comparison, most: int) -> Iterator[Line]:
+    """Yield the rows of the frames, the largest difference first; ``most`` of them, or all for 0."""
+    chosen = comparison.by_size[: most or None]
+    width = max(5, *(len(frame) for frame in chosen))
+    columns = "   IoU  tips, mm  root, mm  shaft, deg  roll, deg  largest joint, deg"
+    yield Line(f"{'frame':<{width}}  set  {'status':<8}  {columns}", "bold")
+    for frame in chosen:
+        for k in comparison.others:
+            one, found = comparison.sets[k].frames.get(frame), comparison.differences[k].get(frame)
+            if one is None or found is None:
+                continue
+            overlap = "-" if one.iou is None else f"{one.iou:.4f}"
+            yield Line(
+                f"{frame:<{width}}  {comparison.labels[k]:<3}  {one.status or '-':<8}  {overlap:>6}  {_row(found)}",
+                "yellow" if found.is_twin else "",
+            )
+    if len(chosen) < len(comparison.by_size):
+        yield Line(f"and {len(comparison.by_size) - len(chosen)} frames that differ less (--frames 0 shows all)")
+
+
+def _row(found: Difference) -> str:
+    tip = "-" if found.tip_mm is None else f"{found.tip_mm:.3f}"
+    joint = "-" if found.joint_deg is None else f"{found.joint_deg:.2f}"
+    return f"{tip:>8}  {found.root_mm:>8.3f}  {found.shaft_deg:>10.3f}  {found.roll_deg:>9.3f}  {joint:>18}"
+
+
+def _csv_text(comparison: Comparison) -> str:
+    """Format all frames as a table, the columns of each set after its label; cells without a value are blank."""
+    from dvrk_cmaes.evaluate.comparison import QUANTITIES
+
+    joints = list(dict.fromkeys(n for by in comparison.differences for one in by.values() for n in one.joints_deg))
+    columns = ["status", "iou", *QUANTITIES, *(f"{name}_deg" for name in joints)]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)])
+    for frame in comparison.frames:
+        cells: list[object] = [frame]
+        for one, by_frame in zip(comparison.sets, comparison.differences, strict=True):
+            entry, found = one.frames.get(frame), by_frame.get(frame)
+            values: list[object] = [None, None] if entry is None else [entry.status, entry.iou]
+            if found is None:
+                values += [None] * (len(columns) - 2)
+            else:
+                values += [getattr(found, name) for name in QUANTITIES]
+                values += [found.joints_deg.get(name) for name in joints]
+            cells += [round(value, 6) if isinstance(value, float) else value for value in values]
+        table.writerow(cells)
+    return text.getvalue()

@@ -1,0 +1,106 @@
+"""Reading of the sets of poses that ``compare`` takes: results, followed recordings, published poses, and the truth."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.published_poses import read_published_poses
+from dvrk_cmaes.frames.truth import read_golden
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+
+Float64 = NDArray[np.float64]
+Kind = Literal["results", "followed recording", "published poses", "truth"]
+
+GOLDEN = "golden.json"
+_FOLLOWED = ("camera_from_root", "joints", "tips", "status", "seconds")
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFrame:
+    """What is compared of a frame.
+
+    camera_from_root : (4, 4), m; None without a pose. joints : by name, rad.
+    tips : (K, 3), m in the camera; None if they are not stated.
+    status : as stated; empty for poses that have none. iou, tip_90_mm, seconds : as in `Result`, None if not stated.
+    """
+
+    camera_from_root: Float64 | None
+    joints: Mapping[str, float]
+    tips: Float64 | None = None
+    status: str = ""
+    iou: float | None = None
+    tip_90_mm: float | None = None
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedSet:
+    """A set of frames by name, read from ``path``."""
+
+    path: Path
+    kind: Kind
+    frames: Mapping[str, ComparedFrame]
+
+
+def read_compared_set(path: Path) -> ComparedSet:
+    """Read a folder of results or of a followed recording, a published.csv, a golden.json or a session that has one.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or cannot be read; the message names it.
+    """
+    if path.suffix.lower() == ".csv":
+        poses = read_published_poses(path).items()
+        return ComparedSet(path, "published poses", {n: ComparedFrame(p.camera_from_root, p.joints) for n, p in poses})
+    if path.suffix.lower() == ".json":
+        return _truth(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder; expected results, a golden.json, or a published.csv")
+    if (path / TRACKS).is_file():
+        rows = read_tracks(path / TRACKS)
+        frames = {str(row["frame"]): _followed(f"{path / TRACKS}: frame {row['frame']}", row) for row in rows}
+        return ComparedSet(path, "followed recording", frames)
+    if os.path.lexists(path / GOLDEN) and not (path / "frames").is_dir():
+        return _truth(path / GOLDEN)
+    return ComparedSet(path, "results", {name: _of_result(one) for name, one in read_results(path).frames.items()})
+
+
+def _truth(path: Path) -> ComparedSet:
+    frames = read_golden(path).frames
+    if not frames:
+        raise InputError(f"{path}: frames: expected the pose of at least one frame, got none")
+    return ComparedSet(
+        path, "truth", {name: ComparedFrame(one.camera_from_root, one.joints, one.tips) for name, one in frames.items()}
+    )
+
+
+def _followed(where: str, row: Mapping[str, Any]) -> ComparedFrame:
+    """Return what a line of tracks.jsonl states; its fields are checked as those of a result."""
+    known = {name: row.get(name) for name in _FOLLOWED}
+    status = str(known["status"])
+    as_status = "failed" if status == "lost" and known["camera_from_root"] is None else "doubtful"
+    one = _of_result(Result.from_dict({**known, "status": "ok" if status == "ok" else as_status}, where=where))
+    return ComparedFrame(one.camera_from_root, one.joints, one.tips, status, seconds=one.seconds)
+
+
+def _of_result(result: Result) -> ComparedFrame:
+    return ComparedFrame(
+        result.camera_from_root,
+        result.joints,
+        np.stack(result.tips) if result.tips else None,
+        result.status,
+        None if result.quality is None else result.quality.iou,
+        None if result.expected_error is None else result.expected_error.tip_90_mm,
+        result.seconds or None,
+    )

@@ -1,0 +1,266 @@
+"""Comparison of sets of poses of the same frames: the difference of each frame, and their summary.
+
+The reference is the truth if one of the sets is it, else the first set. Tips are compared where both sets state them or
+have all joints of the instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
+from dvrk_cmaes.evaluate.pose_error import compare_rotations
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.rounding import rounded
+
+Float64 = NDArray[np.float64]
+
+QUANTITIES: Final = {"tip_mm": "tips, mm", "root_mm": "root, mm", "shaft_deg": "shaft, deg", "roll_deg": "roll, deg"}
+"""Names of a difference's quantities beside the joints, and their headings with units."""
+
+TWIN_DEG = 90.0
+"""Roll difference from which a pose is rather the mirror twin's than the reference's."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Difference of a frame's pose from the reference's.
+
+    tip_mm : mean distance of the tips, None if they are not known. farthest_tip_mm : the larger of the tips' distances.
+    root_mm : distance of the root's origins.
+    shaft_deg, roll_deg : angle between the shaft's directions, and about the shaft.
+    joints_deg : this one's less the reference's, by name.
+    """
+
+    tip_mm: float | None
+    farthest_tip_mm: float | None
+    root_mm: float
+    shaft_deg: float
+    roll_deg: float
+    joints_deg: Mapping[str, float]
+
+    @property
+    def joint_deg(self) -> float | None:
+        """Largest difference of a joint without its sign, deg; None without common joints."""
+        return max((abs(value) for value in self.joints_deg.values()), default=None)
+
+    @property
+    def is_twin(self) -> bool:
+        """Whether the pose is rolled so far that it is rather the mirror twin's."""
+        return self.roll_deg > TWIN_DEG
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Sort key: distance of the tips, or else of the root, mm; then the roll, deg."""
+        return self.root_mm if self.tip_mm is None else self.tip_mm, self.roll_deg
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        numbers = {name: getattr(self, name) for name in QUANTITIES}
+        joints = {name: rounded(value) for name, value in self.joints_deg.items()}
+        return {name: None if v is None else rounded(v) for name, v in numbers.items()} | {"joints_deg": joints}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, 95th percentile and largest of the differences of N frames, and the frame of the largest."""
+
+    median: float
+    percentile_95: float
+    largest: float
+    frame: str
+
+    @classmethod
+    def of(cls, values: Mapping[str, float]) -> Spread | None:
+        """Summarise values by frame; None without any."""
+        if not values:
+            return None
+        numbers = list(values.values())
+        worst = max(values, key=lambda frame: values[frame])
+        return cls(float(np.median(numbers)), float(np.percentile(numbers, 95)), values[worst], worst)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        numbers = {"median": self.median, "percentile_95": self.percentile_95, "largest": self.largest}
+        return {name: rounded(value) for name, value in numbers.items()} | {"frame": self.frame}
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Sets of poses, their reference, and the differences from it.
+
+    reference : index of the reference in ``sets``. frames : names of all frames, sorted.
+    differences : for each set, by frame, where both it and the reference have a pose; empty for the reference.
+    """
+
+    sets: tuple[ComparedSet, ...]
+    reference: int
+    frames: tuple[str, ...]
+    differences: tuple[Mapping[str, Difference], ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Short names of the sets: A, B, and so on."""
+        return tuple(chr(ord("A") + k) for k in range(len(self.sets)))
+
+    @property
+    def others(self) -> tuple[int, ...]:
+        """Indices of the sets that are compared with the reference."""
+        return tuple(k for k in range(len(self.sets)) if k != self.reference)
+
+    @property
+    def by_size(self) -> list[str]:
+        """Frames with a difference, the largest of any set first."""
+        sizes: dict[str, tuple[float, float]] = {}
+        for one in self.differences:
+            for frame, difference in one.items():
+                sizes[frame] = max(difference.size, sizes.get(frame, difference.size))
+        return sorted(sizes, key=lambda frame: (*(-value for value in sizes[frame]), frame))
+
+    def spreads(self, index: int) -> dict[str, Spread | None]:
+        """Summarise the differences of a set by quantity: those of ``QUANTITIES``, then each joint's without sign."""
+        found = self.differences[index]
+        joints = list(dict.fromkeys(name for one in found.values() for name in one.joints_deg))
+        values = {
+            name: {f: v for f, one in found.items() if (v := getattr(one, name)) is not None} for name in QUANTITIES
+        }
+        values |= {
+            f"{name}_deg": {f: abs(one.joints_deg[name]) for f, one in found.items() if name in one.joints_deg}
+            for name in joints
+        }
+        return {name: Spread.of(by_frame) for name, by_frame in values.items()}
+
+    def within_90(self, index: int) -> tuple[int, int] | None:
+        """Count the frames whose tips are all within their stated ``tip_90_mm`` of the truth, and those that state it.
+
+        None if the reference is not the truth, or no frame states it.
+        """
+        if self.sets[self.reference].kind != "truth":
+            return None
+        stated = [
+            one.farthest_tip_mm <= limit
+            for frame, one in self.differences[index].items()
+            if (limit := self.sets[index].frames[frame].tip_90_mm) is not None and one.farthest_tip_mm is not None
+        ]
+        return (sum(stated), len(stated)) if stated else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: the sets with their summaries, and all differences by frame."""
+        return {
+            "reference": self.labels[self.reference],
+            "sets": {label: self._summary(k) for k, label in enumerate(self.labels)},
+            "frames": {
+                frame: {
+                    label: {
+                        "status": one.frames[frame].status,
+                        "iou": one.frames[frame].iou,
+                        **(found[frame].to_dict() if frame in found else {}),
+                    }
+                    for label, one, found in zip(self.labels, self.sets, self.differences, strict=True)
+                    if frame in one.frames
+                }
+                for frame in self.frames
+            },
+        }
+
+    def _summary(self, index: int) -> dict[str, Any]:
+        one, found = self.sets[index], self.differences[index]
+        within = self.within_90(index)
+        return {
+            "path": str(one.path),
+            "kind": one.kind,
+            "statuses": count_statuses(one),
+            "iou_median": median_of(frame.iou for frame in one.frames.values()),
+            "seconds_median": median_of(frame.seconds for frame in one.frames.values()),
+            "compared": len(found),
+            "twins": sorted(frame for frame, difference in found.items() if difference.is_twin),
+            "tips_within_90": None if within is None else {"frames": within[0], "of": within[1]},
+            "differences": {
+                name: None if spread is None else spread.to_dict() for name, spread in self.spreads(index).items()
+            },
+        }
+
+
+def compare_sets(sets: Sequence[ComparedSet], instrument: Instrument) -> Comparison:
+    """Compare sets of poses of the same frames.
+
+    Raises
+    ------
+    InputError
+        Fewer than two sets, more than one truth, or no frame that has a pose in the reference and in another set.
+    """
+    if len(sets) < 2:
+        raise InputError(f"compare: expected at least two sets of results, got {len(sets)}")
+    truths = [k for k, one in enumerate(sets) if one.kind == "truth"]
+    if len(truths) > 1:
+        raise InputError(f"{sets[truths[1]].path}: expected one truth, got {sets[truths[0]].path} too")
+    reference = truths[0] if truths else 0
+    base = sets[reference].frames
+    differences = tuple(
+        {}
+        if k == reference
+        else {
+            name: difference
+            for name, frame in sorted(one.frames.items())
+            if name in base and (difference := compare_frames(frame, base[name], instrument)) is not None
+        }
+        for k, one in enumerate(sets)
+    )
+    if not any(differences):
+        other = sets[1 if reference == 0 else 0]
+        raise InputError(f"{other.path}: expected frames with a pose in {sets[reference].path} too, got none")
+    names = tuple(sorted({name for one in sets for name in one.frames}))
+    return Comparison(tuple(sets), reference, names, differences)
+
+
+def compare_frames(frame: ComparedFrame, base: ComparedFrame, instrument: Instrument) -> Difference | None:
+    """Return the difference of a frame's pose from the reference's; None if one of them has no pose."""
+    if frame.camera_from_root is None or base.camera_from_root is None:
+        return None
+    tips, expected = _tips(frame, instrument), _tips(base, instrument)
+    apart = None
+    if tips is not None and expected is not None and tips.shape == expected.shape:
+        apart = 1e3 * np.linalg.norm(tips - expected, axis=1)
+    turned = compare_rotations(frame.camera_from_root, base.camera_from_root)
+    return Difference(
+        tip_mm=None if apart is None else float(apart.mean()),
+        farthest_tip_mm=None if apart is None else float(apart.max()),
+        root_mm=float(1e3 * np.linalg.norm(frame.camera_from_root[:3, 3] - base.camera_from_root[:3, 3])),
+        shaft_deg=turned.shaft_deg,
+        roll_deg=turned.roll_deg,
+        joints_deg={
+            name: float(np.degrees(value - base.joints[name]))
+            for name, value in frame.joints.items()
+            if name in base.joints
+        },
+    )
+
+
+def _tips(frame: ComparedFrame, instrument: Instrument) -> Float64 | None:
+    """Return the tips (K, 3) of a frame with a pose, as stated or else as the instrument has them; None if unknown."""
+    if frame.tips is not None:
+        return frame.tips
+    if frame.camera_from_root is None or any(name not in frame.joints for name in instrument.joint_names):
+        return None
+    return np.asarray(
+        apply(frame.camera_from_root, instrument.ends([frame.joints[name] for name in instrument.joint_names]))
+    )
+
+
+def count_statuses(one: ComparedSet) -> dict[str, int]:
+    """Count the frames of a set that have a status, by status: ok, doubtful, lost, failed."""
+    statuses = [frame.status for frame in one.frames.values()]
+    return {status: statuses.count(status) for status in ("ok", "doubtful", "lost", "failed") if status in statuses}
+
+
+def median_of(values: Iterator[float | None]) -> float | None:
+    """Return the median of the known values; None without any."""
+    known = [value for value in values if value is not None]
+    return rounded(float(np.median(known))) if known else None

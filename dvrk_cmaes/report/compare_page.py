@@ -1,0 +1,131 @@
+"""The HTML page of a comparison of results: summary, plots over the frames, and the frames that differ most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.comparison import QUANTITIES, Comparison, count_statuses, median_of
+from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.report.page_axes import name_axis, value_axis
+from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark_size
+from dvrk_cmaes.report.page_template import render_template
+from dvrk_cmaes.report.page_thumbnails import Thumbnail, thumbnail
+from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.paths import check_frame_name, overlay_path, result_path
+
+PAGE: Final = "compare.html"
+_PICTURES: Final = 24  # frames whose overlays are shown
+_LEAST_SPAN: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class FramePictures:
+    """A frame, and the overlay of each set by the set's label; None where there is none."""
+
+    frame: str
+    pictures: Mapping[str, Thumbnail | None]
+
+
+def write_compare_page(out: Path, comparison: Comparison) -> Path:
+    """Write OUT/compare.html and return its path; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
+    page = render_template(
+        "compare.html",
+        comparison=comparison,
+        quantities=_headings(comparison),
+        spreads={label: comparison.spreads(k) for k, label in enumerate(comparison.labels)},
+        statuses=[count_statuses(one) for one in comparison.sets],
+        overlaps=[median_of(frame.iou for frame in one.frames.values()) for one in comparison.sets],
+        plots=[plot for plot in (tips_plot(comparison), overlap_plot(comparison)) if plot is not None],
+        pictures=_pictures(comparison),
+    )
+    path = out / PAGE
+    write_bytes(path, page.encode("utf-8", errors="replace"))
+    return path
+
+
+def _headings(comparison: Comparison) -> dict[str, str]:
+    """Return the headings of the quantities that differ, the joints after the others, by name."""
+    names = dict.fromkeys(name for k in comparison.others for name in comparison.spreads(k))
+    return {name: QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg") for name in names}
+
+
+def tips_plot(comparison: Comparison) -> Plot | None:
+    """Plot the distances of the tips from the reference's, mm, over the frames; None if none is known."""
+    reference = comparison.labels[comparison.reference]
+
+    def tip(index: int, frame: str) -> float | None:
+        difference = comparison.differences[index].get(frame)
+        return None if difference is None else difference.tip_mm
+
+    return _plot("tips", f"tips from {reference}, mm", comparison, tip, from_zero=True)
+
+
+def overlap_plot(comparison: Comparison) -> Plot | None:
+    """Plot the overlap (IoU) of each set over the frames; None if none states it."""
+
+    def overlap(index: int, frame: str) -> float | None:
+        one = comparison.sets[index].frames.get(frame)
+        return None if one is None else one.iou
+
+    return _plot("overlap", "overlap (IoU)", comparison, overlap)
+
+
+def _plot(
+    name: str,
+    label: str,
+    comparison: Comparison,
+    value_of: Callable[[int, str], float | None],
+    *,
+    from_zero: bool = False,
+) -> Plot | None:
+    """Plot a value of each set over the frames."""
+    frames = comparison.frames
+    values = {
+        k: {place: v for place, frame in enumerate(frames) if (v := value_of(k, frame)) is not None}
+        for k in range(len(comparison.sets))
+    }
+    known = [value for by_place in values.values() for value in by_place.values()]
+    if not known:
+        return None
+    low, high = 0.0 if from_zero else min(known), max(known)
+    across = name_axis("frame", frames, start=72, end=708)
+    up = value_axis(label, low, max(high, low + _LEAST_SPAN), start=276, end=14)
+    step = min(0.15 * (across.at(1) - across.at(0)), 8.0)  # sets beside each other
+    series = tuple(
+        Series(
+            comparison.labels[k],
+            SHAPES[k % len(SHAPES)],
+            tuple(
+                Mark(place, across.at(place) + (k - (len(values) - 1) / 2) * step, up.at(value), True)
+                for place, value in by_place.items()
+            ),
+        )
+        for k, by_place in values.items()
+        if by_place
+    )
+    return Plot(name, mark_size(len(frames)), (Panel(720, 330, across, up, series),))
+
+
+def _pictures(comparison: Comparison) -> list[FramePictures]:
+    """Read the overlays of the frames that differ most, where there are any."""
+    chosen = [
+        FramePictures(
+            frame,
+            {label: _picture(one.path, frame) for label, one in zip(comparison.labels, comparison.sets, strict=True)},
+        )
+        for frame in comparison.by_size[:_PICTURES]
+    ]
+    return [one for one in chosen if any(one.pictures.values())]
+
+
+def _picture(folder: Path, frame: str) -> Thumbnail | None:
+    """Read a thumbnail of a frame's overlay; None if the folder has none."""
+    try:
+        check_frame_name(frame)
+        return thumbnail(overlay_path(folder, frame), read_result(result_path(folder, frame)))
+    except InputError:
+        return None

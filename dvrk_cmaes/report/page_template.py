@@ -1,0 +1,40 @@
+"""Rendering of the HTML templates of pages, each one file with its style and script."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
+from dvrk_cmaes.report.page_plots import mark_path, short
+
+_TEMPLATES = Path(__file__).resolve().parent / "templates"
+
+
+def render_template(name: str, *, script: str | None = None, **values: Any) -> str:
+    """Render a template with the style page.css, the script of a name if given, and the values that it names."""
+    code, style = "" if script is None else _text(script), _text("page.css")
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"fixed": fixed, "signed": signed, "anchor": anchor, "short": short, "mark": mark_path}
+    return environment.get_template(name).render(
+        script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values
+    )
+
+
+def _text(name: str) -> str:
+    return (_TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """Return the hash of a script or style for the page's content security policy."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
