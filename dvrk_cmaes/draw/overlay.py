@@ -107,10 +107,37 @@ def draw_overlay(
         canvas.outline(frame.enlarged(mask), MASK)
     else:
         _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
-    width = canvas.image.shape[1]
-    return np.concatenate(
-        [header(result, width, canvas.unit), canvas.image, footer(result, LEGEND, width, canvas.unit)]
-    )
+    return _between_strips(result, canvas)
+
+
+def draw_failed(result: Result, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Draw a frame without a pose: its image or mask, (H, W, 3) BGR, and the reasons in the strip above it."""
+    return _between_strips(result, _canvas(picture.shape[:2], picture))
+
+
+def text_strips(result: Result, width: int, unit: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return the strips of text above and below the drawing of a result, (h, width, 3) BGR each."""
+    legend = () if result.camera_from_root is None else LEGEND
+    return header(result, width, unit), footer(result, legend, width, unit)
+
+
+def _between_strips(result: Result, canvas: Canvas) -> NDArray[np.uint8]:
+    above, below = text_strips(result, canvas.image.shape[1], canvas.unit)
+    return np.concatenate([above, canvas.image, below])
+
+
+def _canvas(shape: tuple[int, ...], image: NDArray[np.uint8]) -> Canvas:
+    """Return a canvas with an image (h, w, 3), enlarged or reduced for a frame of a shape (H, W)."""
+    size = _size(shape)
+    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_CUBIC
+    return Canvas(np.ascontiguousarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8), size[0] / 1280)
+
+
+def _size(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return width and height of the drawing of a frame of a shape (H, W)."""
+    height, width = shape
+    scale = float(np.ceil(_SMALLEST / width)) if width < _SMALLEST else min(1.0, _LARGEST / width)
+    return max(round(width * scale), 1), max(round(height * scale), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,16 +150,14 @@ class _Frame:
 
     @staticmethod
     def of(mask: NDArray[np.bool_], camera: Camera, image: NDArray[np.uint8] | None) -> _Frame:
-        height, width = mask.shape
-        scale = float(np.ceil(_SMALLEST / width)) if width < _SMALLEST else min(1.0, _LARGEST / width)
-        size = (max(round(width * scale), 1), max(round(height * scale), 1))
+        size = _size(mask.shape)
         if image is None:
             drawn = np.full((size[1], size[0], 3), DARK, dtype=np.uint8)
             drawn[cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0] = round(255 * _FAINT)
+            canvas = Canvas(drawn, size[0] / 1280)
         else:
-            way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_CUBIC
-            drawn = np.ascontiguousarray(cv2.resize(image, size, interpolation=way))
-        return _Frame(Canvas(drawn, size[0] / 1280), camera, size[0] / width)
+            canvas = _canvas(mask.shape, image)
+        return _Frame(canvas, camera, size[0] / mask.shape[1])
 
     def at(self, pixels: Float64) -> Float64:
         """Convert pixels (N, 2) of the mask to pixels of the canvas."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,9 @@ from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
+
+_PLACE = re.compile(r"^(?:[^:]*(?:/|\.\w{2,5})[^:]*(?::\d+)?: )?(?:frame [^:]*: )?")
+"""The path, line and frame at the beginning of a reason."""
 
 
 @dataclass(frozen=True)
@@ -216,9 +220,20 @@ def joint_summaries(results: Sequence[Result]) -> Iterator[JointSummary]:
         )
 
 
+def reason_kind(reason: str) -> str:
+    """Return the part of a reason that frames with the same reason share.
+
+    Without the path and the frame's name before it, it is the text before the first colon or semicolon, or, if that is
+    one word, such as the name of a field, the text before the first number or value.
+    """
+    plain = _PLACE.sub("", reason)
+    kind = re.split(r"[:;] ", plain, maxsplit=1)[0]
+    return kind if " " in kind or plain == reason else re.split(r",? got |[,;(]| [-+\d]", plain, maxsplit=1)[0]
+
+
 def reason_counts(results: Sequence[Result]) -> list[tuple[str, int]]:
-    """Return the kinds of reasons (their texts before the colon) and their numbers of frames, most frequent first."""
-    kinds = (dict.fromkeys(reason.partition(":")[0] for reason in result.reasons) for result in results)
+    """Return the kinds of reasons and their numbers of frames, most frequent first."""
+    kinds = (dict.fromkeys(reason_kind(reason) for reason in result.reasons) for result in results)
     return sorted(Counter(kind for frame in kinds for kind in frame).items(), key=lambda item: (-item[1], item[0]))
 
 

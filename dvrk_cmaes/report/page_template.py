@@ -11,6 +11,7 @@ import jinja2
 
 from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
 from dvrk_cmaes.report.page_plots import mark_path, short
+from dvrk_cmaes.report.page_session import reason_kind
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 
@@ -25,7 +26,14 @@ def render_template(name: str, *, script: str | None = None, **values: Any) -> s
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"fixed": fixed, "signed": signed, "anchor": anchor, "short": short, "mark": mark_path}
+    environment.filters |= {
+        "fixed": fixed,
+        "kind": reason_kind,
+        "signed": signed,
+        "anchor": anchor,
+        "short": short,
+        "mark": mark_path,
+    }
     return environment.get_template(name).render(
         script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values
     )

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.overlay import LEGEND, MASK, SILHOUETTE
-from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.overlay import MASK, SILHOUETTE, text_strips
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.results.result import Result
@@ -52,8 +51,7 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
         return None
     height, width = picture.shape[:2]
     unit = width / 1280
-    above = header(result, width, unit).shape[0]
-    below = footer(result, LEGEND, width, unit).shape[0]
+    above, below = (strip.shape[0] for strip in text_strips(result, width, unit))
     if above + below < height / 2:  # otherwise it is another picture than this result's overlay
         picture = _around_outlines(picture[above : height - below])
     height, width = picture.shape[:2]

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.overlay import draw_overlay
+from dvrk_cmaes.draw.overlay import draw_failed, draw_overlay
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_frame, read_frame_image
+from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
@@ -151,3 +153,14 @@ def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -
     return draw_overlay(
         result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
     )
+
+
+def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | None:
+    """Draw a frame without a pose: its image or else its mask, (H, W, 3) BGR; None if neither can be read."""
+    for path in (files.image, files.mask):
+        if path is not None:
+            try:
+                return draw_failed(result, read_image(path))
+            except InputError:
+                continue
+    return None

@@ -21,13 +21,14 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result, Status
-from dvrk_cmaes.runs.frame import draw_frame, read_any_frame, solve_frame
+from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette import Body
@@ -68,9 +69,10 @@ class PackedSetup:
 
 @dataclass(frozen=True)
 class FrameOutcome:
-    """Contents of the files of a frame's result: JSON and, unless the frame failed, the overlay's JPEG.
+    """Contents of the files of a frame's result: JSON and the overlay's JPEG.
 
-    ``mask`` is a PNG if the mask was found in the image, else None.
+    ``overlay`` is None if the frame failed and neither its image nor its mask can be read. ``mask`` is a PNG if the
+    mask was found in the image, else None.
     """
 
     frame: str
@@ -113,9 +115,10 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         warnings=files.notes,
         time=files.time,
         seed=setup.config.seed,
-        config=setup.config.as_dict(),
+        config={**setup.config.as_dict(), "instrument": describe_limits(setup.instrument, setup.arm)},
     )
-    return _outcome(result, None)
+    drawing = draw_failed_frame(result, files)
+    return _outcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))
 
 
 def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None]:

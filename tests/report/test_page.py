@@ -31,6 +31,7 @@ from dvrk_cmaes.report.page_session import (
     joint_summaries,
     provenances,
     reason_counts,
+    reason_kind,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
 from dvrk_cmaes.results.result import Result
@@ -162,7 +163,7 @@ def test_minimal_result_is_shown(tmp_path: Path) -> None:
     pose = [[1, 0, 0, 0.01], [0, 1, 0, 0.02], [0, 0, 1, 0.1], [0, 0, 0, 1]]
     write_json(tmp_path / "0001.json", {"camera_from_root": pose, "joints": {"jaw": 0.5}, "seconds": 600.0})
     page = page_of(tmp_path)
-    assert "no overlay" in page.text
+    assert "no picture" in page.text
     assert "jaw, deg 28.65 - - -" in page.text
     assert "svg" not in page.tags[page.tags.index("article") :]
 
@@ -212,13 +213,43 @@ def test_damaged_overlay_is_left_out(tmp_path: Path, content: bytes) -> None:
     write_results(tmp_path, [result("a")])
     (tmp_path / "overlays" / "a.jpg").write_bytes(content)
     page = page_of(tmp_path)
-    assert "no overlay" in page.text
+    assert "no picture" in page.text
     assert "overlays/a.jpg" not in page.addresses
 
 
 def test_reasons_are_counted_once_per_frame() -> None:
     frames = [doubtful("a", "far: jaw", "far: yaw"), doubtful("b", "far: jaw", "twin undecided: x"), result("c")]
     assert reason_counts(frames) == [("far", 2), ("twin undecided", 1)]
+
+
+@pytest.mark.parametrize(
+    ("reason", "kind"),
+    [
+        ("masks/0005.png: mask is empty: expected pixels above 127, got none", "mask is empty"),
+        ("/data/a b/masks/7.jpg: mask is full: expected background, got none", "mask is full"),
+        ("images/0010.jpg: no instrument found in the image; a mask would help", "no instrument found in the image"),
+        ("masks/1.png: expected a mask, got something else", "expected a mask, got something else"),
+        ("joints.csv:12: roll: expected a finite number, got 'x'", "roll: expected a finite number"),
+        (
+            "joints.csv: frame 0007: jaw: expected readings before and after the image's time 3.500 s, got none",
+            "jaw: expected readings before and after the image's time",
+        ),
+        ("out of memory: try fewer workers", "out of memory"),
+        ("readings far off: jaw by 40 deg", "readings far off"),
+        ("gave up after 600 s", "gave up after 600 s"),
+    ],
+)
+def test_kind_of_reason_has_no_path_and_no_numbers(reason: str, kind: str) -> None:
+    assert reason_kind(reason) == kind
+    assert kind in reason  # the page finds frames by it
+
+
+def test_failed_frames_of_one_reason_have_one_chip(tmp_path: Path) -> None:
+    frames = [failed(f"{k:04d}", f"masks/{k:04d}.png: mask is empty: expected pixels, got none") for k in range(3)]
+    page = page_of(write_results(tmp_path, [*frames, result("a")]))
+    assert "Why frames are not ok 3 mask is empty Plots" in page.text.replace("  ", " ")
+    assert page.text.count("mask is empty") == 1 + 2 * 3  # on the chip, and on each card and in its details
+    assert {f"overlays/{k:04d}.jpg" for k in range(3)} <= set(page.addresses)
 
 
 def test_common_warning_is_shown_once() -> None:

@@ -108,7 +108,10 @@ def test_unusable_frames_fail_with_reason(batch: Batch, tmp_path: Path) -> None:
         "lnd",
         set(results["good"].readings),
     )
-    assert sorted(path.name for path in (tmp_path / "out" / "overlays").iterdir()) == ["good.jpg"]
+    pictures = {path.stem for path in (tmp_path / "out" / "overlays").iterdir()}
+    assert pictures == set(results) - {"torn"}  # every frame has a picture, unless none can be read
+    settings = {json.dumps(result.config, sort_keys=True) for result in results.values()}
+    assert len(settings) == 1
 
 
 def test_resume_estimates_missing_frames_only(batch: Batch, two: Path, tmp_path: Path) -> None:
