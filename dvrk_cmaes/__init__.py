@@ -7,45 +7,141 @@ from typing import TYPE_CHECKING, Any
 from dvrk_cmaes._version import __version__
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration import SessionCalibration, SessionFrame, calibrate_session
+    from dvrk_cmaes.calibration import SessionCalibration, SessionFrame, SolvedSession, calibrate_session
+    from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
+    from dvrk_cmaes.calibration.lag import LagCurve
+    from dvrk_cmaes.calibration.session_camera import SessionCamera
     from dvrk_cmaes.camera import Camera
-    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.config import (
+        EstimateConfig,
+        LookAtRange,
+        LossWeights,
+        OutlineConfig,
+        ReadingSigmas,
+        RefineConfig,
+        SearchConfig,
+        SessionConfig,
+        TrackConfig,
+        TrustConfig,
+    )
+    from dvrk_cmaes.errors import DvrkCmaesError, InputError
     from dvrk_cmaes.estimation import estimate
+    from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+    from dvrk_cmaes.frames.session_folder import Session, read_session
     from dvrk_cmaes.instrument import Instrument, load_instrument
-    from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.instrument.model import JawTip, Link, Shaft
+    from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.joints.series import ReadingSeries
+    from dvrk_cmaes.results.file import read_result
+    from dvrk_cmaes.results.folder import ResultsFolder, read_results
+    from dvrk_cmaes.results.links import LinkModel
+    from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result
     from dvrk_cmaes.results.tracked import TrackResult
+    from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
+    from dvrk_cmaes.track.lag import FoundLag
 
 _HOMES = {
+    "Alternative": "results.result",
+    "Body": "silhouette",
     "Camera": "camera",
+    "DvrkCmaesError": "errors",
     "EstimateConfig": "config",
+    "ExpectedError": "results.result",
+    "FoundLag": "track.lag",
+    "FrameData": "frames.frame",
+    "FrameFiles": "frames.frame",
+    "InputError": "errors",
     "Instrument": "instrument",
+    "JawTip": "instrument.model",
+    "Lag": "joints.lag",
+    "LagCurve": "calibration.lag",
+    "Link": "instrument.model",
+    "LeaveOneOutPrediction": "calibration.frame_task",
+    "LinkModel": "results.links",
+    "LookAtRange": "config",
+    "LossWeights": "config",
+    "OutlineConfig": "config",
+    "Quality": "results.result",
+    "ReadingSeries": "joints.series",
+    "ReadingSigmas": "config",
+    "RefineConfig": "config",
+    "Renderer": "silhouette",
     "Result": "results.result",
+    "ResultsFolder": "results.folder",
+    "SearchConfig": "config",
+    "Session": "frames.session_folder",
     "SessionCalibration": "calibration",
+    "SessionCamera": "calibration.session_camera",
+    "SessionConfig": "config",
     "SessionFrame": "calibration",
+    "Shaft": "instrument.model",
+    "SolvedSession": "calibration",
+    "TrackConfig": "config",
     "TrackResult": "results.tracked",
     "Tracker": "track",
+    "TrustConfig": "config",
     "calibrate_session": "calibration",
     "estimate": "estimation",
     "load_instrument": "instrument",
     "prepare": "silhouette.prepare",
+    "read_frame": "frames.frame",
+    "read_result": "results.file",
+    "read_results": "results.folder",
+    "read_session": "frames.session_folder",
 }
+"""Module of each public name; a class in the signature of a public function or class is public."""
 
 __all__ = [
+    "Alternative",
+    "Body",
     "Camera",
+    "DvrkCmaesError",
     "EstimateConfig",
+    "ExpectedError",
+    "FoundLag",
+    "FrameData",
+    "FrameFiles",
+    "InputError",
     "Instrument",
+    "JawTip",
+    "Lag",
+    "LagCurve",
+    "LeaveOneOutPrediction",
+    "Link",
+    "LinkModel",
+    "LookAtRange",
+    "LossWeights",
+    "OutlineConfig",
+    "Quality",
+    "ReadingSeries",
+    "ReadingSigmas",
+    "RefineConfig",
+    "Renderer",
     "Result",
+    "ResultsFolder",
+    "SearchConfig",
+    "Session",
     "SessionCalibration",
+    "SessionCamera",
+    "SessionConfig",
     "SessionFrame",
+    "Shaft",
+    "SolvedSession",
+    "TrackConfig",
     "TrackResult",
     "Tracker",
+    "TrustConfig",
     "__version__",
     "calibrate_session",
     "estimate",
     "load_instrument",
     "prepare",
+    "read_frame",
+    "read_result",
+    "read_results",
+    "read_session",
 ]
 
 

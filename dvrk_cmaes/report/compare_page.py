@@ -19,7 +19,6 @@ from dvrk_cmaes.results.paths import check_frame_name, overlay_path, result_path
 
 PAGE: Final = "compare.html"
 _PICTURES: Final = 24  # frames whose overlays are shown
-_LEAST_SPAN: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def tips_plot(comparison: Comparison) -> Plot | None:
         difference = comparison.differences[index].get(frame)
         return None if difference is None else difference.tip_mm
 
-    return _plot("tips", f"tips from {reference}, mm", comparison, tip, from_zero=True)
+    return _plot("tips", f"tips from {reference}, mm", comparison, tip, least=0.1, from_zero=True)
 
 
 def overlap_plot(comparison: Comparison) -> Plot | None:
@@ -71,7 +70,7 @@ def overlap_plot(comparison: Comparison) -> Plot | None:
         one = comparison.sets[index].frames.get(frame)
         return None if one is None else one.iou
 
-    return _plot("overlap", "overlap (IoU)", comparison, overlap)
+    return _plot("overlap", "overlap (IoU)", comparison, overlap, least=0.02)
 
 
 def _plot(
@@ -80,9 +79,10 @@ def _plot(
     comparison: Comparison,
     value_of: Callable[[int, str], float | None],
     *,
+    least: float,
     from_zero: bool = False,
 ) -> Plot | None:
-    """Plot a value of each set over the frames."""
+    """Plot a value of each set over the frames; the vertical axis has at least the span ``least``."""
     frames = comparison.frames
     values = {
         k: {place: v for place, frame in enumerate(frames) if (v := value_of(k, frame)) is not None}
@@ -93,7 +93,7 @@ def _plot(
         return None
     low, high = 0.0 if from_zero else min(known), max(known)
     across = name_axis("frame", frames, start=72, end=708)
-    up = value_axis(label, low, max(high, low + _LEAST_SPAN), start=276, end=14)
+    up = value_axis(label, low, max(high, low + least), start=276, end=14)
     step = min(0.15 * (across.at(1) - across.at(0)), 8.0)  # sets beside each other
     series = tuple(
         Series(

@@ -75,6 +75,7 @@ def render_page(folder: ResultsFolder) -> str:
     return render_template(
         "page.html",
         script="page.js",
+        rules=sorted({view.thumbnail.crop.style for view in views if view.thumbnail and view.thumbnail.crop}),
         results=results,
         times=any(result.time is not None for result in results),
         run=run,

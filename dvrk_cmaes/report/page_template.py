@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from dvrk_cmaes.report.page_session import reason_kind
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
-def render_template(name: str, *, script: str | None = None, **values: Any) -> str:
-    """Render a template with the style page.css, the script of a name if given, and the values that it names."""
-    code, style = "" if script is None else _text(script), _text("page.css")
+def render_template(name: str, *, script: str | None = None, rules: Iterable[str] = (), **values: Any) -> str:
+    """Render a template with the style page.css and more rules, the script of a name, and the values that it names."""
+    code, style = "" if script is None else _text(script), "\n".join([_text("page.css"), *rules])
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,

@@ -25,12 +25,34 @@ _TALLEST = 1.25  # largest ratio of height to WIDTH; taller pictures are reduced
 
 
 @dataclass(frozen=True)
+class Crop:
+    """Part of an overlay between its strips of text: its upper end and its height, as shares of the overlay's width."""
+
+    top: float
+    height: float
+
+    @property
+    def name(self) -> str:
+        """Name of the class in the page's style that shows this part."""
+        return f"crop-{round(1e4 * self.top)}-{round(1e4 * self.height)}"
+
+    @property
+    def style(self) -> str:
+        """Rules of that class."""
+        return (
+            f".{self.name} {{ aspect-ratio: 1 / {self.height:.4f}; }} "
+            f".{self.name} img {{ margin-top: -{100 * self.top:.2f}%; }}"
+        )
+
+
+@dataclass(frozen=True)
 class Thumbnail:
-    """A picture as a ``data:`` address, and its size in px."""
+    """A picture as a ``data:`` address, its size in px, and the part of the overlay without strips; None if unknown."""
 
     address: str
     width: int
     height: int
+    crop: Crop | None = None
 
 
 def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
@@ -52,7 +74,9 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
     height, width = picture.shape[:2]
     unit = width / 1280
     above, below = (strip.shape[0] for strip in text_strips(result, width, unit))
+    crop = None
     if above + below < height / 2:  # otherwise it is another picture than this result's overlay
+        crop = Crop(above / width, (height - above - below) / width)
         picture = _around_outlines(picture[above : height - below])
     height, width = picture.shape[:2]
     scale = min(WIDTH / width, _TALLEST * WIDTH / height)
@@ -62,7 +86,7 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
         encoded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1])[1]
         if len(encoded) <= LARGEST:
             break
-    return Thumbnail("data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii"), *size)
+    return Thumbnail("data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii"), *size, crop)
 
 
 def _around_outlines(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:

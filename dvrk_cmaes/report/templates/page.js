@@ -36,6 +36,7 @@
     }
     document.getElementById("shown").textContent = `${number} of ${cards.length}`;
     document.getElementById("none").hidden = number > 0;
+    lay(grid, Infinity);
   }
 
   function sort() {
@@ -123,6 +124,45 @@
     true,
   );
 
+  // Of n tiles in rows of equal width, none is left alone in the last row: fewer columns, or a tile of a row's width.
+  function lay(container, fewest) {
+    const tiles = [...container.children].filter((tile) => !tile.hidden);
+    container.style.gridTemplateColumns = "";
+    for (const tile of tiles) tile.classList.remove("alone");
+    const most = getComputedStyle(container).gridTemplateColumns.split(" ").length;
+    if (tiles.length <= most || most === 1) return;
+    let columns = most;
+    while (columns > 2 && tiles.length % columns === 1) columns -= 1;
+    if (columns < most) container.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
+    if (tiles.length % columns === 1 && columns >= fewest) tiles[tiles.length - 1].classList.add("alone");
+  }
+  const layAll = () => {
+    for (const tiles of document.querySelectorAll(".figures, .pictures")) lay(tiles, 2);
+    lay(grid, Infinity);
+  };
+  addEventListener("resize", layAll);
+
+  // A page that was moved without its folder has only the small pictures.
+  document.addEventListener(
+    "error",
+    (event) => {
+      const image = event.target;
+      if (!(image instanceof HTMLImageElement)) return;
+      if (image.dataset.instead) {
+        const small = document.getElementById(image.dataset.instead).querySelector("summary img");
+        const line = image.closest(".picture").querySelector(".missing");
+        if (!line.hidden) return;
+        line.hidden = false;
+        image.closest(".crop").className = "crop";
+        if (small) image.src = small.src;
+      } else if (image.closest(".pictures li, .predicted")) {
+        image.closest(".pictures li, .predicted").hidden = true;
+        layAll();
+      }
+    },
+    true,
+  );
+
   order.addEventListener("change", sort);
   find.addEventListener("input", sift);
   for (const chip of chips) chip.addEventListener("change", sift);
@@ -169,5 +209,6 @@
   // Browsers keep the state of form elements when a page is reloaded.
   if (order.value !== "doubt") sort();
   sift();
+  layAll();
   fromAddress();
 })();

@@ -1,0 +1,114 @@
+"""The layout of pages from phones to large screens: nothing overflows, overlaps, is cut off or stands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from helpers.browser import VIOLATIONS, complaints, emulate, screenshot
+from helpers.canned_results import canned
+from helpers.canned_results import write_results as write_canned
+from helpers.page_calibrations import calibration, solved, write_calibrated
+from helpers.page_results import doubtful, failed, overlay, result, write_results
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webdriver import WebDriver
+
+from dvrk_cmaes.cli import main
+from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes.report.page import write_page
+from dvrk_cmaes.results.paths import overlay_path
+
+pytestmark = pytest.mark.browser
+
+WIDTHS = (360, 768, 1280, 1385, 1400, 1920)  # 1385: 1400 less a scrollbar
+LONG = "a_frame_of_a_very_long_name_that_has_nowhere_to_break"
+
+
+def session_page(out: Path) -> Path:
+    """Write the page of a batch with ok, doubtful and failed frames."""
+    frames = [result(f"{k:04d}", time=k / 30) for k in range(8)] + [result(LONG)]
+    frames += [failed("0008", "masks/0008.png: mask is empty: expected pixels above 127, got none")]
+    frames += [doubtful("0009", "readings far off: jaw by 40 deg", "twin undecided: the fits are equal")]
+    return write_page(write_results(out, frames))
+
+
+def calibrated_page(out: Path) -> Path:
+    """Write the page of a calibrated session with frames left out."""
+    frames = solved([*(f"{k:04d}" for k in range(13)), LONG])
+    session = calibration(frames, left_out={"gone": "no readings of all outer joints (yaw, pitch, insertion, roll)"})
+    return write_page(write_calibrated(out, [*frames, failed("lost")], session))
+
+
+def compared_page(out: Path) -> Path:
+    """Write the page of a comparison of three sets."""
+    names = [*(f"{k:04d}" for k in range(4)), LONG]
+    folders = [write_canned(out / label, *(canned(name, k) for k, name in enumerate(names))) for label in "xyz"]
+    for folder in folders:
+        for name in names:
+            write_image(overlay_path(folder, name), overlay(canned(name)))
+    assert main(["compare", *map(str, folders), "--out", str(out / "differences")]) == 0
+    return out / "differences" / "compare.html"
+
+
+@pytest.fixture(scope="module")
+def page(request: pytest.FixtureRequest, driver: WebDriver, tmp_path_factory: pytest.TempPathFactory) -> WebDriver:
+    """Open a page."""
+    make: Callable[[Path], Path] = request.param
+    driver.get(make(tmp_path_factory.mktemp("out")).as_uri())
+    return driver
+
+
+@pytest.mark.parametrize("page", [session_page, calibrated_page, compared_page], indirect=True)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_layout_has_no_faults(page: WebDriver, width: int, tmp_path: Path) -> None:
+    for opened in ("false", "true"):
+        page.execute_script(f"document.querySelectorAll('details').forEach((d) => {{ d.open = {opened}; }})")
+        screenshot(page, tmp_path / f"{width}-{opened}.png", width=width)
+        assert page.execute_script("return document.documentElement.scrollWidth") == width
+        assert page.execute_script(VIOLATIONS) == []
+
+
+def test_faults_are_found(driver: WebDriver, tmp_path: Path) -> None:
+    """Elements that are moved, widened or narrowed on a page without faults are named."""
+    driver.get(session_page(tmp_path).as_uri())
+    emulate(driver, width=1280)
+    for change, kind in (
+        ("document.querySelector('h1').style.marginLeft = '2000px'", "beyond the page"),
+        ("document.querySelector('#frames h2').style.marginBottom = '-40px'", "overlap"),
+        ("document.querySelector('#grid').style.gridTemplateColumns = 'repeat(5, 1fr)'", "alone"),
+        ("document.querySelectorAll('#plot-rcm .plot').forEach((p) => { p.style.flexBasis = '30rem'; })", "stacked"),
+        ("document.querySelector('#plot-rcm .plot').style.fontSize = '60px'", "labels overlap"),
+    ):
+        driver.refresh()
+        driver.execute_script(change)
+        assert kind in {fault[0] for fault in driver.execute_script(VIOLATIONS)}
+
+
+def test_strips_of_text_are_cut_off_overlays(driver: WebDriver, tmp_path: Path) -> None:
+    driver.get(session_page(tmp_path).as_uri())
+    emulate(driver, width=1280)
+    card = driver.find_element(By.ID, "frame-0000")
+    card.find_element(By.TAG_NAME, "summary").click()
+    picture = card.find_element(By.CSS_SELECTOR, ".picture img")
+    driver.execute_async_script("arguments[0].decode().then(arguments[1], arguments[1])", picture)
+    whole, part = picture.rect, card.find_element(By.CSS_SELECTOR, ".crop").rect
+    assert part["height"] / part["width"] == pytest.approx(0.75, abs=0.01)
+    assert whole["y"] < part["y"]
+    assert whole["y"] + whole["height"] > part["y"] + part["height"]
+    assert "mask, off in a stretch" in card.find_element(By.CSS_SELECTOR, ".picture .legend").text
+
+
+def test_page_without_its_folder_says_so_and_shows_small_pictures(driver: WebDriver, tmp_path: Path) -> None:
+    moved = tmp_path / "elsewhere.html"
+    session_page(tmp_path / "out").rename(moved)
+    driver.get(moved.as_uri())
+    card = driver.find_element(By.ID, "frame-0000")
+    card.find_element(By.TAG_NAME, "summary").click()
+    picture = card.find_element(By.CSS_SELECTOR, ".picture img")
+    driver.execute_async_script(
+        "setTimeout(() => arguments[0].decode().then(arguments[1], arguments[1]), 500)", picture
+    )
+    assert driver.execute_script("return arguments[0].naturalWidth", picture) == 288
+    assert "overlays/0000.jpg, is not beside this page" in card.find_element(By.CSS_SELECTOR, ".missing").text
+    complaints(driver)

@@ -1,0 +1,57 @@
+"""The names of `dvrk_cmaes`: they can be imported, and every class that users meet in a signature is among them."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any, get_args, get_type_hints
+
+import pytest
+
+import dvrk_cmaes
+
+PUBLIC = {name: getattr(dvrk_cmaes, name) for name in dvrk_cmaes.__all__ if name != "__version__"}
+FUNCTIONS = [value for value in PUBLIC.values() if inspect.isfunction(value)]
+USED = (
+    dvrk_cmaes.EstimateConfig,
+    dvrk_cmaes.Result,
+    dvrk_cmaes.SessionCalibration,
+    dvrk_cmaes.SessionFrame,
+    dvrk_cmaes.SolvedSession,
+    dvrk_cmaes.TrackResult,
+    dvrk_cmaes.Tracker,
+)
+"""Classes whose objects users make or get, and look into."""
+
+
+def classes_in(annotation: Any) -> Iterator[type]:
+    """Give the package's own classes in an annotation."""
+    if inspect.isclass(annotation) and annotation.__module__.startswith("dvrk_cmaes."):
+        yield annotation
+    for part in get_args(annotation):
+        yield from classes_in(part)
+
+
+def annotations_of(kind: type) -> Iterator[Callable[..., Any]]:
+    """Give the constructor, properties and own methods of a class."""
+    internal = {"model"} if kind is dvrk_cmaes.SessionCalibration else set()
+    for name, member in vars(kind).items():
+        if (name == "__init__" or not name.startswith("_")) and name not in internal:
+            function = member.fget if isinstance(member, property) else getattr(member, "__func__", member)
+            if inspect.isfunction(function):
+                yield function
+    if dataclasses.is_dataclass(kind):
+        yield kind.__init__
+
+
+@pytest.mark.parametrize("function", [*FUNCTIONS, *(f for kind in USED for f in annotations_of(kind))], ids=str)
+def test_classes_of_signatures_are_public(function: Callable[..., Any]) -> None:
+    met = {kind for hint in get_type_hints(function).values() for kind in classes_in(hint)}
+    assert {kind.__name__ for kind in met} <= set(PUBLIC), function.__qualname__
+    assert all(PUBLIC[kind.__name__] is kind for kind in met)
+
+
+def test_unknown_name_is_refused() -> None:
+    with pytest.raises(AttributeError, match=r"^module 'dvrk_cmaes' has no attribute 'Nothing'$"):
+        dvrk_cmaes.__getattr__("Nothing")
