@@ -1,10 +1,46 @@
-"""Entry point of ``python -m dvrk_cmaes``, equivalent to the command ``dvrk-cmaes``."""
+"""Entry point of ``dvrk-cmaes`` and of ``python -m dvrk_cmaes``.
+
+It imports little, so that Ctrl-C ends the program with one line as soon as Python has started.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+from collections.abc import Callable, Iterable
+from types import FrameType
 
-from dvrk_cmaes.cli import main
+_INTERRUPTED = 130
+
+
+def main() -> int:
+    """Run the command line of ``sys.argv`` and return its exit code; SIGTERM has the effect of Ctrl-C."""
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    ours = [number for number, handler in defaults.items() if signal.getsignal(number) is handler]  # others are ignored
+    _handle(ours, _end)
+    try:
+        from dvrk_cmaes.cli import main as run_command_line
+
+        _handle(ours, signal.default_int_handler)
+        return run_command_line()
+    except KeyboardInterrupt:  # before or after the command line's own handling of it
+        _end(signal.SIGINT, None)
+        raise
+    finally:
+        _handle(ours, _end)  # while threads and modules are taken down, as while they are imported
+
+
+def _handle(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> None:
+    for number in numbers:
+        signal.signal(number, handler)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """End the process at once, with the line and the exit code of an interrupted command."""
+    os.write(2, b"dvrk-cmaes: interrupted\n")
+    os._exit(_INTERRUPTED)
+
 
 if __name__ == "__main__":
     sys.exit(main())

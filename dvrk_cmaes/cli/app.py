@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+import traceback
+import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 from cyclopts import App, CycloptsError
 
@@ -25,8 +28,9 @@ from dvrk_cmaes.cli.segment import segment
 from dvrk_cmaes.cli.synth import synth
 from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.cli.track import track
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
+_DEBUG = "--debug"
 _INTERRUPTED = 130  # as in shells: 128 + SIGINT
 
 app = App(
@@ -34,7 +38,8 @@ app = App(
     help="""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
 
 Try `dvrk-cmaes demo` first; `dvrk-cmaes help` lists the reference pages.
-Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.""",
+Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
+With `--debug`, any command shows where in the program an error was raised.""",
     version=__version__,
     suppress_keyboard_interrupt=False,
 )
@@ -57,33 +62,53 @@ app.command(help_topic, name="help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line (``sys.argv`` by default) and return its exit code; never raises on wrong input."""
+    """Run a command line (``sys.argv`` by default) and return its exit code; no error is raised."""
     prepare_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-        sys.stdout.flush()
-        return int(code or 0)
-    except CycloptsError as error:
-        error.verbose = False
-        command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
-        print_error(f"{error} (see {command} --help)")
-        return InputError.exit_code
-    except DvrkCmaesError as error:
-        print_error(str(error))
-        return error.exit_code
-    except MemoryError:
-        print_error("out of memory: try a smaller image, or fewer --threads")
-        return DvrkCmaesError.exit_code
-    except KeyboardInterrupt:
-        print_error("interrupted")
-        return _INTERRUPTED
-    except BrokenPipeError:  # the reader closed stdout, e.g. ``| head``
-        discard_stdout()
-        return DvrkCmaesError.exit_code
-    except OSError as error:  # errors of files are InputError already: this is stdout on a full disk
-        print_error(f"{error.filename or 'stdout'}: {error.strerror}")
-        if error.filename is not None:  # or a file name that the system refuses
+    debug = _DEBUG in tokens
+    with warnings.catch_warnings():
+        if not (debug or sys.warnoptions):
+            warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
+        try:
+            code = app(
+                [token for token in tokens if token != _DEBUG],
+                exit_on_error=False,
+                print_error=False,
+                result_action="return_value",
+            )
+            sys.stdout.flush()
+            return int(code or 0)
+        except (Exception, KeyboardInterrupt) as error:
+            if debug:
+                traceback.print_exc()
+            return _said(error)
+
+
+def _said(error: BaseException) -> int:
+    """Print the line of an error, and return its exit code."""
+    match error:
+        case CycloptsError():
+            error.verbose = False
+            command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
+            print_error(f"{error} (see {command} --help)")
             return InputError.exit_code
-        discard_stdout()
-        return DvrkCmaesError.exit_code
+        case DvrkCmaesError():
+            print_error(str(error))
+            return error.exit_code
+        case MemoryError():
+            print_error("out of memory: try a smaller image, or fewer --threads")
+        case KeyboardInterrupt():
+            print_error("interrupted")
+            return _INTERRUPTED
+        case BrokenPipeError():  # the reader closed stdout, e.g. ``| head``
+            discard_stdout()
+        case OSError():  # errors of files are InputError already: this is stdout on a full disk
+            print_error(f"{error.filename or 'stdout'}: {error.strerror}")
+            if error.filename is not None:  # or a file name that the system refuses
+                return InputError.exit_code
+            discard_stdout()
+        case _:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
+            print_error(f"internal error: {where}: {one_line(error)}; {_DEBUG} shows where")
+    return DvrkCmaesError.exit_code

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 STATUS_STYLES = {"ok": "bold green", "doubtful": "bold yellow", "failed": "bold red"}
 
+_LONGEST = 900  # characters of an error message
+
 
 class Line(NamedTuple):
     """A line of output and its style on a terminal."""
@@ -37,8 +39,11 @@ def discard_stdout() -> None:
 
 def print_error(message: str) -> None:
     """Print an error message as one line on stderr; if stderr cannot be written, only the exit code shows the error."""
+    text = " ".join(message.split())
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     with contextlib.suppress(OSError):
-        print("dvrk-cmaes:", " ".join(message.split()), file=sys.stderr)
+        print("dvrk-cmaes:", text, file=sys.stderr)
 
 
 def warn(message: str) -> None:

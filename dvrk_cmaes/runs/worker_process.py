@@ -11,8 +11,10 @@ import functools
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -102,6 +104,8 @@ def _interrupts_blocked() -> Iterator[None]:
 def _serve(connection: Connection) -> None:
     """Answer calls with (value, None) or (None, exception) until the other end of the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     limit_library_threads()
     parent = multiprocessing.parent_process()
     if parent is not None:
