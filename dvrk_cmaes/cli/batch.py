@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_METHOD,
     DEFAULT_SEGMENT,
     METHOD,
+    MOST_WORKERS,
     OUTPUT,
     CameraOptions,
     Flag,
@@ -24,6 +25,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     SegmentOptions,
     SessionOption,
+    check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
@@ -40,6 +42,7 @@ WORKERS = Group("Workers", sort_key=0)
 AUTO = "auto"
 
 _MOST_LISTED = 10
+_LONGEST_FRAME = 1e6  # s, of --time-limit
 _INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
 
 
@@ -143,6 +146,9 @@ def batch(
         raise InputError(f"--workers: expected a whole number of at least 1, and no --scheduler, got {got}")
     if not time_limit > 0:
         raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
+    check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
+    if workers is not None:
+        check_range("--workers", workers, 1, MOST_WORKERS)
     if label is not None and not 0 <= label <= 255:
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:

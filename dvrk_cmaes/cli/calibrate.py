@@ -13,11 +13,13 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    MOST_WORKERS,
     OUTPUT,
     CameraOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
+    check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
@@ -86,8 +88,8 @@ def calibrate(
     json
         Print only session.json, on stdout.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers: expected a whole number of at least 1, got {workers}")
+    if workers is not None:
+        check_range("--workers", workers, 1, MOST_WORKERS)
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.folder import ALONE, read_results

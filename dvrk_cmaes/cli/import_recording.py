@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import OUTPUT, Flag
+from dvrk_cmaes.cli.options import LATEST, MOST_SKIPPED, OUTPUT, Flag, check_range
 from dvrk_cmaes.cli.terminal import Line, show, warn
 from dvrk_cmaes.errors import InputError
 
@@ -128,8 +128,7 @@ def import_recording(
     """
     from dvrk_cmaes.joints.lag import LARGEST_SECONDS
 
-    if every < 1:
-        raise InputError(f"--every: expected a whole number of at least 1, got {every}")
+    check_range("--every", every, 1, MOST_SKIPPED)
     if not 0 < tolerance < math.inf:
         raise InputError(f"--tolerance: expected a time in seconds above 0, got {tolerance:g}")
     if not (0 <= start < end):
@@ -138,6 +137,7 @@ def import_recording(
         raise InputError(f"--lag: expected at most {LARGEST_SECONDS:g} seconds in magnitude, got {lag:g}")
     if not math.isfinite(video_start):
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
+    check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
@@ -25,8 +26,20 @@ METHOD = Group.create_ordered("Method")
 SEGMENT = Group.create_ordered("Segmentation")
 OUTPUT = Group.create_ordered("Output")
 
+LARGEST_SEED = 2**32 - 1
+MOST_THREADS = MOST_WORKERS = 1000
+MOST_SKIPPED = 1_000_000  # of --every
+LATEST = 1e11  # s, of times since any clock's start
+
 Flag = Annotated[bool, Parameter(negative=())]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
+
+
+def check_range(option: str, value: float, least: float, most: float, what: str = "a whole number") -> None:
+    """Raise an InputError for the value of an option that is not from ``least`` to ``most``."""
+    if not least <= value <= most:
+        limit = f"at most {most:.10g}" if value > most else f"at least {least:.10g}"
+        raise InputError(f"{option}: expected {what} of {limit}, got {shown(value)}")
 
 
 @Parameter(name="*", group=CAMERA)
@@ -169,12 +182,10 @@ class MethodOptions:
             _check_name("refine", self.refine, REFINEMENTS)
             settings = replace(settings, refine=replace(settings.refine, method=self.refine))
         if self.seed is not None:
-            if self.seed < 0:
-                raise InputError(f"--seed: expected a whole number of at least 0, got {self.seed}")
+            check_range("--seed", self.seed, 0, LARGEST_SEED)
             settings = replace(settings, seed=self.seed)
         if self.threads is not None:
-            if self.threads < 1:
-                raise InputError(f"--threads: expected a whole number of at least 1, got {self.threads}")
+            check_range("--threads", self.threads, 1, MOST_THREADS)
             settings = replace(settings, threads=self.threads)
         return settings
 

@@ -13,10 +13,12 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_PROMPTS,
     DEFAULT_SEGMENT,
     FRAME,
+    MOST_THREADS,
     OUTPUT,
     Flag,
     PromptOptions,
     SegmentOptions,
+    check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -103,8 +105,7 @@ def segment(
     json
         Print only a summary, as JSON, on stdout.
     """
-    if threads < 1:
-        raise InputError(f"--threads: expected a whole number of at least 1, got {threads}")
+    check_range("--threads", threads, 1, MOST_THREADS)
     import cv2
 
     from dvrk_cmaes.frames.session_folder import find_images

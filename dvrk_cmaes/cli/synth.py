@@ -10,10 +10,12 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
+    LARGEST_SEED,
     OUTPUT,
     CameraOptions,
     Flag,
     InstrumentOptions,
+    check_range,
 )
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
@@ -97,8 +99,7 @@ def synth(
     """
     if not 1 <= frames <= _MOST_FRAMES:
         raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")
-    if seed < 0:
-        raise InputError(f"--seed: expected a whole number of at least 0, got {seed}")
+    check_range("--seed", seed, 0, LARGEST_SEED)
     if lag is not None and motion != "video":
         raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
     from dvrk_cmaes.frames.markers import read_marker_table

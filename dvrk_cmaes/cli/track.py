@@ -15,12 +15,14 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    MOST_SKIPPED,
     OUTPUT,
     CameraOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
     SessionOption,
+    check_range,
 )
 from dvrk_cmaes.cli.terminal import Line, frames_text, show
 from dvrk_cmaes.errors import InputError
@@ -101,10 +103,10 @@ def track(
     json
         Print only the numbers of frames by status, as JSON, on stdout.
     """
-    if every < 1:
-        raise InputError(f"--every: expected a whole number of at least 1, got {every}")
+    check_range("--every", every, 1, MOST_SKIPPED)
     if not (math.isfinite(fps) and fps > 0):
         raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
+    check_range("--fps", fps, 1e-3, 1e6, "frames a second")
     from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text

@@ -1,12 +1,13 @@
 """Reader of masks and images from PNG or JPEG files.
 
-The header is parsed before the image is decoded: a file whose header states more than 100 megapixels is refused before
+The header is parsed before the image is decoded: a file whose header states more than 36 megapixels is refused before
 memory is allocated for it. An EXIF orientation is ignored, so that pixels are those of the camera, as stored.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import cv2
@@ -17,9 +18,12 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, read_header
+from dvrk_cmaes.io.quiet_stderr import native_messages
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
+# libjpeg's words for data that it had to make up; other bytes before a marker are skipped without a loss
+_LOST = re.compile(r"Corrupt JPEG data(?!: \d+ extraneous bytes)|Premature end of JPEG")
 
 
 def read_mask(
@@ -147,10 +151,11 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
 def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.uint8]:
     """Decode an image with OpenCV's flags; InputError if it cannot be decoded."""
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        with native_messages() as messages:
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         pixels = None
-    if pixels is None:
+    if pixels is None or any(_LOST.search(message) for message in messages):
         raise InputError(f"{path}: expected {what} (PNG or JPEG), got one that is damaged")
     return np.asarray(pixels, np.uint8)
 

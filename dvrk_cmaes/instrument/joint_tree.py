@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.kinematics import Joint, Motion
 
+_WIDEST = 1e3  # rad or m, of limits, origins and mimic relations
 _MOTIONS: dict[str, Motion] = {
     "fixed": "fixed",
     "revolute": "revolute",
@@ -132,8 +133,10 @@ def _mimic_relation(robot: Any, joint: Any, path: Path) -> tuple[str | None, flo
         if joint.mimic is None:
             return joint.name, multiplier, offset
         target_multiplier, target_offset = float(joint.mimic.multiplier), float(joint.mimic.offset)
-        if not np.isfinite([target_multiplier, target_offset]).all():
-            raise InputError(f"{path}: joint {joint.name!r}: mimic: expected a finite multiplier and offset")
+        if not (np.abs([target_multiplier, target_offset]) <= _WIDEST).all():
+            raise InputError(
+                f"{path}: joint {joint.name!r}: mimic: expected a finite multiplier and offset, at most {_WIDEST:g}"
+            )
         multiplier, offset = multiplier * target_multiplier, offset + multiplier * target_offset
         target = joint.mimic.joint
         if target not in by_name:
@@ -146,8 +149,8 @@ def _mimic_relation(robot: Any, joint: Any, path: Path) -> tuple[str | None, flo
 
 def _origin(joint: Any, path: Path) -> NDArray[np.float64]:
     origin = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64)
-    if not np.isfinite(origin).all():
-        raise InputError(f"{path}: joint {joint.name!r}: origin: expected finite numbers")
+    if not (np.abs(origin) <= _WIDEST).all():
+        raise InputError(f"{path}: joint {joint.name!r}: origin: expected finite numbers, at most {_WIDEST:g} m")
     return origin
 
 
@@ -172,5 +175,9 @@ def _limits(joint: Any, path: Path) -> tuple[float, float]:
     if not np.isfinite([lower, upper]).all() or lower > upper:
         raise InputError(
             f"{path}: joint {joint.name!r}: limit: expected finite lower <= upper, got {lower:g} and {upper:g}"
+        )
+    if max(-lower, upper) > _WIDEST:
+        raise InputError(
+            f"{path}: joint {joint.name!r}: limit: expected at most {_WIDEST:g}, got {lower:g} and {upper:g}"
         )
     return float(lower), float(upper)

@@ -8,8 +8,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.files import read_text
 
 _PACKAGE = "package://"
+_LARGEST_MANIFEST = 1_000_000  # bytes
 _MOST_TRIED = 6  # paths listed in a message
 
 
@@ -83,8 +85,8 @@ def _in_package(filename: str, folder: Path, packages: Mapping[str, Path], where
 def _package_name(manifest: Path) -> str | None:
     """Read the name of a ROS package from its manifest; None if the file or the name is missing."""
     try:
-        text = manifest.read_text(encoding="utf-8", errors="replace")[:20_000]
-    except OSError:
+        text = read_text(manifest, expected="the manifest of a ROS package", largest=_LARGEST_MANIFEST)
+    except InputError:
         return None
     found = re.search(r"<name>\s*([^<\s]+)\s*</name>", text)
     return found.group(1) if found else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument.dae_size import check_dae_size
 from dvrk_cmaes.instrument.mesh_header import check_header_sizes
 from dvrk_cmaes.io.plain_xml import parse_xml
 
@@ -94,16 +96,21 @@ def _read_with_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int6
     """Read STL, OBJ or DAE; a DAE file states its unit and is converted to metres."""
     import trimesh
 
-    unit = _dae_unit(path) if path.suffix.lower() == ".dae" else 1.0
-    scene: Any = trimesh.load_scene(str(path), process=False, skip_materials=True)
+    data = path.read_bytes()
+    suffix = path.suffix.lower()
+    unit = _dae_unit(path, data) if suffix == ".dae" else 1.0
+    # as data instead of a path, so that no file that it names, such as a texture, is opened
+    scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True)
     mesh: Any = scene.to_mesh()
     vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
     return unit * vertices, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
 
 
-def _dae_unit(path: Path) -> float:
+def _dae_unit(path: Path, data: bytes) -> float:
     """Read the metres per unit of a DAE file, which trimesh ignores; a URDF ignores the file's up axis."""
-    unit = parse_xml(path, path.read_bytes()).find("{*}asset/{*}unit")
+    root = parse_xml(path, data)
+    check_dae_size(path, root)
+    unit = root.find("{*}asset/{*}unit")
     metres = float(unit.get("meter", "1")) if unit is not None else 1.0
     if not (np.isfinite(metres) and metres > 0):
         raise InputError(f"{path}: asset unit: expected a positive number of metres, got {metres}")

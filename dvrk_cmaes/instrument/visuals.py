@@ -14,6 +14,8 @@ from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, read_mesh, to_link_frame, weld
 
 _CYLINDER_SIDES = 64
+_LEAST_SCALE = 1e-9
+_LEAST_EXTENT = 1e-7  # m, of a primitive
 
 
 def link_triangles(
@@ -47,8 +49,8 @@ def link_triangles(
     for visual in visuals:
         where = f"{urdf}: link {link!r}"
         origin = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
-        if not np.isfinite(origin).all():
-            raise InputError(f"{where}: visual origin: expected finite numbers")
+        if not (np.abs(origin) <= LARGEST_EXTENT).all():
+            raise InputError(f"{where}: visual origin: expected numbers of at most {LARGEST_EXTENT:g} m")
         geometry = visual.geometry
         if geometry.mesh is not None:
             parts.append(_mesh(geometry.mesh, where, urdf, packages, cache, origin))
@@ -80,7 +82,7 @@ def _mesh(
         cache[path] = read_mesh(path)
     scale = np.atleast_1d(np.asarray(1.0 if mesh.scale is None else mesh.scale, dtype=np.float64))
     scale = np.repeat(scale, 3) if len(scale) == 1 else scale
-    if scale.shape != (3,) or not np.isfinite(scale).all() or np.any(scale == 0.0):
+    if scale.shape != (3,) or not ((np.abs(scale) >= _LEAST_SCALE) & (np.abs(scale) <= 1 / _LEAST_SCALE)).all():
         raise InputError(f"{where}: mesh {mesh.filename}: scale: expected three finite numbers, none zero")
     placed = to_link_frame(cache[path], origin, scale)
     extent = float(np.ptp(placed[0], axis=0).max())
@@ -110,6 +112,8 @@ def _primitive(geometry: Any, where: str) -> Triangles | None:
         raise InputError(f"{where}: {kind}: expected finite sizes, not negative, got {sizes.tolist()}")
     if np.any(sizes == 0):
         return None
+    if sizes.min() < _LEAST_EXTENT:
+        raise InputError(f"{where}: {kind}: {sizes.min():.4g} m; expected at least {_LEAST_EXTENT:g} m, or 0 for none")
     if sizes.max() > LARGEST_EXTENT:
         raise InputError(f"{where}: {kind}: {sizes.max():.4g} m; expected at most {LARGEST_EXTENT:g} m (millimetres?)")
     solid: Any

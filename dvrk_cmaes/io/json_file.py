@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 100_000_000  # bytes
+_MOST_DIGITS = 20  # of a whole number
+_SUSPECT = re.compile(r"\d{20}|[eE]\+?\d{3}")
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 # strings are matched so that comment marks within them are kept; ends are optional, so that time stays linear
 _STRING_OR_COMMENT = re.compile(r'("(?:\\.|[^"\\])*(?:"|\Z))|//[^\n]*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 
@@ -43,9 +47,46 @@ def read_json(path: str | Path, *, expected: str, comments: bool = False) -> Any
     """Read a JSON file of any document; parameters and errors as in ``read_json_object``."""
     text = read_text(path, expected=expected, largest=_LARGEST)
     try:
-        return json.loads(_without_comments(text) if comments else text)
+        return parse_json(_without_comments(text) if comments else text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected {expected}, got no valid JSON ({error})") from None
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON strictly: ValueError for what JSON does not have, or what other documents could not hold again.
+
+    These are NaN and infinity, also as numbers that are too large, whole numbers of more than 20 digits, and halves of
+    surrogate pairs in texts.
+    """
+    suspect = bool(_SUSPECT.search(text))  # the checks of single numbers take time
+    document = json.loads(
+        text,
+        parse_constant=_refuse_constant,
+        parse_float=_finite if suspect else None,
+        parse_int=_short if suspect else None,
+    )
+    if _SURROGATE.search(text):
+        try:
+            json.dumps(document, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("half of a surrogate pair in a text") from None
+    return document
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number in JSON")
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(float(text)):
+        raise ValueError(f"the number {shown(text)[1:-1]} is too large")
+    return float(text)
+
+
+def _short(text: str) -> int:
+    if len(text) > _MOST_DIGITS:
+        raise ValueError(f"a whole number of {len(text)} digits is too large")
+    return int(text)
 
 
 def _without_comments(text: str) -> str:

@@ -43,7 +43,7 @@ def image_file(message: Any, where: str) -> ImageFile:
     Raises
     ------
     InputError
-        The encoding is unknown, the data are too short or damaged, or the image has over 100 megapixels; the message
+        The encoding is unknown, the data are too short or damaged, or the image has over 36 megapixels; the message
         begins with ``where``.
     """
     return _raw(message, where) if hasattr(message, "encoding") else _compressed(message, where)

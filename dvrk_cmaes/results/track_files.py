@@ -10,11 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import log_rotation
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.json_file import parse_json
+from dvrk_cmaes.io.typed_document import Number, Point, Texts, Transform, convert_document, refused
+from dvrk_cmaes.results.tracked import TrackStatus
 
 TRACKS = "tracks.jsonl"
 TABLE = "tracks.csv"
@@ -40,13 +44,41 @@ def read_tracks(path: Path) -> list[dict[str, Any]]:
     rows = []
     for number, line in enumerate(lines[:-1], start=1):
         try:
-            row = json.loads(line)
-        except ValueError:
+            row = parse_json(line.decode())
+        except (ValueError, RecursionError):
             row = None
         if not isinstance(row, dict) or "frame" not in row:
             raise InputError(f"{path}:{number}: expected a JSON object with frame, got something else")
+        _check_row(f"{path}:{number}", row)
         rows.append(row)
     return rows
+
+
+class _Std(Struct):
+    translation_mm: Point
+    rotation_deg: Point
+    joints_deg: dict[str, Number]
+
+
+class _Row(Struct):
+    """Fields of a line that are used after it is read."""
+
+    frame: str
+    time: Number | None
+    status: TrackStatus
+    reasons: Texts
+    camera_from_root: Transform | None
+    joints: dict[str, Number]
+    std: _Std | None
+    tips: tuple[Point, ...] | None
+    seconds: Number
+
+
+def _check_row(where: str, document: dict[str, Any]) -> None:
+    row = convert_document(where, document, _Row)
+    known = {} if row.std is None else row.std.joints_deg
+    if row.camera_from_root is not None and (row.std is None or row.tips is None or set(known) != set(row.joints)):
+        raise refused(where, "std", "standard deviations of the pose and of all joints, and tips", document["std"])
 
 
 def write_table(path: Path, rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> None:

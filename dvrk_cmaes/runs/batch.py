@@ -41,6 +41,7 @@ from dvrk_cmaes.runs.output import (
     complete_results,
     locked,
     refuse_foreign_results,
+    refuse_strange_results,
     remove_results,
     remove_temporary_files,
     write_outcome,
@@ -264,6 +265,8 @@ def _prepare(
         if old is None:
             continue
         check_same_settings(place, old, manifest)
+        if place == folder:
+            refuse_strange_results(folder, others, session)
         there = {name: s for name, s in complete_results(place).items() if not (retry_failed and s == "failed")}
         check_same_frames(place, old, digests, done=there, session=session)
         kept |= there

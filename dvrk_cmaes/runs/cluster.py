@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +14,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.runs.executor import ExternalExecutor
 
+_ADDRESS: Final = re.compile(r"(?:tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})")
 _TIMEOUT: Final = 15  # s, for the connection to the scheduler, and then for its first worker
 
 
@@ -44,6 +47,7 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[ExternalExecutor
         raise InputError(f"--scheduler: Dask is missing ({error}); pip install 'dvrk-cmaes[cluster]'") from None
     connect: Any = Client  # Dask has no type annotations
     try:
+        _check_address(address)
         client = connect(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler: expected a Dask scheduler's address, got {shown(address)}: {error}") from None
@@ -60,6 +64,16 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[ExternalExecutor
             return max(1, int(sum(client.nthreads().values())))
 
         yield ExternalExecutor(client.get_executor(pure=False), at_once, (KilledWorker,))
+
+
+def _check_address(address: str) -> None:
+    """Raise ValueError for no address, OSError where nothing answers, before Dask tries for long and prints much."""
+    parts = _ADDRESS.fullmatch(address)
+    if parts is None:
+        raise ValueError("expected tcp://HOST:PORT")
+    if int(parts[2]) not in range(1, 2**16):
+        raise ValueError("expected a port from 1 to 65535")
+    socket.create_connection((parts[1].strip("[]"), int(parts[2])), timeout=_TIMEOUT).close()
 
 
 def _check_workers(client: Any, folder: Path) -> None:

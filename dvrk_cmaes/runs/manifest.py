@@ -11,14 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from dvrk_cmaes._version import __version__
+from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
 from dvrk_cmaes.runs.digests import calibration_digest, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
@@ -33,9 +34,25 @@ _MOST_SHOWN: Final = 5
 _ADVICE: Final = "choose another --out, or begin anew with --overwrite"
 
 
-class _ManifestFields(Struct):
-    """Fields of a manifest that are checked when it is read; the settings are only compared."""
+class _Instrument(Struct):
+    name: str
 
+
+class _Trust(Struct):
+    largest_base_deg: PositiveNumber = TrustConfig.largest_base_deg
+
+
+class _Config(Struct):
+    trust: _Trust = field(default_factory=_Trust)
+
+
+class _ManifestFields(Struct):
+    """Fields of a manifest that are used after it is read; the others are only compared."""
+
+    version: str
+    session: str
+    instrument: _Instrument
+    config: _Config
     frames: dict[str, dict[str, str] | None]
 
 

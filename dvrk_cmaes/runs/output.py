@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from filelock import FileLock, Timeout
 
+from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.atomic import not_written, write_bytes
+from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import SESSION, SUMMARY
 from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
@@ -32,7 +34,8 @@ _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")  # names of the temporary
 def locked(out: Path) -> Iterator[None]:
     """Return a context manager that locks a folder against other batches; the folder is made if it does not exist.
 
-    The operating system releases the lock when the process ends, even if it is killed.
+    The operating system releases the lock when the process ends, even if it is killed. If the run is refused, with an
+    `InputError`, the lock's file and the folders that were made for it are removed again.
 
     Raises
     ------
@@ -42,6 +45,8 @@ def locked(out: Path) -> Iterator[None]:
         The folder cannot be made or written to.
     """
     lock = FileLock(out / LOCK)
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    there = (out / LOCK).exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0)
@@ -51,6 +56,13 @@ def locked(out: Path) -> Iterator[None]:
         raise not_written(out, error, "results") from None
     try:
         yield
+    except InputError:
+        if not there:
+            (out / LOCK).unlink(missing_ok=True)
+        for folder in made:
+            with suppress(OSError):  # not empty, or removed already
+                folder.rmdir()
+        raise
     finally:
         lock.release()
 
@@ -91,6 +103,24 @@ def refuse_foreign_results(out: Path) -> None:
     """Raise `InputError` if a folder has results that are not those of a batch."""
     if not (out / MANIFEST).exists() and (out / "frames").is_dir() and any((out / "frames").glob("*.json")):
         raise InputError(f"{out}: it has results, but not of a batch (no {MANIFEST}); choose another --out")
+
+
+def refuse_strange_results(out: Path, chosen: Collection[str], session: Collection[str]) -> None:
+    """Check, before frames are estimated, that all results in a folder can be read when they are.
+
+    Raises
+    ------
+    InputError
+        A result is not of one of the session's frames, or it is damaged and not among the chosen frames, which are
+        estimated again; or the folder has a calibration that is damaged.
+    """
+    for path in sorted((out / "frames").glob("*.json")):
+        if path.stem not in session:
+            raise InputError(f"{path}: expected a result of a frame of the session, which has no {shown(path.stem)}")
+        if path.stem not in chosen:
+            read_result(path)
+    if (out / SESSION).exists():
+        read_calibration(out / SESSION)
 
 
 def complete_results(out: Path) -> dict[str, Status]:

@@ -19,6 +19,7 @@ from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import not_written, write_json, write_text
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
@@ -142,7 +143,7 @@ def track_folder(
 def _forwards(run: _Run, *, resume: bool) -> tuple[list[dict[str, Any]], Tracker]:
     """Follow all frames, and write each row when it is there; returns the rows so far and the tracker."""
     tracker = run.settings.tracker(run.session.camera, run.body)
-    rows = _restored(run.out, tracker) if resume else []
+    rows = _restored(run.out, tracker, run.body.instrument.joint_names) if resume else []
     kept, total = len(rows), len(run.frames)
     run.progress(kept, total, None)
     with _lines(run.out, rows) as append:
@@ -200,7 +201,7 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
     return manifest_of(setup, {files.name: frame_digests(files) for files in frames}) | {"track": followed}
 
 
-def _restored(out: Path, tracker: Tracker) -> list[dict[str, Any]]:
+def _restored(out: Path, tracker: Tracker, joints: Sequence[str]) -> list[dict[str, Any]]:
     """Return the rows of an interrupted run that the saved state of its tracker belongs to, and restore that state."""
     path = out / CHECKPOINT
     if not path.exists() or not (out / TRACKS).exists():
@@ -210,6 +211,10 @@ def _restored(out: Path, tracker: Tracker) -> list[dict[str, Any]]:
     count = saved.get("frames")
     if not isinstance(count, int) or not isinstance(saved.get("state"), dict) or not 0 <= count <= len(rows):
         raise InputError(f"{path}: expected the state after a number of frames, got another: begin with --overwrite")
+    located = [row for row in rows if row["camera_from_root"] is not None]
+    strange = next((row["frame"] for row in located if {*row["joints"]} != {*joints}), None)
+    if strange is not None:
+        raise InputError(f"{out / TRACKS}: frame {shown(strange)}: expected the joints {', '.join(joints)}")
     tracker.restore(saved["state"])
     return rows[:count]
 

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.quiet_stderr import native_messages
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.segment.sam2_exports import FAMILIES, Family, Tensors
 from dvrk_cmaes.segment.sam2_images import SIDE
@@ -62,7 +64,8 @@ class OnnxModel:
         """
         feeds = {name: tensors[name].astype(_DTYPES[kind], copy=False) for name, (kind, _) in self.inputs.items()}
         try:
-            return [np.asarray(output) for output in self.session.run(None, feeds)]
+            with native_messages():
+                return [np.asarray(output) for output in self.session.run(None, feeds)]
         except Exception as error:  # onnxruntime's errors have no common base class
             raise DvrkCmaesError(f"{self.file}: the model failed: {one_line(error)}") from None
 
@@ -166,8 +169,10 @@ def _open(file: Path, threads: int) -> OnnxModel:
     options.log_severity_level = 4  # log fatal errors only: other errors are raised
     options.use_deterministic_compute = True
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads sleep
+    check_file(file, expected="a model (ONNX)")
     try:
-        session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        with native_messages():
+            session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors have no common base class
         raise InputError(f"{file}: {_describe_load_error(file, error, onnxruntime.__version__)}") from None
     return OnnxModel(

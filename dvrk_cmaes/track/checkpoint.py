@@ -7,12 +7,15 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.track.hypothesis import Hypothesis
 from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.outline_model import OutlineModel
-from dvrk_cmaes.track.state import FilterState
+from dvrk_cmaes.track.state import FilterState, Layout
+
+Float64 = NDArray[np.float64]
 
 
 def plain_hypothesis(one: Hypothesis) -> dict[str, Any]:
@@ -29,16 +32,33 @@ def _plain(part: object) -> dict[str, Any]:
 
 def read_hypothesis(values: Mapping[str, Any], model: OutlineModel) -> Hypothesis:
     """Return the hypothesis of plain values, its outline drawn again; InputError if they are not those of one."""
+    joints_read = len(model.instrument.joint_names)
+    size = Layout(joints_read).size
+    shapes = {
+        "camera_from_base": (4, 4),
+        "offsets": (1 + joints_read,),
+        "slack": (4, 4),
+        "rate": (6 + joints_read,),
+        "covariance": (size, size),
+    }
     try:
-        state = FilterState(**{name: np.array(value, dtype=np.float64) for name, value in values["state"].items()})
+        state = FilterState(**{name: _array(values["state"][name], shape) for name, shape in shapes.items()})
         plain = values["anchor"]
-        outer, joints, outer_rate, joint_rate = (
-            np.array(plain[name], dtype=np.float64) for name in ("outer", "joints", "outer_rate", "joint_rate")
-        )
-        read = np.array(plain["joint_read"], dtype=np.bool_)
+        outer, outer_rate = (_array(plain[name], (4,)) for name in ("outer", "outer_rate"))
+        joints, joint_rate = (_array(plain[name], (joints_read,)) for name in ("joints", "joint_rate"))
+        read = np.array(plain["joint_read"], dtype=np.bool_).reshape(joints_read)
         anchor = Anchor(outer, joints, outer_rate, joint_rate, bool(plain["outer_read"]), read, bool(plain["based"]))
+        sigma, score = (float(_array(values[name], ())) for name in ("sigma", "score"))
         drawn = values["rim"]
-        rim = None if drawn is None else model.draw(*(np.array(part, dtype=np.float64) for part in drawn))
-        return Hypothesis(state, anchor, float(values["sigma"]), float(values["score"]), str(values["relation"]), rim)
-    except (KeyError, TypeError, ValueError, AttributeError):
+        rim = None if drawn is None else model.draw(_array(drawn[0], (4, 4)), _array(drawn[1], (joints_read,)))
+        return Hypothesis(state, anchor, sigma, score, str(values["relation"]), rim)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         raise InputError("checkpoint: expected the state of a tracker, got something else") from None
+
+
+def _array(value: object, shape: tuple[int, ...]) -> Float64:
+    """Return finite numbers of a shape; ValueError for others."""
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError
+    return array

@@ -158,7 +158,7 @@ class Tracker:
             self._lags.restore(saved["lags"])
             self._search = Searching(*(float(value) for value in saved["search"]))
             self._images.last = None if saved["last_image"] is None else int(saved["last_image"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
             raise InputError("checkpoint: expected the state of a tracker, got something else") from None
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import LossWeights
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, shrunk
@@ -51,7 +52,13 @@ class Objective:
             weight = shrunk(full_weight, *size)
             mask = np.asarray(shrunk(mask * full_weight, *size) / np.maximum(weight, 1e-6), dtype=np.float32)
         scale = camera.width / evidence.mask.shape[1]
-        far = distance_field(mask > 0.5, field) / (decay * scale)
+        inside = mask > 0.5
+        if inside.all() or not inside.any():
+            raise InputError(
+                f"mask: expected an instrument and background that show in {camera.width} x {camera.height} pixels, "
+                f"as the search draws it, got {'no background' if inside.any() else 'no instrument'}"
+            )
+        far = distance_field(inside, field) / (decay * scale)
         self._area = float((mask * weight).sum())
         self._square = float((mask * mask * weight).sum())
         self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)
