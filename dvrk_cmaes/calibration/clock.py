@@ -78,14 +78,14 @@ class Clock:
 
     def model_at(self, model: SessionModel, delay: Delay) -> SessionModel:
         """Return the model with the readings of the times of the images less the lag."""
-        read = self._read_times(delay)
+        read = self.read_times(delay)
         outer, joints = self.series.at(OUTER_JOINTS, read), self.series.at(model.names, read - delay.joints)
-        return model.of_readings(outer, joints, model.deviations, model.inflation)
+        return model.of_readings(outer, joints, model.deviations, model.inflation, model.correction)
 
     def has_readings(self, delay: Delay) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
-        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self._read_times(delay))).any(axis=1))
+        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self.read_times(delay))).any(axis=1))
 
-    def _read_times(self, delay: Delay) -> Float64:
+    def read_times(self, delay: Delay) -> Float64:
         """Return the times (N,) at which the arm was read as the images show it."""
         return np.asarray(self.times - delay.value - delay.drift * (self.times - self.middle))

@@ -66,6 +66,26 @@ class Calibration:
         return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:])
 
 
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Correction of the readings of roll and of the instrument's joints in N frames, beyond their offsets.
+
+    ``values`` and ``variances`` (N, 1 + J), rad and rad^2, are the expected errors and the variances of these.
+    """
+
+    values: Float64
+    variances: Float64
+
+    @classmethod
+    def none(cls, frames: int, joints: int) -> Correction:
+        """Return the correction that changes nothing, for J joints."""
+        return cls(np.zeros((frames, 1 + joints)), np.zeros((frames, 1 + joints)))
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Correction:
+        """Return the correction of the frames at some indices."""
+        return Correction(self.values[index], self.variances[index])
+
+
 class SessionModel:
     """Model that predicts the poses and joints of N frames from their readings and a calibration.
 
@@ -83,6 +103,8 @@ class SessionModel:
         Kinematics of the outer arm, as in `base_from_root`.
     inflation : (N, 1 + J)
         Factors on the standard deviations of roll and of the instrument's joints in each frame; 1 by default.
+    correction
+        What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
     """
 
     def __init__(
@@ -95,7 +117,9 @@ class SessionModel:
         arm: Arm = "classic",
         roll_offset: float = ROLL_OFFSET,
         inflation: Float64 | None = None,
+        correction: Correction | None = None,
     ) -> None:
+        self.correction = Correction.none(*joints.shape) if correction is None else correction
         self.inflation = np.ones((len(outer), 1 + len(joint_names))) if inflation is None else inflation
         self.outer = outer
         self.joints = joints
@@ -112,29 +136,45 @@ class SessionModel:
 
     def with_deviations(self, deviations: Deviations) -> SessionModel:
         """Return a model of the same readings with other standard deviations."""
-        return self.of_readings(self.outer, self.joints, deviations, self.inflation)
+        return self.of_readings(self.outer, self.joints, deviations, self.inflation, self.correction)
+
+    def with_correction(self, correction: Correction) -> SessionModel:
+        """Return a model of the same readings with another correction."""
+        return self.of_readings(self.outer, self.joints, inflation=self.inflation, correction=correction)
 
     def with_inflation(self, inflation: Float64) -> SessionModel:
         """Return a model of the same readings with other factors (N, 1 + J) on the standard deviations."""
-        return self.of_readings(self.outer, self.joints, inflation=inflation)
+        return self.of_readings(self.outer, self.joints, inflation=inflation, correction=self.correction)
 
     def of_readings(
-        self, outer: Float64, joints: Float64, deviations: Deviations | None = None, inflation: Float64 | None = None
+        self,
+        outer: Float64,
+        joints: Float64,
+        deviations: Deviations | None = None,
+        inflation: Float64 | None = None,
+        correction: Correction | None = None,
     ) -> SessionModel:
         """Return a model of other readings, (N, 4) and (N, J), of the same arm and instrument.
 
-        ``deviations`` are by default those of this model, ``inflation`` (N, 1 + J) is by default 1.
+        ``deviations`` are by default those of this model, ``inflation`` (N, 1 + J) is by default 1, and nothing is
+        corrected.
         """
-        used = self.deviations if deviations is None else deviations
         return SessionModel(
-            outer, joints, self.names, used, arm=self._arm, roll_offset=self._roll_offset, inflation=inflation
+            outer,
+            joints,
+            self.names,
+            self.deviations if deviations is None else deviations,
+            arm=self._arm,
+            roll_offset=self._roll_offset,
+            inflation=inflation,
+            correction=correction,
         )
 
     def base_from_root(self, offsets: Float64) -> Float64:
-        """Compute the forward kinematics (N, 4, 4) of the readings corrected by offsets (2 + J,)."""
+        """Compute the forward kinematics (N, 4, 4) of the corrected readings and offsets (2 + J,)."""
         outer = self.outer.copy()
         outer[:, 2] += offsets[0]
-        outer[:, 3] += offsets[1]
+        outer[:, 3] += offsets[1] + self.correction.values[:, 0]
         return base_from_root(outer, self._arm, roll_offset=self._roll_offset)
 
     def predict(self, calibration: Calibration) -> tuple[Float64, Float64]:
@@ -144,7 +184,7 @@ class SessionModel:
         """
         read = np.where(self._has_reading, self.joints, 0.0)
         poses = calibration.camera_from_base @ self.base_from_root(calibration.offsets)
-        return np.asarray(poses), read + calibration.offsets[2:]
+        return np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:]
 
     def jacobian(self, calibration: Calibration) -> Float64:
         """Compute the Jacobian (N, 6 + J, 8 + J) of the predictions with respect to a step of the calibration.
@@ -169,7 +209,7 @@ class SessionModel:
         for k in range(len(OUTER_JOINTS)):
             outer = self.outer.copy()
             outer[:, k] += _STEP
-            there = self.of_readings(outer, self.joints).base_from_root(calibration.offsets)
+            there = self.of_readings(outer, self.joints, correction=self.correction).base_from_root(calibration.offsets)
             out[k, :, :6] = change_between(here, there) * self.deviations.outer[k] / _STEP
         out[3] *= self.inflation[:, :1]
         return out
@@ -181,9 +221,12 @@ class SessionModel:
         """
         count = len(self.names)
         loadings = self.outer_loadings(calibration)
+        roll = np.square(self.deviations.outer[3] * self.inflation[:, 0])
+        loadings[3] *= np.sqrt(1 + self.correction.variances[:, :1] / roll[:, None])
         out = np.einsum("kni,knj->nij", loadings, loadings)
         out[:, :6, :6] += np.diag(self.deviations.slack**2)
-        joint = np.where(self._has_reading, (self.deviations.joints * self.inflation[:, 1:]) ** 2, _UNREAD_STD**2)
+        read = (self.deviations.joints * self.inflation[:, 1:]) ** 2 + self.correction.variances[:, 1:]
+        joint = np.where(self._has_reading, read, _UNREAD_STD**2)
         out[:, 6:, 6:] += joint[:, :, None] * np.eye(count)
         return np.asarray(out)
 
@@ -195,7 +238,12 @@ class SessionModel:
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> SessionModel:
         """Return the model of the frames at some indices."""
-        return self.of_readings(self.outer[index], self.joints[index], inflation=self.inflation[index])
+        return self.of_readings(
+            self.outer[index],
+            self.joints[index],
+            inflation=self.inflation[index],
+            correction=self.correction.subset(index),
+        )
 
 
 def outer_readings(readings: Sequence[Mapping[str, float]]) -> Float64:

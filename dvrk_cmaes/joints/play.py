@@ -1,0 +1,81 @@
+"""Play of cable-driven joints: how far a joint stays behind its reading, given all readings before.
+
+The joint stands still while its reading moves within a band of half width ``width`` around it, and is dragged along by
+the end of the band otherwise (the play, or backlash, operator). Two such bands are used for each joint, one of a third
+of the width of the other, because a cable gives way before it slips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+
+NARROW: Final = 1 / 3
+"""Width of the narrow band, relative to the wide one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lags:
+    """How far C joints stay behind their readings, rad: ``wide`` and ``narrow`` (..., C), for the two bands."""
+
+    wide: Float64
+    narrow: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class PlayState:
+    """Places of C joints within their play: ``wide`` and ``narrow`` (C,), rad, for the two bands.
+
+    A joint without a reading so far has NaN.
+    """
+
+    wide: Float64
+    narrow: Float64
+
+    @classmethod
+    def unknown(cls, joints: int) -> PlayState:
+        """Return the state before any reading."""
+        return cls(np.full(joints, np.nan), np.full(joints, np.nan))
+
+    def after(self, readings: Float64, width: Float64) -> PlayState:
+        """Return the state after readings (C,), rad, NaN where there is none; ``width`` (C,), rad.
+
+        The first reading of a joint is taken for its place.
+        """
+        return PlayState(_moved(self.wide, readings, width), _moved(self.narrow, readings, NARROW * width))
+
+    def lags(self, readings: Float64) -> Lags:
+        """Return how far the joints stay behind readings (C,), rad; zero where either is unknown."""
+        return Lags(np.nan_to_num(self.wide - readings), np.nan_to_num(self.narrow - readings))
+
+
+def _moved(place: Float64, readings: Float64, width: Float64) -> Float64:
+    """Return places (C,) after readings (C,), which drag them along."""
+    dragged = np.clip(np.where(np.isnan(place), readings, place), readings - width, readings + width)
+    return np.where(np.isnan(readings), place, dragged)
+
+
+def lags_of(readings: Float64, width: Float64) -> Lags:
+    """Return the lags (N, C) of N readings (N, C), rad, in the order of time; ``width`` (C,), rad."""
+    places = [
+        np.stack([_places(column, factor * band) for column, band in zip(readings.T, width, strict=True)], axis=1)
+        for factor in (1.0, NARROW)
+    ]
+    return Lags(*(np.nan_to_num(place - readings) for place in places))
+
+
+def _places(readings: Float64, width: float) -> Float64:
+    """Return the place (N,) of one joint within its play at each of N readings, NaN before the first."""
+    found, place = [], float("nan")
+    for reading in readings.tolist():
+        if place != place:  # not known yet
+            place = reading
+        elif reading == reading:
+            place = min(max(place, reading - width), reading + width)
+        found.append(place)
+    return np.array(found)
