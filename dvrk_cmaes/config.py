@@ -271,6 +271,8 @@ class SessionConfig:
     largest_misfit
         Squared misfit per degree of freedom above which a frame disagrees with the session. A new frame below it, whose
         mask the predicted pose explains, is not searched globally.
+    cables
+        Whether coupling, play and wander of the cables are estimated, beside the offsets.
     """
 
     arm_deg: float = 0.1
@@ -293,6 +295,7 @@ class SessionConfig:
     turn_deg: float = 30.0
     cauchy: float = 0.25
     largest_misfit: float = 12.0
+    cables: bool = True
 
 
 @dataclass(frozen=True)

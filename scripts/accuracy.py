@@ -10,6 +10,7 @@
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
+    python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
@@ -31,6 +32,7 @@ from typing import Any, Final
 
 import numpy as np
 from accuracy_bound import bound_report
+from accuracy_cables import cables_report
 from accuracy_calibration import calibration_report
 from accuracy_camera import camera_report, wrong_camera_cases
 from accuracy_cases import Case, Run, read_cases, run_cases
@@ -120,6 +122,9 @@ def _parser() -> argparse.ArgumentParser:
         "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
     )
     parser.add_argument("--no-joints", action="store_true", help="for track: follow without readings")
+    parser.add_argument(
+        "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
+    )
     parser.add_argument("--smooth", action="store_true", help="for track: smooth")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
@@ -250,6 +255,13 @@ def track(arguments: argparse.Namespace) -> Report:
     )
 
 
+def cables(arguments: argparse.Namespace) -> Report:
+    """Report the errors of joints that the other frames of recordings predict, with and without the cables."""
+    cases = _original(arguments)
+    runs = _run(arguments, cases) if arguments.estimated else []
+    return cables_report(arguments.sessions, arguments.instrument, _config(arguments), runs, cases)
+
+
 def camera(arguments: argparse.Namespace) -> Report:
     """Report how many sessions contradict their camera file, right and with a focal length that is 10 % off."""
     bases, cases = read_bases(arguments.sessions), _original(arguments)
@@ -269,6 +281,7 @@ COMMANDS: Final = {
     "session-lies": session_lies,
     "lag": lag,
     "track": track,
+    "cables": cables,
     "camera": camera,
 }
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.camera_change import SessionOutlines, changed, estimate_camera
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
@@ -122,6 +123,7 @@ class Alternation:
         self._prior = np.zeros((8 + len(names),) * 2)
         self._prior[6:, 6:] = np.diag(1 / self._offset_std**2)
         self._modes = [self._modes_of(frame.result) for frame in frames]
+        self.cables = CableEstimate(names, deviations, self._offset_std[1:])
         self.lag = LagEstimate(series, [frame.name for frame in frames], deviations.outer)
 
     def _joints(self, joints: dict[str, float]) -> Float64:
@@ -250,10 +252,9 @@ class Alternation:
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             keep_all = scale != 1.0
             stacked = _stacked([fit if _explains(fit) or keep_all else fit.without_outline() for fit in self.fits])
-            for _ in range(_EM_ITERATIONS):
-                self.solution = solve(self.model, stacked, calibration, self._prior)
-                calibration = self.solution.calibration
-                self.model = estimate_variances(self.model, stacked, calibration, self.solution.weights, session)
+            calibration = self._solve(stacked, calibration)
+            if scale == 1.0 and session.cables:
+                calibration = self._correct_cables(stacked, calibration)
             self.lag.refine(self.model, stacked, calibration, self._prior)
             self._correct_lag()
             if self._refine_camera and iteration + 1 < len(scales):
@@ -264,6 +265,25 @@ class Alternation:
             self.warnings.append(
                 f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
             )
+
+    def _solve(self, fits: FrameFits, calibration: Calibration) -> Calibration:
+        """Alternate between estimating the calibration and the variances, from a calibration to start with."""
+        session = self._config.session
+        initial = self.cables.deviations(Deviations.of(session, self.model.names))
+        for _ in range(_EM_ITERATIONS):
+            self.solution = solve(self.model, fits, calibration, self._prior)
+            calibration, weights = self.solution.calibration, self.solution.weights
+            self.model = estimate_variances(self.model, fits, calibration, weights, session, initial)
+        return calibration
+
+    def _correct_cables(self, fits: FrameFits, calibration: Calibration) -> Calibration:
+        """Estimate the cables, and solve again with the corrected readings, from a calibration to start with."""
+        self.model = self.cables.corrected(self.model, fits, self.solution, self.lag)
+        initial = self.cables.deviations(self.model.deviations)
+        if initial is None:
+            return calibration
+        self.model = self.model.with_deviations(initial)
+        return self._solve(fits, calibration)
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""
@@ -355,7 +375,10 @@ class Alternation:
                     text += f"{deviation:.1f} times the expected error from what it expects"
                 reasons[frame.name] = text
                 doubts = [text, *doubts]
-            poses, joints = self.model.subset([i]).predict(leave_one_out(solution, i))
+            one, without = self.model.subset([i]), leave_one_out(solution, i)
+            poses, joints = one.predict(without)
+            jacobian = one.jacobian(without)[0]
+            spread = one.covariance(without)[0] + jacobian @ solution.covariance @ jacobian.T
             tasks.append(
                 ReportTask(
                     self._stored[i],
@@ -363,6 +386,7 @@ class Alternation:
                     fit,
                     covariance[i],
                     (poses[0], joints[0]),
+                    np.sqrt(np.diag(spread)[6:]),
                     np.asarray(fit.camera_from_root @ inverse(base_from_root[i])),
                     tuple(doubts),
                     bool(agree[i]),

@@ -18,6 +18,7 @@ from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
@@ -130,6 +131,9 @@ def calibrate_session(
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
         lag=alternation.lag.lag,
         lag_curve=alternation.lag.curve,
+        cables=SessionCables.of(
+            alternation.cables, tuple(frame.name for frame in alternation.frames), alternation.lag.seconds()
+        ),
         camera=alternation.camera,
         warnings=tuple(alternation.warnings),
         seconds=time.perf_counter() - started,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.play import Lags, lags_between
 from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
@@ -19,6 +20,7 @@ RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
 """Least and largest lag of the search, by unit."""
 
 _STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
+_FRAME_SECONDS = 1 / 30  # between images that have no times
 _MOST_STEPS = 61
 _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
 
@@ -81,6 +83,24 @@ class Clock:
         read = self.read_times(delay)
         outer, joints = self.series.at(OUTER_JOINTS, read), self.series.at(model.names, read - delay.joints)
         return model.of_readings(outer, joints, model.deviations, model.inflation, model.correction)
+
+    def seconds(self, delay: Delay) -> Float64:
+        """Return the times (N,), s, at which the arm was read; images that are only counted are 1 / 30 s apart."""
+        factor = 1.0 if self.series.unit == "s" else _FRAME_SECONDS
+        return factor * self.read_times(delay)
+
+    def lags(self, names: Sequence[str], readings: Float64, width: Float64, delay: Delay) -> Lags:
+        """Return how far C joints stay behind their readings (N, C) at the times of the frames less the lag.
+
+        ``width`` (C,), rad, is that of their play; all readings of the series count.
+        """
+        at, found = self.read_times(delay), []
+        for name, column, band in zip(names, readings.T, width, strict=True):
+            times, values = self.series.times.get(name), self.series.values.get(name)
+            if times is None or values is None:
+                times, values = np.zeros(1), np.full(1, np.nan)
+            found.append(lags_between(times, values, float(band), at, column))
+        return Lags(*(np.stack(part, axis=1) for part in zip(*found, strict=True)))
 
     def has_readings(self, delay: Delay) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""

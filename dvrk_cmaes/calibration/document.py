@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
@@ -32,6 +33,7 @@ from dvrk_cmaes.io.typed_document import (
     convert_document,
     present_fields,
     read_covariance,
+    refused,
 )
 from dvrk_cmaes.joints.lag import Lag, LagDocument
 
@@ -86,6 +88,7 @@ class SessionCalibration:
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
+    cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
@@ -104,6 +107,7 @@ class SessionCalibration:
     contour_px_95: Number = 0.0
     lag: Lag | None = None
     lag_curve: LagCurve | None = None
+    cables: SessionCables | None = None
     camera: SessionCamera | None = None
     untold: Texts = ()
     warnings: Texts = ()
@@ -164,6 +168,7 @@ class SessionCalibration:
             "quality": {"iou": rounded(self.iou), "contour_px_95": rounded(self.contour_px_95)},
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
+            "cables": None if self.cables is None else self.cables.to_dict(),
             "camera": None if self.camera is None else self.camera.to_dict(),
             "arm": self.arm,
             "roll_offset": self.roll_offset,
@@ -197,15 +202,21 @@ class SessionCalibration:
             "iou": parts.quality.iou,
             "contour_px_95": parts.quality.contour_px_95,
         }
+        cables = SessionCables.from_document(where, fields.pop("cables", None))
+        if cables is not None and tuple(cables.joints) != tuple(parts.offsets)[1:]:
+            raise refused(where, "cables.joints", ", ".join(tuple(parts.offsets)[1:]), list(cables.joints))
         fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve")}
         return replace(
             convert_document(where, fields, cls),
             lag=Lag.from_document(parts.lag),
+            cables=cables,
             lag_curve=LagCurve.from_document(parts.lag_curve),
         )
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
+
+        Of the cables, it has what the reading of a frame alone tells.
 
         Raises
         ------
@@ -223,9 +234,22 @@ class SessionCalibration:
             raise InputError(f"session: spreads: expected those of {', '.join(needed)}, got no {', '.join(missing)}")
         values = [self.spreads[name] for name in needed]
         slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
-        deviations = Deviations(np.array(values[:4]), np.array(values[4:-2]), slack)
-        model = SessionModel(outer, joints, joint_names, deviations, arm=self.arm, roll_offset=self.roll_offset)
-        return model, Calibration(self.camera_from_base, np.array(list(self.offsets.values())))
+        offsets = np.array(list(self.offsets.values()))
+        correction = None
+        if self.cables is not None:
+            values[3:-2] = self.cables.alone.noise
+            offsets[1:] = self.cables.alone.offset
+            correction = self.cables.correction_alone(np.concatenate([outer[:, 3:], joints], axis=1))
+        model = SessionModel(
+            outer,
+            joints,
+            joint_names,
+            Deviations(np.array(values[:4]), np.array(values[4:-2]), slack),
+            arm=self.arm,
+            roll_offset=self.roll_offset,
+            correction=correction,
+        )
+        return model, Calibration(self.camera_from_base, offsets)
 
 
 def describe_solution(
@@ -239,6 +263,9 @@ def describe_solution(
     deviations, given_camera = model.deviations, solution.covariance
     covariance = given_camera + of_camera
     std = np.sqrt(np.diag(covariance))
+    # from frame to frame, for those who correct by the offsets only
+    corrected = np.concatenate([deviations.outer[3:], deviations.joints])
+    uncorrected = np.hypot(corrected, np.std(model.correction.values, axis=0))
     return {
         "camera_from_base": solution.calibration.camera_from_base,
         "offsets": dict(zip(names, solution.calibration.offsets.tolist(), strict=True)),
@@ -246,8 +273,8 @@ def describe_solution(
         "covariance": covariance,
         "covariance_given_camera": given_camera,
         "spreads": {
-            **dict(zip(("yaw", "pitch", "insertion", "roll"), deviations.outer.tolist(), strict=True)),
-            **dict(zip(model.names, deviations.joints.tolist(), strict=True)),
+            **dict(zip(("yaw", "pitch", "insertion"), deviations.outer[:3].tolist(), strict=True)),
+            **dict(zip(("roll", *model.names), uncorrected.tolist(), strict=True)),
             "slack_translation": float(deviations.slack[0]),
             "slack_rotation": float(deviations.slack[3]),
         },

@@ -125,10 +125,10 @@ class ReportTask:
     """Arguments of `report_task`.
 
     ``result`` is the frame's own result, ``fit`` its fit with the session's prior and ``covariance`` (D, D) that of the
-    fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, ``base``
-    (4, 4) the camera_from_base of the fit and the corrected readings, ``doubts`` the texts of reasons to doubt the
-    frame. If ``agree`` is true, the frame's new result is the fit, otherwise its own result. ``config`` is stored with
-    the result.
+    fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, and
+    ``predicted_std`` (J,) the standard deviations of these joints, rad. ``base`` (4, 4) is the camera_from_base of the
+    fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
+    frame's new result is the fit, otherwise its own result. ``config`` is stored with the result.
     """
 
     stored: StoredEvidence
@@ -136,6 +136,7 @@ class ReportTask:
     fit: FrameFit
     covariance: Float64
     predicted: PoseAndJoints
+    predicted_std: Float64
     base: Float64
     doubts: tuple[str, ...]
     agree: bool
@@ -146,12 +147,14 @@ class ReportTask:
 class LeaveOneOutPrediction:
     """Prediction of a frame by the session's other frames: camera_from_root (4, 4) and joints (J,), rad.
 
+    ``joint_std`` (J,), rad, are the standard deviations of the joints.
     ``iou`` is the intersection over union of the predicted silhouette and the mask, ``contour_px`` the median distance
     of their contours, px.
     """
 
     camera_from_root: Float64
     joints: Float64
+    joint_std: Float64
     iou: float
     contour_px: float
 
@@ -245,7 +248,9 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         )
     else:
         result = replace(own_result, status="doubtful", reasons=(*own_result.reasons, *task.doubts))
-    leave_one_out = LeaveOneOutPrediction(*task.predicted, qualities[0].iou, qualities[0].contour_px_median)
+    leave_one_out = LeaveOneOutPrediction(
+        *task.predicted, task.predicted_std, qualities[0].iou, qualities[0].contour_px_median
+    )
     return FrameReport(result, leave_one_out)
 
 

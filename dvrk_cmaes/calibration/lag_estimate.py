@@ -14,6 +14,7 @@ from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, describe_lag, searc
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.play import Lags
 from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
@@ -91,8 +92,7 @@ class LagEstimate:
         """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`."""
         if self.lag is None or self._clock is None:
             return
-        delay = Delay() if self.applied is None else self._clock.delay_of(self.applied)
-        found = LagRefiner(self._clock, model, fits, calibration, prior, delay).estimate_joints()
+        found = LagRefiner(self._clock, model, fits, calibration, prior, self._delay(self._clock)).estimate_joints()
         if found is not None:
             frame = self._clock.series.interval
             self.lag = replace(self.lag, wrist_frames=found.value / frame, std_wrist_frames=found.std / frame)
@@ -115,6 +115,18 @@ class LagEstimate:
         if self.applied is None or self._clock is None:
             return model
         return self._clock.model_at(model, self._clock.delay_of(self.applied))
+
+    def seconds(self) -> Float64 | None:
+        """Return the times (N,), s, at which the arm was read as the images show it; None without an order."""
+        return None if self._clock is None else self._clock.seconds(self._delay(self._clock))
+
+    def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Lags | None:
+        """Return how far joints stay behind their readings, as `Clock.lags`; None without an order."""
+        return None if self._clock is None else self._clock.lags(names, readings, width, self._delay(self._clock))
+
+    def _delay(self, clock: Clock) -> Delay:
+        """Return the lag that is taken out, as a delay."""
+        return Delay() if self.applied is None else clock.delay_of(self.applied)
 
     def select(self, kept: Sequence[int]) -> None:
         """Keep only the frames at some indices."""

@@ -25,7 +25,12 @@ _MAX_ROLL_INFLATION, _MAX_JOINT_INFLATION = 20.0, 2.0
 
 
 def estimate_variances(
-    model: SessionModel, fits: FrameFits, calibration: Calibration, weights: Float64, config: SessionConfig
+    model: SessionModel,
+    fits: FrameFits,
+    calibration: Calibration,
+    weights: Float64,
+    config: SessionConfig,
+    initial: Deviations | None = None,
 ) -> SessionModel:
     """Return the model after one iteration of expectation-maximisation.
 
@@ -39,8 +44,10 @@ def estimate_variances(
         Robust weights of the frames.
     config
         Initial standard deviations and their limits.
+    initial
+        Initial standard deviations, where they are not those of ``config``.
     """
-    start = Deviations.of(config, model.names)
+    start = Deviations.of(config, model.names) if initial is None else initial
     frames = marginalise(model, fits, calibration)
     inverse = np.linalg.inv(model.covariance(calibration))
 

@@ -162,6 +162,10 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {name:<12s} {offset * 1e3:>+8.2f} mm    std {deviation * 1e3:.2f}")
         else:
             yield Line(f"  {name:<12s} {np.degrees(offset):>+8.2f} deg   std {np.degrees(deviation):.2f}")
+    if calibration.cables is not None:
+        yield Line("cables: what they add to the offsets", "bold")
+        for text in calibration.cables.in_words():
+            yield Line(f"  {text}")
     if calibration.camera is not None:
         yield Line(f"camera, against its file: {calibration.camera.describe()}")
     for text in calibration.untold:

@@ -31,6 +31,7 @@ def synth(
     motion: Literal["free", "rcm", "video"] = "rcm",
     frames: int = 10,
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    cables: Literal["independent", "measured"] | None = None,
     seed: int = 0,
     images: bool = True,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -46,10 +47,10 @@ def synth(
     (keypoints.csv), simulated detections of painted markers (markers.csv), the truth (golden.json) and all parameters
     (synth.json).
 
-    With --motion video the frames are consecutive, 30 a second, of an arm that moves smoothly. Readings have offsets,
-    play and drift; a shadow is taken for the instrument for about a second at a time; images are late at the levels
-    medium (1.5 frames) and hard (2.6), where another shaft and tissue pass before the instrument, too; at the level
-    hard it leaves the view and comes back. Masks, readings and the truth are written.
+    With --motion video the frames are consecutive, 30 a second, of an arm that moves smoothly. Readings have the errors
+    of cables, see --cables; a shadow is taken for the instrument for about a second at a time; images are late at the
+    levels medium (1.5 frames) and hard (2.6), where another shaft and tissue pass before the instrument, too; at the
+    level hard it leaves the view and comes back. Masks, readings and the truth are written.
 
     Without --camera, the camera has 640 x 480 pixels and a focal length of 1026 px.
 
@@ -86,6 +87,10 @@ def synth(
     lag
         Lag of a video's images behind its readings, in seconds or frames, such as 0.13 or 4frames; that of the level by
         default.
+    cables
+        Errors of a video's readings. measured: the joints follow their readings by the cables of a real arm, with
+        coupling, play and wander. independent: offset, play and drift of each joint by itself. By default measured at
+        the levels medium and hard.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
@@ -102,6 +107,8 @@ def synth(
     check_range("--seed", seed, 0, LARGEST_SEED)
     if lag is not None and motion != "video":
         raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
+    if cables is not None and motion != "video":
+        raise InputError(f"--cables: expected it with --motion video only, got --motion {motion}")
     from dvrk_cmaes.frames.markers import read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
     from dvrk_cmaes.joints.lag import Lag
@@ -123,6 +130,7 @@ def synth(
         markers=table if painted else {},
         arm=instrument.arm,
         lag=None if lag is None else FRAMES_A_SECOND * Lag.parse("--lag", lag).in_seconds(FRAMES_A_SECOND),
+        cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
     )
     if motion == "video":
         from dvrk_cmaes.synth.recording import write_recording

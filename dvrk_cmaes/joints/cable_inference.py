@@ -98,7 +98,7 @@ def run_filter(observations: Observations, assumed: Assumed) -> Filtered:
         design = np.concatenate([terms, own], axis=1)
         cross = covariance @ design.T
         expected, spread = design @ mean, design @ cross
-        total += _log_likelihood(given, vector, expected, spread + noise)
+        total += log_likelihood(given, vector, expected, spread + noise)
         seen = np.linalg.solve(own + given @ noise, np.column_stack([given, vector]))
         information, told = seen[:, :count], seen[:, count]
         gains = np.linalg.solve(
@@ -112,7 +112,7 @@ def run_filter(observations: Observations, assumed: Assumed) -> Filtered:
     return Filtered(total, mean[:coefficients], covariance[:coefficients, :coefficients], tuple(steps))
 
 
-def _log_likelihood(information: Float64, vector: Float64, expected: Float64, spread: Float64) -> float:
+def log_likelihood(information: Float64, vector: Float64, expected: Float64, spread: Float64) -> float:
     """Return the log of the mean likelihood of an observation over errors with a mean (C,) and covariance (C, C)."""
     widened = np.eye(len(vector)) + spread @ information
     off = vector - information @ expected

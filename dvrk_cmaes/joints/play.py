@@ -79,3 +79,19 @@ def _places(readings: Float64, width: float) -> Float64:
             place = min(max(place, reading - width), reading + width)
         found.append(place)
     return np.array(found)
+
+
+def lags_between(
+    times: Float64, values: Float64, width: float, at: Float64, readings: Float64
+) -> tuple[Float64, Float64]:
+    """Return one joint's lags (N,) in the wide and in the narrow band where it is read between known readings.
+
+    ``values`` (M,), rad, at increasing ``times`` (M,) are all readings that are known, ``readings`` (N,) those at the
+    times ``at`` (N,); zero before the first reading and where there is none.
+    """
+    found = []
+    for band in (width, NARROW * width):
+        before = np.searchsorted(times, at, side="right") - 1
+        place = np.where(before < 0, readings, _places(values, band)[np.maximum(before, 0)])
+        found.append(np.nan_to_num(np.clip(place, readings - band, readings + band) - readings))
+    return found[0], found[1]

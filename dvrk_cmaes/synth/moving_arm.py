@@ -1,4 +1,8 @@
-"""Motion of an arm in a synthetic recording, and its readings: offsets, play and drift of cables, late images."""
+"""Motion of an arm in a synthetic recording, and its readings: offsets, play and drift of cables, late images.
+
+The errors of the cables are either drawn for each joint by itself, or those of the fits to recordings of a real arm
+(`synth.cable_motion`).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.cable_motion import pulled
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session
 from dvrk_cmaes.synth.truth import Truth
 
@@ -29,6 +35,8 @@ _LEAST_IN_VIEW: Final = 0.7  # of the frames, that have both tips in the image
 _ATTEMPTS: Final = 60
 _READING_NOISE: Final = 0.0012  # rad; for insertion 0.2 mm
 _INSERTION_NOISE: Final = 2e-4
+_SIZES: Final[Mapping[str, float]] = {"roll": 0.75, "jaw": 1.5}
+"""Errors of joints relative to those of the wrist's."""
 _PLAY_SECONDS: Final = 0.4  # over which the play goes from one side to the other
 
 
@@ -76,6 +84,29 @@ def moving_arm(
     DvrkCmaesError
         No motion was found that keeps the instrument in view.
     """
+    base, truths, _ = arm_with_cables(body, camera, rng, frames, level, None, arm=arm)
+    return base, truths
+
+
+def arm_with_cables(
+    body: Body,
+    camera: Camera,
+    rng: np.random.Generator,
+    frames: int,
+    level: MotionLevel,
+    cables: CableModel | None,
+    *,
+    arm: Arm = "classic",
+) -> tuple[Float64, list[Truth], dict[str, Float64]]:
+    """Draw the smooth motion of an arm whose readings move smoothly, and whose joints follow by its cables.
+
+    Without ``cables`` the joints are where their readings are. Errors are those of `moving_arm`.
+
+    Returns
+    -------
+    ((4, 4), list of Truth, dict)
+        ``camera_from_base``, the truth of each frame, and the readings (frames,) by joint, without offsets and noise.
+    """
     names = (*OUTER_JOINTS, *body.instrument.joint_names)
     limits = {name: tuple(pair) for name, pair in zip(body.instrument.joint_names, body.instrument.limits, strict=True)}
     for _ in range(_ATTEMPTS):
@@ -89,6 +120,10 @@ def moving_arm(
             out = _bump(frames)
             paths["yaw"] += rng.choice([-1.0, 1.0]) * _OUT_OF_VIEW[0] * out
             paths["insertion"] -= _OUT_OF_VIEW[1] * out
+        readings = dict(paths)
+        if cables is not None:
+            for name, path in pulled(paths, cables, 1 / FRAMES_A_SECOND, rng).items():
+                paths[name] = np.clip(path, *limits[name]) if name in limits else path
         outer = np.stack([paths[name] for name in OUTER_JOINTS], axis=1)
         poses = base @ base_from_root(outer, arm, roll_offset=body.instrument.roll_offset)
         truths = [
@@ -102,21 +137,43 @@ def moving_arm(
         ]
         seen = np.mean([_in_view(camera, truth) for truth in truths])
         if seen == 1.0 or (level.leaves and _LEAST_IN_VIEW < seen < 1.0):
-            return base, truths
+            return base, truths, readings
     raise DvrkCmaesError(f"no motion was found that keeps {body.instrument.name} in view")
 
 
-def read_moving(truths: list[Truth], rng: np.random.Generator, level: MotionLevel) -> dict[str, Float64]:
-    """Draw the readings of all joints at the times of the frames, (frames,) by name, rad and m."""
+def cable_joints(body: Body) -> tuple[str, ...]:
+    """Return the names of the joints that cables move: roll and those of the instrument."""
+    return "roll", *body.instrument.joint_names
+
+
+def level_offsets(names: tuple[str, ...], level: MotionLevel) -> Float64:
+    """Return the standard deviations (C,), rad, of the offsets of cable-driven joints at a level."""
+    return np.deg2rad([level.offset_deg * _SIZES.get(name, 1.0) for name in names])
+
+
+def read_moving(
+    truths: list[Truth],
+    rng: np.random.Generator,
+    level: MotionLevel,
+    cables: CableModel | None = None,
+    paths: Mapping[str, Float64] | None = None,
+) -> dict[str, Float64]:
+    """Draw the readings of all joints at the times of the frames, (frames,) by name, rad and m.
+
+    With ``cables`` they are the ``paths`` of `arm_with_cables`, with the cables' offsets and noise.
+    """
     frames = len(truths)
+    offsets = {} if cables is None else dict(zip(cables.names, cables.offset.tolist(), strict=True))
     found = {}
     for name in (*truths[0].outer, *truths[0].joints):
-        path = np.array([{**truth.outer, **truth.joints}[name] for truth in truths])
+        path = np.array([{**truth.outer, **truth.joints}[name] for truth in truths]) if paths is None else paths[name]
         path = np.interp(np.arange(frames) + level.lag, np.arange(frames), path)
         noise = _INSERTION_NOISE if name == "insertion" else _READING_NOISE
         read = path + noise * rng.standard_normal(frames)
-        if name not in ("yaw", "pitch", "insertion"):
-            size = np.deg2rad({"roll": 0.75, "jaw": 1.5}.get(name, 1.0))
+        if cables is not None:
+            read -= offsets.get(name, 0.0)
+        elif name not in ("yaw", "pitch", "insertion"):
+            size = np.deg2rad(_SIZES.get(name, 1.0))
             drift = np.cumsum(rng.standard_normal(frames)) / FRAMES_A_SECOND
             read += size * (level.offset_deg * rng.standard_normal() + level.play_deg * _side(path))
             read += size * level.drift_deg * drift

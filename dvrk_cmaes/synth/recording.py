@@ -16,10 +16,19 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.masks import simulate_segmentation, tissue_region
-from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS, MotionLevel, moving_arm, read_moving
+from dvrk_cmaes.synth.moving_arm import (
+    FRAMES_A_SECOND,
+    MOTION_LEVELS,
+    MotionLevel,
+    arm_with_cables,
+    cable_joints,
+    level_offsets,
+    read_moving,
+)
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 from dvrk_cmaes.synth.views import trace_links
@@ -78,8 +87,10 @@ def write_recording(out: Path, plan: SessionPlan, *, overwrite: bool = False) ->
     level = level if plan.lag is None else replace(level, lag=plan.lag)
     rng = np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), 2])
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
-        base, truths = moving_arm(plan.body, plan.camera, rng, plan.frames, level, arm=plan.arm)
-        readings = read_moving(truths, rng, level)
+        names = cable_joints(plan.body)
+        cables = draw_cables(names, level_offsets(names, level), rng) if plan.cables == "measured" else None
+        base, truths, paths = arm_with_cables(plan.body, plan.camera, rng, plan.frames, level, cables, arm=plan.arm)
+        readings = read_moving(truths, rng, level, cables, None if cables is None else paths)
         digits = max(4, len(str(plan.frames - 1)))
         columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
         rows, golden = [",".join(["frame", "time", *columns])], {}
@@ -93,7 +104,7 @@ def write_recording(out: Path, plan: SessionPlan, *, overwrite: bool = False) ->
         write_camera_info(folder / "camera.yaml", plan.camera, "synth")
         write_text(folder / "joints.csv", "\n".join(rows) + "\n")
         write_json(folder / "golden.json", {"camera_from_base": rounded(base), "frames": golden})
-        write_json(folder / PLAN_FILE, plan.describe() | {"motion_level": _described(level)})
+        write_json(folder / PLAN_FILE, plan.describe() | {"motion_level": _described(level), "cables": plan.cables})
 
 
 def _described(level: MotionLevel) -> dict[str, float | bool]:

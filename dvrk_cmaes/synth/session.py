@@ -35,6 +35,7 @@ from dvrk_cmaes.synth.truth import Truth, exact_mask
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Motion = Literal["free", "rcm", "video"]
+Cables = Literal["independent", "measured"]
 
 PLAN_FILE: Final = "synth.json"
 """File of a synthetic session's parameters; its presence marks a folder as a synthetic session."""
@@ -80,6 +81,8 @@ class SessionPlan:
     markers : markers painted on the instrument, by name; may be empty.
     arm : kinematics of the arm.
     lag : of a video, lag of its images behind its readings, frames; that of the level by default.
+    cables : of a video, ``measured`` for readings that err as those of a real arm, ``independent`` for errors of each
+        joint by itself.
     """
 
     body: Body
@@ -91,6 +94,7 @@ class SessionPlan:
     markers: Mapping[str, Marker]
     arm: Arm = "classic"
     lag: float | None = None
+    cables: Cables = "independent"
 
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""

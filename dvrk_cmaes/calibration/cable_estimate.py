@@ -1,0 +1,76 @@
+"""The cables of a session while it is calibrated: fitted once the frames are settled, and used as a correction."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.cables import CableFit, CableSession, fit_cables, observe_errors
+from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
+
+Float64 = NDArray[np.float64]
+
+_ROLL = 3  # index among the outer joints
+
+
+class CableEstimate:
+    """Estimate of the cables of a session.
+
+    ``names`` are the cable-driven joints. ``fit`` is the current fit, None before the first; ``alone`` is that of
+    models that need nothing but the reading of a frame itself.
+
+    Parameters
+    ----------
+    joint_names
+        Names of the instrument's joints.
+    deviations
+        Initial standard deviations of the readings from frame to frame.
+    offset_std : (1 + J,)
+        Standard deviations of the offsets' priors, rad.
+    """
+
+    def __init__(self, joint_names: tuple[str, ...], deviations: Deviations, offset_std: Float64) -> None:
+        self.names = ("roll", *joint_names)
+        self.fit: CableFit | None = None
+        self.alone: CableFit | None = None
+        self._noise = np.concatenate([deviations.outer[_ROLL:], deviations.joints])
+        self._offset_std = offset_std
+
+    @property
+    def prior(self) -> CablePrior:
+        """What is expected of the cables beforehand."""
+        return cable_prior(self.names)
+
+    def deviations(self, usual: Deviations) -> Deviations | None:
+        """Return the standard deviations of corrected readings from frame to frame; None if nothing is corrected.
+
+        ``usual`` are those without correction.
+        """
+        if self.fit is None or not self.fit.parts:
+            return None
+        outer = np.concatenate([usual.outer[:_ROLL], self.fit.noise[:1]])
+        return Deviations(outer, self.fit.noise[1:], usual.slack)
+
+    def corrected(self, model: SessionModel, fits: FrameFits, solution: Solution, lag: LagEstimate) -> SessionModel:
+        """Fit the cables, and return the model with the frames' corrections.
+
+        ``fits`` and ``solution`` are of the same frames as the model, ``lag`` has their times and readings.
+        """
+        information, vector = observe_errors(model, fits, solution.calibration, solution.weights)
+        readings = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1)
+        session = CableSession(
+            names=self.names,
+            readings=readings,
+            times=lag.seconds(),
+            lags=lag.play(self.names, readings, self.prior.model.width),
+            information=information,
+            vector=vector,
+            offsets=solution.calibration.offsets[1:],
+            offset_std=self._offset_std,
+            noise=self._noise,
+        )
+        self.fit, self.alone = fit_cables(session, self.prior)
+        return model.with_correction(self.fit.correction)

@@ -1,0 +1,229 @@
+"""Estimation of what cables do to a session's readings, from the outline fits of its frames.
+
+Given the base, each frame's fit is an uncertain observation of the errors of roll and of the instrument's joints.
+Models of these errors, from one offset a joint to coupling, play and wander, are compared by the likelihood of all
+observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than one
+offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames tell of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.model import Calibration, Correction, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, log_likelihood, run_filter
+from dvrk_cmaes.joints.cable_prior import CablePrior
+from dvrk_cmaes.joints.cables import features
+from dvrk_cmaes.joints.play import Lags
+
+Float64 = NDArray[np.float64]
+Part = Literal["coupling", "play", "wander"]
+
+_MODELS: Final[tuple[tuple[Part, ...], ...]] = (
+    (),
+    ("coupling",),
+    ("wander",),
+    ("coupling", "play"),
+    ("coupling", "play", "wander"),
+)
+_MARGIN: Final = 4.0  # nats by which a larger model must be more likely than one offset a joint
+_NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame,
+_WANDERS: Final = (0.5, 2.0)  # and, beside 1, on those of the wander
+_WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
+_ORDERED: Final = {"play", "wander"}
+"""Parts that need the order of the frames in time."""
+
+_ROLL_AXIS: Final = 5  # of a small change of the root's pose
+
+
+@dataclass(frozen=True, eq=False)
+class CableSession:
+    """What a session's N frames tell of the errors of C joints, roll and those of the instrument.
+
+    ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. ``times`` (N,), s, and
+    ``lags`` are None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
+    observations of the errors beyond ``offsets`` (C,), whose prior has the standard deviations ``offset_std`` (C,).
+    ``noise`` (C,) are the usual standard deviations from frame to frame, rad.
+    """
+
+    names: tuple[str, ...]
+    readings: Float64
+    times: Float64 | None
+    lags: Lags | None
+    information: Float64
+    vector: Float64
+    offsets: Float64
+    offset_std: Float64
+    noise: Float64
+
+    @property
+    def order(self) -> NDArray[np.intp]:
+        """Indices of the frames in the order of time."""
+        return np.arange(len(self.readings)) if self.times is None else np.argsort(self.times, kind="stable")
+
+
+@dataclass(frozen=True, eq=False)
+class CableFit:
+    """A model of the errors of a session's cables, fitted to its frames.
+
+    ``parts`` are those beside the offsets; ``gain`` is the logarithm of the ratio of its likelihood to that of offsets
+    alone. ``reference`` (C,) are the readings at which coupling adds nothing. ``coefficients`` and ``std`` (C, 2 C + 1)
+    are those of `joints.cables.features` with their standard deviations, zero where a part is missing. ``wander`` and
+    ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the mean errors at the reference.
+    ``correction`` is that of each frame by the others.
+    """
+
+    parts: tuple[Part, ...]
+    gain: float
+    reference: Float64
+    coefficients: Float64
+    std: Float64
+    wander: Float64
+    noise: Float64
+    offset: Float64
+    correction: Correction
+
+
+def observe_errors(
+    model: SessionModel, fits: FrameFits, calibration: Calibration, weights: Float64
+) -> tuple[Float64, Float64]:
+    """Return information (N, C, C) and vector (N, C) of each frame about the errors beyond the offsets.
+
+    Pose and slack of the frames are eliminated; ``weights`` (N,) are robust ones. The model's corrections do not count.
+    """
+    count = len(model.names)
+    bare = model.with_correction(Correction.none(len(model.outer), count))
+    poses, joints = bare.predict(calibration)
+    off = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)
+    outer = bare.outer_loadings(calibration)[:3]
+    spread = np.einsum("kni,knj->nij", outer, outer)
+    spread[:, :6, :6] += np.diag(model.deviations.slack**2)
+    loading = np.zeros((6 + count, 1 + count))
+    loading[_ROLL_AXIS, 0] = 1.0
+    loading[6:, 1:] = np.eye(count)
+    widened = np.eye(6 + count) + fits.information @ spread
+    slope = fits.slope + np.einsum("nij,nj->ni", fits.information, off)
+    seen = np.linalg.solve(widened, np.concatenate([fits.information @ loading, slope[..., None]], axis=2))
+    seen = weights[:, None, None] * (loading.T @ seen)
+    read = ~np.isnan(np.concatenate([model.outer[:, 3:], model.joints], axis=1))
+    information = seen[:, :, :-1] * read[:, :, None] * read[:, None]
+    return (information + np.swapaxes(information, 1, 2)) / 2, -seen[:, :, -1] * read
+
+
+def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, CableFit]:
+    """Fit all models, and return the most likely one; one offset a joint unless another is more likely by a margin.
+
+    The second one is the most likely of those that need nothing but the reading of a frame itself.
+    """
+    fits = [_fit(session, prior, parts) for parts in _MODELS if session.lags is not None or not _ORDERED & {*parts}]
+    least = fits[0].trial.likelihood
+
+    def most_likely(among: list[_Fit]) -> CableFit:
+        best = max(among, key=lambda one: one.trial.likelihood)
+        return (best if best.trial.likelihood > least + _MARGIN else among[0]).described(session, least)
+
+    return most_likely(fits), most_likely([one for one in fits if not _ORDERED & {*one.parts}])
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The outcome of one choice of noise and wander."""
+
+    likelihood: float
+    noise: float
+    filtered: Filtered
+    assumed: Assumed
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A model with the best of its trials; ``active`` (C, 2 C + 1) marks its coefficients."""
+
+    parts: tuple[Part, ...]
+    active: NDArray[np.bool_]
+    given: Observations
+    trial: _Trial
+
+    def described(self, session: CableSession, least: float) -> CableFit:
+        """Return the fit with each frame's correction; ``least`` is the log-likelihood of offsets alone."""
+        count = len(session.names)
+        coefficients, std = np.zeros(self.active.shape), np.zeros(self.active.shape)
+        coefficients[self.active] = self.trial.filtered.mean[count:]
+        std[self.active] = np.sqrt(np.diag(self.trial.filtered.covariance)[count:])
+        correction, noise = Correction.none(len(session.readings), count - 1), self.trial.assumed.noise
+        if self.parts:
+            means, covariances = leave_one_out(self.trial.filtered)
+            widening = _widening(self.given, means, covariances + np.diag(noise**2))
+            back = np.argsort(session.order)
+            values = (means - self.trial.filtered.mean[:count])[back]
+            correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
+            noise = noise * np.sqrt(widening)
+        wander = self.trial.assumed.wander if "wander" in self.parts else np.zeros(count)
+        gain = self.trial.likelihood - least
+        offset = session.offsets + self.trial.filtered.mean[:count]
+        return CableFit(self.parts, gain, _reference(session), coefficients, std, wander, noise, offset, correction)
+
+
+def _widening(given: Observations, means: Float64, covariances: Float64) -> Float64:
+    """Return the factors (C,) on the variances of the frames' predictions by the others that fit the frames best.
+
+    ``means`` (N, C) and ``covariances`` (N, C, C) are of the predictions, with noise.
+    """
+    factors = np.ones(means.shape[1])
+
+    def likelihood(joint: int, factor: float) -> float:
+        tried = np.sqrt(np.where(np.arange(len(factors)) == joint, factor, factors))
+        widened = covariances * tried[:, None] * tried
+        return sum(map(log_likelihood, given.information, given.vector, means, widened))
+
+    for joint in range(len(factors)):
+        factors[joint] = max(_WIDENINGS, key=lambda factor: likelihood(joint, factor))
+    return factors
+
+
+def _reference(session: CableSession) -> Float64:
+    """Return the mean readings (C,), zero for a joint that was never read."""
+    read = ~np.isnan(session.readings)
+    return np.asarray(np.where(read, session.readings, 0.0).sum(axis=0) / np.maximum(read.sum(axis=0), 1))
+
+
+def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _Fit:
+    """Fit one model with each of the trial noises and wanders, and keep the most likely one."""
+    count = len(session.names)
+    active = np.zeros((count, 2 * count + 1), np.bool_)
+    active[:, :count] = "coupling" in parts
+    active[:, count:] = "play" in parts
+    given = _observations(session, active)
+    mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
+    std = np.concatenate([session.offset_std, prior.spread[active]])
+
+    def trial(noise: float, wander: float) -> _Trial:
+        assumed = Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
+        filtered = run_filter(given, assumed)
+        return _Trial(filtered.log_likelihood, noise, filtered, assumed)
+
+    usual = 1.0 if "wander" in parts else 0.0
+    best = max((trial(noise, usual) for noise in _NOISES), key=lambda one: one.likelihood)
+    others = [trial(best.noise, wander) for wander in _WANDERS] if "wander" in parts else []
+    return _Fit(parts, active, given, max([best, *others], key=lambda one: one.likelihood))
+
+
+def _observations(session: CableSession, active: NDArray[np.bool_]) -> Observations:
+    """Return the frames' observations in the order of time, with offsets and the active coefficients as unknowns."""
+    frames, count = session.readings.shape
+    lags = session.lags or Lags(np.zeros((frames, count)), np.zeros((frames, count)))
+    every = features(session.readings, lags, _reference(session))
+    own = np.argwhere(active)
+    terms = np.zeros((frames, count, count + len(own)))
+    terms[:, np.arange(count), np.arange(count)] = 1.0
+    for k, (joint, feature) in enumerate(own):
+        terms[:, joint, count + k] = every[:, joint, feature]
+    times = np.zeros(frames) if session.times is None else session.times
+    order = session.order
+    return Observations(times[order], terms[order], session.information[order], session.vector[order])

@@ -1,0 +1,202 @@
+"""What a session tells of its cables, as in ``session.json``: coupling, play and wander beside the offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.cable_estimate import CableEstimate
+from dvrk_cmaes.calibration.model import Correction
+from dvrk_cmaes.io.rounding import rounded, rounded_array
+from dvrk_cmaes.io.typed_document import Number, Texts, convert_document, refused
+from dvrk_cmaes.joints.cables import CableModel
+from dvrk_cmaes.joints.play import NARROW
+
+Float64 = NDArray[np.float64]
+Row = tuple[Number, ...]
+Table = tuple[Row, ...]
+
+_CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
+_LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
+_LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this
+
+
+@dataclass(frozen=True)
+class CablesAlone:
+    """What the reading of a frame alone tells of its errors, by joint: true = reading + offset + coupling.
+
+    ``offset`` and ``noise``, rad, are mean and standard deviation of the error where the readings are the reference,
+    ``coupling`` the change of the row's joint for each rad of the column's, with its standard deviation.
+    """
+
+    offset: Row
+    coupling: Table
+    std: Table
+    noise: Row
+
+
+@dataclass(frozen=True)
+class SessionCables:
+    """The cables of a session, by joint in the order of ``joints``; rad and s.
+
+    parts : what is used beside the offsets: coupling, play, wander. gain : logarithm of how many times more likely the
+    session is with them. reference : readings at which coupling adds nothing.
+    coupling, play, narrow, width, wander, seconds, noise : as in `joints.cables.CableModel`; those of parts that are
+    not used are zero. coupling_std, play_std, narrow_std : their standard deviations.
+    alone : for frames without an order. corrections : of each frame by all others, beyond the offsets, rad.
+    times : of the frames' readings, s.
+    """
+
+    parts: Texts
+    gain: Number
+    joints: Texts
+    reference: Row
+    coupling: Table
+    coupling_std: Table
+    play: Table
+    play_std: Table
+    narrow: Row
+    narrow_std: Row
+    width: Row
+    wander: Row
+    seconds: Row
+    noise: Row
+    alone: CablesAlone
+    corrections: dict[str, Row] = field(default_factory=dict)
+    times: dict[str, Number] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, estimate: CableEstimate, frames: tuple[str, ...], times: Float64 | None) -> SessionCables | None:
+        """Return what was estimated from some frames; None if offsets explain them as well."""
+        fit, alone = estimate.fit, estimate.alone
+        if fit is None or alone is None or not fit.parts:
+            return None
+        count, prior = len(estimate.names), estimate.prior.model
+        coupling, play, narrow = np.split(fit.coefficients, [count, 2 * count], axis=1)
+        coupling_std, play_std, narrow_std = np.split(fit.std, [count, 2 * count], axis=1)
+        return cls(
+            parts=fit.parts,
+            gain=rounded(fit.gain),
+            joints=estimate.names,
+            reference=_row(fit.reference),
+            coupling=_table(coupling),
+            coupling_std=_table(coupling_std),
+            play=_table(play),
+            play_std=_table(play_std),
+            narrow=_row(narrow[:, 0]),
+            narrow_std=_row(narrow_std[:, 0]),
+            width=_row(prior.width),
+            wander=_row(fit.wander),
+            seconds=_row(prior.seconds),
+            noise=_row(fit.noise),
+            alone=CablesAlone(
+                _row(alone.offset),
+                _table(alone.coefficients[:, :count]),
+                _table(alone.std[:, :count]),
+                _row(alone.noise),
+            ),
+            corrections={name: _row(row) for name, row in zip(frames, fit.correction.values, strict=True)},
+            times={} if times is None else dict(zip(frames, rounded_array(times), strict=True)),
+        )
+
+    @classmethod
+    def from_document(cls, where: str, document: object) -> SessionCables | None:
+        """Read the field ``cables`` of a document; None where it is null or missing.
+
+        Raises
+        ------
+        InputError
+            A field is missing or wrong, or does not have a value for each joint.
+        """
+        if document is None:
+            return None
+        found = convert_document(f"{where}: cables", document, cls)
+        count = len(found.joints)
+        rows: tuple[str, ...] = ("reference", "narrow", "narrow_std", "width", "wander", "seconds", "noise")
+        for owner, vectors in ((found, rows), (found.alone, ("offset", "noise"))):
+            for name in vectors:
+                if len(getattr(owner, name)) != count:
+                    raise refused(where, f"cables.{name}", f"{count} numbers, one a joint", getattr(owner, name))
+        tables: tuple[str, ...] = ("coupling", "coupling_std", "play", "play_std")
+        for owner, matrices in ((found, tables), (found.alone, ("coupling", "std"))):
+            for name in matrices:
+                table = getattr(owner, name)
+                if len(table) != count or any(len(row) != count for row in table):
+                    raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", table)
+        if min(found.seconds) <= 0:
+            raise refused(where, "cables.seconds", "numbers above 0", found.seconds)
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain values for JSON."""
+        plain = {name: _plain(value) for name, value in vars(self).items()}
+        return plain | {"alone": {name: _plain(value) for name, value in vars(self.alone).items()}}
+
+    def model(self, offset: Float64) -> CableModel:
+        """Return the model of the errors with the session's offsets (C,), rad."""
+        return CableModel(
+            self.joints,
+            np.array(self.reference),
+            offset,
+            np.array(self.coupling),
+            np.array(self.play),
+            np.array(self.narrow),
+            np.array(self.width),
+            np.array(self.wander),
+            np.array(self.seconds),
+            np.array(self.noise),
+        )
+
+    def correction_alone(self, readings: Float64) -> Correction:
+        """Return the corrections of frames of which nothing is known but their readings (N, C), rad."""
+        off = np.nan_to_num(readings - np.array(self.reference))
+        return Correction(off @ np.array(self.alone.coupling).T, np.square(off) @ np.square(self.alone.std).T)
+
+    def in_words(self) -> Iterator[str]:
+        """Yield a line for each coefficient that is told, the largest first."""
+        found: list[tuple[float, str]] = []
+        for j, name in enumerate(self.joints):
+            for k, other in enumerate(self.joints):
+                value, std = self.coupling[j][k], self.coupling_std[j][k]
+                if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING):
+                    acts = f"{other} drags {name}" if j != k else f"{name} is scaled"
+                    text = f"{acts} by {np.degrees(value):+.0f} deg a rad, std {np.degrees(std):.0f}"
+                    found.append((abs(value), text))
+            found += self._play_in_words(j, name)
+        yield from (text for _, text in sorted(found, reverse=True))
+        if "wander" in self.parts:
+            each = ", ".join(
+                f"{name} {np.degrees(std):.1f} deg over {time:.0f} s"
+                for name, std, time in zip(self.joints, self.wander, self.seconds, strict=True)
+            )
+            yield f"wander: {each}"
+
+    def _play_in_words(self, j: int, name: str) -> Iterator[tuple[float, str]]:
+        """Yield what play does to one joint, with its size."""
+        for k, other in enumerate(self.joints):
+            gain, variance = self.play[j][k], self.play_std[j][k] ** 2
+            if j == k:
+                gain, variance = gain + NARROW * self.narrow[j], variance + (NARROW * self.narrow_std[j]) ** 2
+            size, std = abs(gain) * self.width[k], variance**0.5 * self.width[k]
+            if size > max(_CERTAIN * std, _LEAST_PLAY):
+                acts = f"{name} stays behind its reading" if j == k else f"play of {other} moves {name}"
+                yield abs(gain), f"{acts} by up to {np.degrees(size):.0f} deg, std {np.degrees(std):.0f}"
+
+
+def _row(values: Float64) -> Row:
+    return tuple(rounded_array(values))
+
+
+def _table(values: Float64) -> Table:
+    return tuple(_row(row) for row in values)
+
+
+def _plain(value: Any) -> Any:
+    """Return tuples as lists."""
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return {name: _plain(one) for name, one in value.items()} if isinstance(value, dict) else value
