@@ -47,6 +47,7 @@ from accuracy_tables import show, write_features
 from accuracy_track import track_report
 from accuracy_trust import trust_report
 
+from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.toml_file import read_config
@@ -121,6 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
     )
+    parser.add_argument("--session", type=Path, metavar="JSON", help="for track: session.json to follow with")
     parser.add_argument("--no-joints", action="store_true", help="for track: follow without readings")
     parser.add_argument(
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
@@ -250,6 +252,7 @@ def track(arguments: argparse.Namespace) -> Report:
         _config(arguments),
         frames=arguments.frames,
         every=arguments.every,
+        calibration=None if arguments.session is None else read_calibration(arguments.session),
         use_joints=not arguments.no_joints,
         smooth=arguments.smooth,
     )

@@ -114,6 +114,7 @@ def truth_figures(done: FollowedSession, golden: Mapping[str, Any], body: Body) 
     wrong = seen & (turned > WRONG_MODE_DEG)
     said, back = _gone_and_back(visible, ok, errors)
     figures = {
+        "joints, deg": float(np.median(joint_errors_deg(done.results, truths)[seen])),
         "tips, mm": float(median),
         "95 %": float(most),
         "worst": float(worst),
@@ -132,6 +133,18 @@ def truth_figures(done: FollowedSession, golden: Mapping[str, Any], body: Body) 
         figures["base, deg"] = float(np.degrees(rotation_angle(base, at)))
         figures["base, mm"] = 1e3 * float(np.linalg.norm(base[:3, 3] - at[:3, 3]))
     return figures
+
+
+def joint_errors_deg(results: Sequence[TrackResult], truths: Sequence[Mapping[str, Any]]) -> Float64:
+    """Return the mean of the errors of each frame's joints, (N,) deg; half a turn without a pose."""
+    return np.array(
+        [
+            np.degrees(np.mean([abs(result.joints[name] - value) for name, value in truth["joints"].items()]))
+            if result.camera_from_root is not None
+            else 180.0
+            for result, truth in zip(results, truths, strict=True)
+        ]
+    )
 
 
 def tip_error_mm(result: TrackResult, truth: Mapping[str, Any]) -> float:

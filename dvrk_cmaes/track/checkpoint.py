@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,8 @@ def read_hypothesis(values: Mapping[str, Any], model: OutlineModel) -> Hypothesi
         joints, joint_rate = (_array(plain[name], (joints_read,)) for name in ("joints", "joint_rate"))
         read = np.array(plain["joint_read"], dtype=np.bool_).reshape(joints_read)
         anchor = Anchor(outer, joints, outer_rate, joint_rate, bool(plain["outer_read"]), read, bool(plain["based"]))
+        if plain["expected"] is not None:
+            anchor = replace(anchor, expected=_array(plain["expected"], (1 + joints_read,)))
         sigma, score = (float(_array(values[name], ())) for name in ("sigma", "score"))
         drawn = values["rim"]
         rim = None if drawn is None else model.draw(_array(drawn[0], (4, 4)), _array(drawn[1], (joints_read,)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.geometry import adjoint, change_between, inverse, moved
 from dvrk_cmaes.instrument.arm import Arm, base_from_root
+from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.state import FilterState, Layout
 
@@ -17,6 +18,7 @@ Float64 = NDArray[np.float64]
 
 _STEP = 1e-5  # rad or m, of differences of the arm's kinematics
 _ROLL = 3
+_UNMODELLED_PLAY = 0.25  # share of the variance by play that a model of the cables leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,8 @@ class Anchor:
 
     A joint without a reading keeps its last value, and what it does since is part of the state. ``outer_read`` and
     ``joint_read`` (J,) tell which were read, ``based`` whether the outer joints ever were, so that the base is the
-    arm's.
+    arm's. ``expected`` (1 + J,), rad, are the errors of roll and of the joints that a model of the cables expects there;
+    None without one.
     """
 
     outer: Float64
@@ -35,14 +38,18 @@ class Anchor:
     outer_read: bool
     joint_read: NDArray[np.bool_]
     based: bool = False
+    expected: Float64 | None = None
 
     @staticmethod
     def none(joints: int) -> Anchor:
         """Return the anchor before any reading, for J joints."""
         return Anchor(np.zeros(4), np.zeros(joints), np.zeros(4), np.zeros(joints), False, np.zeros(joints, np.bool_))
 
-    def then(self, reading: ReadingAt, *, moving: bool = True) -> Anchor:
-        """Return the anchor of later readings; if they are not ``moving``, they are not used."""
+    def then(self, reading: ReadingAt, *, moving: bool = True, expected: Float64 | None = None) -> Anchor:
+        """Return the anchor of later readings; if they are not ``moving``, they are not used.
+
+        ``expected`` (1 + J,) are the errors that a model of the cables expects of them.
+        """
         outer_read = reading.has_outer and moving
         joint_read = ~np.isnan(reading.joints) & moving
         return Anchor(
@@ -53,16 +60,21 @@ class Anchor:
             outer_read,
             joint_read,
             self.based or outer_read,
+            expected,
         )
 
 
 class MotionModel:
     """How the arm moves the instrument, and how the errors of its readings change.
 
-    ``arm`` and ``roll_offset`` are the kinematics of the outer joints, as in `base_from_root`.
+    ``arm`` and ``roll_offset`` are the kinematics of the outer joints, as in `base_from_root`. ``cables`` is the model
+    of the cables of roll and of the instrument's joints, None without one.
     """
 
-    def __init__(self, config: TrackConfig, joints: int, arm: Arm, roll_offset: float) -> None:
+    def __init__(
+        self, config: TrackConfig, joints: int, arm: Arm, roll_offset: float, cables: CableModel | None = None
+    ) -> None:
+        self._cables = cables
         self._config = config
         self._at = Layout(joints)
         self._arm: Arm = arm
@@ -112,6 +124,13 @@ class MotionModel:
         late = lag_std * _small_change(ends[4], self._base_from_root(outer + _STEP * anchor.outer_rate)) / _STEP
         return np.asarray(loadings.T @ loadings + np.diag(np.square(own)) + np.outer(late, late))
 
+    def _drift(self, elapsed: float) -> Float64:
+        """Return the variances (1 + J,) of what the offsets change in some time, s, by themselves: the wander."""
+        drift = np.full(1 + self._at.joints, np.deg2rad(self._config.offset_drift_deg) ** 2 * elapsed)
+        if self._cables is not None:
+            drift += 2 * self._cables.wander**2 * elapsed / self._cables.seconds
+        return drift
+
     def predict(
         self, state: FilterState, before: Anchor, anchor: Anchor, elapsed: float, lag_std: float
     ) -> tuple[FilterState, Float64]:
@@ -124,11 +143,12 @@ class MotionModel:
         noise = np.zeros((at.size, at.size))
         diagonal = np.einsum("ii->i", noise)
         diagonal[at.base] = np.square([c.base_drift_mm * 1e-3] * 3 + [np.deg2rad(c.base_drift_deg)] * 3) * elapsed
-        drift = np.deg2rad(c.offset_drift_deg) ** 2 * elapsed
-        play = np.deg2rad(c.offset_play_deg)
-        diagonal[at.roll] = drift + play * abs(anchor.outer[_ROLL] - before.outer[_ROLL])
+        drift, play = self._drift(elapsed), np.deg2rad(c.offset_play_deg)
+        if self._cables is not None:
+            play *= _UNMODELLED_PLAY
+        diagonal[at.roll] = drift[0] + play * abs(anchor.outer[_ROLL] - before.outer[_ROLL])
         again = anchor.joint_read & ~before.joint_read
-        diagonal[at.offsets] = drift + play * np.where(again, 0.0, np.abs(anchor.joints - before.joints))
+        diagonal[at.offsets] = drift[1:] + play * np.where(again, 0.0, np.abs(anchor.joints - before.joints))
         late = lag_std**2
         diagonal[at.roll] += late * (anchor.outer_rate[_ROLL] - before.outer_rate[_ROLL]) ** 2
         diagonal[at.offsets] += late * (anchor.joint_rate - before.joint_rate) ** 2
@@ -138,6 +158,7 @@ class MotionModel:
         pose_rate = np.arange(at.rate.start, at.rate.start + 6)
         slack, rate, offsets = state.slack, state.rate.copy(), state.offsets.copy()
         unread = ~anchor.joint_read
+        offsets += _expected_change(before, anchor)
         # a joint that is read again stays where it is
         offsets[1:] += np.where(again, before.joints - anchor.joints, 0.0)
         offsets[1:] += np.where(unread, along * rate[6:], 0.0)
@@ -171,6 +192,14 @@ class MotionModel:
         covariance = transition @ state.covariance @ transition.T + noise
         covariance = (covariance + covariance.T) / 2
         return replace(state, offsets=offsets, slack=slack, rate=rate, covariance=covariance), transition
+
+
+def _expected_change(before: Anchor, anchor: Anchor) -> Float64:
+    """Return by how much the offsets (1 + J,) change by the cables, of joints that were read before and are read now."""
+    read = np.concatenate([[before.outer_read and anchor.outer_read], before.joint_read & anchor.joint_read])
+    if before.expected is None or anchor.expected is None:
+        return np.zeros(len(read))
+    return np.where(read, anchor.expected - before.expected, 0.0)
 
 
 def _small_change(pose: Float64, other: Float64) -> Float64:

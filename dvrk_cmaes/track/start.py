@@ -98,6 +98,9 @@ def starting_hypotheses(
     blank = unknown_state(config, follower.motion, anchor, names, lag_std)
     if calibration is not None and anchor.outer_read:
         blank = calibrated_state(calibration, blank)
+        if anchor.expected is not None:
+            read = np.concatenate([[True], anchor.joint_read])
+            blank = replace(blank, offsets=np.where(read, anchor.expected, blank.offsets))
     sigma = np.deg2rad([config.readings.of(name) for name in names])
     read = np.where(anchor.joint_read, anchor.joints, np.nan)
     first = (result.camera_from_root, result.joints, "")

@@ -20,6 +20,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
@@ -85,7 +86,9 @@ class Tracker:
         used = self._arm
         track = settings.track
         roll_offset = body.instrument.roll_offset
-        motion = MotionModel(track, len(self._names), used, roll_offset)
+        self._cables = CableMemory.of(calibration)
+        model = None if self._cables is None else self._cables.model
+        motion = MotionModel(track, len(self._names), used, roll_offset, model)
         self._follower = Follower(track, motion, OutlineModel(body, camera, track.points))
         self._buffer = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._lags = LagSearch(lambda outer: base_from_root(outer, used, roll_offset=roll_offset))
@@ -141,6 +144,7 @@ class Tracker:
             "lags": self._lags.checkpoint(),
             "search": [self._search.unsupported, self._search.wait],
             "last_image": self._images.last,
+            "cables": None if self._cables is None else self._cables.checkpoint(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -157,6 +161,8 @@ class Tracker:
             self._lag = FoundLag(*(float(value) for value in saved["lag"]))
             self._lags.restore(saved["lags"])
             self._search = Searching(*(float(value) for value in saved["search"]))
+            if self._cables is not None:
+                self._cables.restore(saved["cables"])
             self._images.last = None if saved["last_image"] is None else int(saved["last_image"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
             raise InputError("checkpoint: expected the state of a tracker, got something else") from None
@@ -249,7 +255,8 @@ class Tracker:
         """Return the readings at the time of an image less the lag, based on those before."""
         before = self._hypotheses[0].anchor if self._hypotheses else Anchor.none(len(self._names))
         reading = self._buffer.at(time - self._lag.seconds)
-        return before.then(reading, moving=not reading.still)
+        expected = None if self._cables is None else self._cables.expected(reading)
+        return before.then(reading, moving=not reading.still, expected=expected)
 
     def _readings(self, anchor: Anchor) -> dict[str, float]:
         """Return readings by name, for the search of a single frame."""
