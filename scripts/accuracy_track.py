@@ -139,7 +139,7 @@ def joint_errors_deg(results: Sequence[TrackResult], truths: Sequence[Mapping[st
     """Return the mean of the errors of each frame's joints, (N,) deg; half a turn without a pose."""
     return np.array(
         [
-            np.degrees(np.mean([abs(result.joints[name] - value) for name, value in truth["joints"].items()]))
+            np.degrees(np.mean([abs(value - truth["joints"][name]) for name, value in result.joints.items()]))
             if result.camera_from_root is not None
             else 180.0
             for result, truth in zip(results, truths, strict=True)

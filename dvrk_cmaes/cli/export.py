@@ -75,7 +75,7 @@ def export(
     results: Path,
     /,
     *,
-    to: Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker", "ros1-bag", "ros2-bag"],
+    to: Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker", "ros1-bag", "ros2-bag", "joint-correction"],
     frame: str | None = None,
     arm: Annotated[str, Parameter(group=NAMES)] = "PSM1",
     camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera",
@@ -106,6 +106,9 @@ def export(
     - ros1-bag, ros2-bag: camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag, or a folder ARM
     (sqlite3), with PoseStamped, JointState and tf messages for each frame; `dvrk-cmaes help exports` lists the topics.
     Needs the library rosbags.
+    - joint-correction: true = reading + correction of roll, wrist and jaw, of a session calibration:
+    ARM-joint-correction.csv, a table over the readings in degrees, and ARM-joint-correction.txt, a formula in radians
+    that has the play of the cables, too.
 
     camera_from_base is that of the session calibration (session.json) if there is one, otherwise that of the frame if
     there is only one, otherwise the median of the ok frames, whose scatter is printed (with fewer than three ok frames,

@@ -15,6 +15,7 @@ from dvrk_cmaes.export.bop import bop_files
 from dvrk_cmaes.export.dvrk_registration import DvrkVersion, registration_files
 from dvrk_cmaes.export.easy_handeye import calibration_file
 from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.joint_correction import correction_files
 from dvrk_cmaes.export.pose_table import pose_rows, table_text
 from dvrk_cmaes.export.ros_bag import BagKind, bag_files
 from dvrk_cmaes.export.ros_topics import ToolTip, numbered_times, result_messages
@@ -23,7 +24,7 @@ from dvrk_cmaes.export.tf import publisher_file
 from dvrk_cmaes.export.tracker import tracker_files
 from dvrk_cmaes.io.short_text import listed
 
-Format = Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker", "ros1-bag", "ros2-bag"]
+Format = Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker", "ros1-bag", "ros2-bag", "joint-correction"]
 
 DIRECTIONS: Final[dict[Format, str]] = {
     "dvrk": "camera_from_base, m, in OpenCV's and in the dVRK's camera axes",
@@ -34,6 +35,7 @@ DIRECTIONS: Final[dict[Format, str]] = {
     "tracker": "camera_from_root, axis times angle in rad, translation in m",
     "ros1-bag": "camera_from_root and camera_from_base, m, quaternions xyzw: parent the camera",
     "ros2-bag": "camera_from_root and camera_from_base, m, quaternions xyzw: parent the camera",
+    "joint-correction": "true = reading + correction: a table in degrees, and a formula in radians",
 }
 
 _BASE_FILES = {"easy-handeye": calibration_file, "tf": publisher_file}
@@ -99,6 +101,9 @@ def export(source: ExportSource, to: Format, names: FrameNames, options: FormatO
         else:
             texts = _BASE_FILES[to](base.camera_from_base, names)
         return Exported({name: text.encode() for name, text in texts.items()}, base)
+    if to == "joint-correction":
+        texts = correction_files(*source.calibration(), names)
+        return Exported({name: text.encode() for name, text in texts.items()})
     results = source.poses()
     left_out = tuple(result.frame for result in results if result.camera_from_root is None)
     if to == "ros1-bag" or to == "ros2-bag":

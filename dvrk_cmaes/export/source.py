@@ -52,10 +52,16 @@ class ExportSource:
         known = (result.camera_from_base is not None and result.status != "failed" for result in self.results)
         return self.session is not None or any(known)
 
+    def calibration(self) -> tuple[str, dict[str, Any]]:
+        """Return the path of the session calibration, for messages, and its document; InputError if there is none."""
+        if self.session is None:
+            raise InputError(f"{self.path}: expected a session calibration (session.json), got none: run calibrate")
+        return str(self.path / SESSION if self.path.is_dir() else self.path), self.session
+
     def base(self) -> ChosenBase:
         """Choose ``camera_from_base`` by the rules of ``base_choice``; InputError if there is none."""
         if self.session is not None:
-            return base_of_session(str(self.path / SESSION if self.path.is_dir() else self.path), self.session)
+            return base_of_session(*self.calibration())
         if self.single:
             return base_of_frame(str(self.path), self.results[0])
         return base_of_frames(str(self.path), self.results)

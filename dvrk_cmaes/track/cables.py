@@ -19,7 +19,10 @@ _ROLL = 3  # index among the outer joints
 
 
 class CableMemory:
-    """Follows the readings of roll and of the instrument's joints through their play; ``model`` is that of the cables."""
+    """Follows the readings of roll and of the instrument's joints through their play.
+
+    ``model`` is that of the cables.
+    """
 
     def __init__(self, model: CableModel) -> None:
         self.model = model
@@ -37,13 +40,12 @@ class CableMemory:
         readings = np.concatenate([reading.outer[_ROLL:], reading.joints])
         self._state = self._state.after(readings, self.model.width)
         lags = self._state.lags(readings)
-        return self.model.errors(readings[None], Lags(lags.wide[None], lags.narrow[None]))[0]
+        return np.asarray(self.model.errors(readings[None], Lags(lags.wide[None], lags.narrow[None]))[0])
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the joints' places within their play as plain values; None for a joint that was not read."""
-        return {
-            name: [None if np.isnan(v) else v for v in values.tolist()] for name, values in vars(self._state).items()
-        }
+        places = {"wide": self._state.wide, "narrow": self._state.narrow}
+        return {name: [None if np.isnan(v) else v for v in values.tolist()] for name, values in places.items()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""

@@ -27,8 +27,8 @@ class Anchor:
 
     A joint without a reading keeps its last value, and what it does since is part of the state. ``outer_read`` and
     ``joint_read`` (J,) tell which were read, ``based`` whether the outer joints ever were, so that the base is the
-    arm's. ``expected`` (1 + J,), rad, are the errors of roll and of the joints that a model of the cables expects there;
-    None without one.
+    arm's. ``expected`` (1 + J,), rad, are the errors of roll and of the joints that a model of the cables expects
+    there, None without one.
     """
 
     outer: Float64
@@ -195,7 +195,7 @@ class MotionModel:
 
 
 def _expected_change(before: Anchor, anchor: Anchor) -> Float64:
-    """Return by how much the offsets (1 + J,) change by the cables, of joints that were read before and are read now."""
+    """Return how the cables change the offsets (1 + J,) of the joints that were read before and are read now."""
     read = np.concatenate([[before.outer_read and anchor.outer_read], before.joint_read & anchor.joint_read])
     if before.expected is None or anchor.expected is None:
         return np.zeros(len(read))
