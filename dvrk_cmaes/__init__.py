@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
     from dvrk_cmaes.calibration.lag import LagCurve
     from dvrk_cmaes.calibration.session_camera import SessionCamera
-    from dvrk_cmaes.camera import Camera
+    from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.config import (
         EstimateConfig,
         LookAtRange,
@@ -72,6 +72,7 @@ _HOMES = {
     "ResultsFolder": "results.folder",
     "SearchConfig": "config",
     "Session": "frames.session_folder",
+    "Rig": "camera",
     "SessionCalibration": "calibration",
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
@@ -121,6 +122,7 @@ __all__ = [
     "Renderer",
     "Result",
     "ResultsFolder",
+    "Rig",
     "SearchConfig",
     "Session",
     "SessionCalibration",

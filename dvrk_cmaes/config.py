@@ -217,6 +217,9 @@ class TrustConfig:
         Largest deviation of a joint from its reading, in standard deviations of the reading.
     largest_reading_sum
         Largest sum of the squares of these deviations over all joints.
+    largest_view_deg, largest_view_sigmas
+        Rotation, degrees, by which a view of a stereo pair may contradict the other one, and how many of its standard
+        deviations that must be to count.
     largest_base_deg
         Largest rotation, degrees, between a frame's camera_from_base and the most central one of a batch's frames. In a
         batch whose frames scatter more, three times the median rotation counts.
@@ -231,6 +234,8 @@ class TrustConfig:
     largest_outline_gap: float = 2.0
     largest_reading_sigmas: float = 2.8
     largest_reading_sum: float = 7.8
+    largest_view_deg: float = 0.1
+    largest_view_sigmas: float = 4.0
     largest_base_deg: float = 10.0
 
 

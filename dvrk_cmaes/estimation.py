@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -11,28 +12,32 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import fit_session_pose
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.joint_prior import describe_limits, split_readings
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
+from dvrk_cmaes.pose.find_in_views import find_pose_in_views
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
+from dvrk_cmaes.pose.seen_views import SeenView, seen_views
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body, prepare
 
 
 def estimate(
-    mask: NDArray[np.bool_],
-    camera: Camera,
+    mask: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None],
+    camera: Camera | Rig,
     joints: Mapping[str, float] | None = None,
     instrument: Instrument | Body | str = "lnd",
     *,
-    ignore: NDArray[np.bool_] | None = None,
-    keypoints: ArrayLike | None = None,
+    ignore: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None] | None = None,
+    keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
     arm: Arm = "classic",
     session: SessionCalibration | None = None,
     frame: str = "",
@@ -40,25 +45,27 @@ def estimate(
     config: EstimateConfig | None = None,
     warnings: Sequence[str] = (),
 ) -> Result:
-    """Estimate the pose of the instrument in the camera and its true joint values from one mask.
+    """Estimate the pose of the instrument in the camera and its true joint values from one mask, or one of each view.
 
     May be called from several threads at once. Reads no files, except those of an instrument that is given by name.
 
     Parameters
     ----------
     mask
-        (H, W) bool, True on the instrument, of the camera's size.
+        (H, W) bool, True on the instrument, of the camera's size. With a rig, the masks by name of the view; a view
+        without a mask, or with an empty one, is not used.
     camera
-        Intrinsics and distortion.
+        Intrinsics and distortion. Or a rig of several cameras: the pose is then in the first one's frame, whether or
+        not that has a mask.
     joints
         Readings by joint name, rad (insertion: m), used as measurements with a standard deviation. Any may be missing.
         The outer joints yaw, pitch, insertion and roll, if all are given, yield ``camera_from_base``.
     instrument
         A bundled instrument's name, a URDF's path, a loaded `Instrument`, or a prepared `Body`.
     ignore
-        (H, W) bool, pixels that count neither way.
+        (H, W) bool, pixels that count neither way; by view with a rig.
     keypoints
-        (2, 2) px, the jaw tips in either order.
+        (2, 2) px, the jaw tips in either order; by view with a rig.
     arm
         ``classic`` or ``si``: the kinematics of the outer arm.
     session
@@ -89,27 +96,28 @@ def estimate(
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, dict(joints or {})
+    rig = Rig.of_camera(camera) if isinstance(camera, Camera) else camera
     if session is not None:
-        camera = session.corrected(camera)
+        rig = rig.with_cameras({rig.names[0]: session.corrected(rig.camera)})
+    seen, left_out = seen_views(mask, rig.camera if isinstance(camera, Camera) else rig, ignore, keypoints)
     readings, unused, outside = split_readings(model, given, settings)
-    evidence = gather_evidence(
-        np.asarray(mask, dtype=np.bool_),
-        camera,
-        model,
-        ignore=None if ignore is None else np.asarray(ignore, dtype=np.bool_),
-        keypoints=None if keypoints is None else np.asarray(keypoints, dtype=np.float64),
-        seed=settings.seed,
-    )
-    renderer = Renderer(body, camera, threads=settings.threads)
-    predicted = None if session is None else fit_session_pose(session, renderer, evidence, readings, given, settings)
+    views = _frame_views(seen, body, settings)
+    main = views[0]
+    predicted = None
+    if session is not None and main.name == rig.names[0]:
+        predicted = fit_session_pose(session, main.renderer, main.evidence, readings, given, settings)
     source: Source
     if session is not None and isinstance(predicted, FoundPose):
         found, source, arm = predicted, "session", session.arm
         base = found.camera_from_base
     else:
-        found, source = find_pose(renderer, decimated, evidence, readings, settings), "frame"
+        if len(views) == 1:
+            found = find_pose(main.renderer, decimated, main.evidence, readings, settings)
+        else:
+            found = find_pose_in_views(views, decimated, readings, settings)
+        found, source = _in_camera(found, seen[0]), "frame"
         base = find_camera_from_base(found.camera_from_root, given, arm, roll_offset=model.roll_offset)
-    tips, tips_px = locate_tips(model, camera, found.camera_from_root, found.joints)
+    tips, tips_px = locate_tips(model, rig.camera, found.camera_from_root, found.joints)
     return Result(
         frame=frame,
         status="doubtful" if found.reasons else "ok",
@@ -119,8 +127,8 @@ def estimate(
         camera_from_root=found.camera_from_root,
         joints=dict(zip(model.joint_names, found.joints.tolist(), strict=True)),
         readings=given,
-        warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ())),
-        unused=(*evidence.unused, *unused),
+        warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
+        unused=(*left_out, *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,
         quality=found.quality,
@@ -131,6 +139,8 @@ def estimate(
         expected_error=found.expected_error,
         mode_probability=found.mode_probability,
         alternatives=found.alternatives,
+        views=() if isinstance(camera, Camera) else tuple(view.name for view in views),
+        view_fits=found.views,
         seconds=perf_counter() - started,
         evaluations=found.evaluations,
         rays=found.rays,
@@ -139,3 +149,39 @@ def estimate(
         config={**settings.as_dict(), "instrument": describe_limits(model, arm)},
         model=model,
     )
+
+
+def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig) -> list[FrameView]:
+    """Gather the evidence of each view, and make its renderer; poses are in the first one of them."""
+    views = []
+    for view in seen:
+        evidence = gather_evidence(
+            view.mask,
+            view.camera,
+            body.instrument,
+            ignore=view.ignore,
+            keypoints=view.keypoints,
+            seed=settings.seed,
+        )
+        renderer = Renderer(body, view.camera, threads=settings.threads)
+        view_from_first = view.view_from_camera @ inverse(seen[0].view_from_camera)
+        views.append(FrameView(view.name, evidence, renderer, np.eye(4) if view is seen[0] else view_from_first))
+    return views
+
+
+def _in_camera(found: FoundPose, view: SeenView) -> FoundPose:
+    """Return what was found in a view's camera in the reference camera of its rig."""
+    if np.array_equal(view.view_from_camera, np.eye(4)):
+        return found
+    camera_from_view = inverse(view.view_from_camera)
+    others = tuple(
+        replace(other, camera_from_root=camera_from_view @ other.camera_from_root) for other in found.alternatives
+    )
+    return replace(found, camera_from_root=camera_from_view @ found.camera_from_root, alternatives=others)
+
+
+def _unused_evidence(views: Sequence[FrameView]) -> tuple[str, ...]:
+    """Describe the evidence that is missing, with the view's name where there are several."""
+    if len(views) == 1:
+        return views[0].evidence.unused
+    return tuple(f"view {view.name}: {text}" for view in views for text in view.evidence.unused)

@@ -25,7 +25,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.export.formats import DIRECTIONS
 from dvrk_cmaes.io.toml_file import leaves, updated
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.results.result import Alternative, Quality, Result
+from dvrk_cmaes.results.result import Alternative, Quality, Result, ViewCheck
 
 PAGES = ROOT / "data" / "reference"
 REFERENCE = {path.stem: path.read_text(encoding="utf-8") for path in sorted(PAGES.glob("*.md"))}
@@ -106,8 +106,8 @@ def test_named_scripts_exist() -> None:
 def test_fields_of_result_are_explained() -> None:
     explained = quoted(section(REFERENCE["results"], "A result"))
     empty = Result("", "failed", (), "", "", None, {}, {})
-    inner = {field.name for kind in (Quality, Alternative) for field in fields(kind)}
-    assert {*empty.to_dict(), *inner} <= explained
+    inner = {field.name for kind in (Quality, Alternative, ViewCheck) for field in fields(kind)}
+    assert {*empty.to_dict(), "views", "view_fits", *inner} <= explained
 
 
 def test_fields_of_calibration_are_explained() -> None:

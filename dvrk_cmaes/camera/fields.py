@@ -17,6 +17,8 @@ Side = Literal["left", "right"]
 Size = tuple[int, int]
 Distortion = tuple[str, tuple[float, ...]]
 
+ONE_CAMERA = "the file holds one camera: it is taken for the right one"
+
 _OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 
 
@@ -136,7 +138,7 @@ def one_camera(where: str, side: Side, name: object = None) -> tuple[str, ...]:
         return ()
     if isinstance(name, str) and "left" in name.lower() and "right" not in name.lower():
         raise InputError(f"{where}: --side right: expected the right camera, got {shown(name)}")
-    return ("the file holds one camera: it is taken for the right one",)
+    return (ONE_CAMERA,)
 
 
 def unknown_layout(where: str, document: Mapping[str, Any]) -> InputError:

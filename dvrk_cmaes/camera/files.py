@@ -21,7 +21,7 @@ from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.plain_xml import parse_xml
 from dvrk_cmaes.io.yaml_file import read_yaml_mapping
 
-__all__ = ["CameraFile", "Side", "Size", "read_camera", "read_camera_file", "read_intrinsics"]
+__all__ = ["CameraFile", "Side", "Size", "read_camera", "read_camera_file", "read_document", "read_intrinsics"]
 
 _EXPECTED = "a camera file (YAML or XML)"
 _LARGEST = 1_000_000  # bytes
@@ -99,14 +99,14 @@ def read_camera_file(
 
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
     """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
-    where, document = str(path), _document(path)
+    where, document = str(path), read_document(path)
     for is_kind, read_kind in _KINDS:
         if is_kind(document):
             return read_kind(where, document, rectified=rectified, side=side)
     raise unknown_layout(where, document)
 
 
-def _document(path: str | Path) -> dict[str, Any]:
+def read_document(path: str | Path) -> dict[str, Any]:
     """Read the fields of a YAML or XML file as plain values."""
     data = read_bytes(path, expected=_EXPECTED, largest=_LARGEST)
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):

@@ -34,8 +34,8 @@ def is_camchain(document: Mapping[str, Any]) -> bool:
 
 def read_camchain(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
     """Read one camera of a camchain; InputError names the camera, the field and what was expected."""
-    cameras = {name: entry for name, entry in document.items() if _NAME.fullmatch(name) and isinstance(entry, Mapping)}
-    name, notes = _chosen(where, cameras, side)
+    cameras = kalibr_cameras(document)
+    name, notes = chosen_camera(where, cameras, side)
     entry, inside = cameras[name], f"{where}: {name}"
     _, model = take_field(inside, entry, ("camera_model",))
     if model != "pinhole":
@@ -60,7 +60,12 @@ def read_camchain(where: str, document: Mapping[str, Any], *, rectified: bool, s
     return Intrinsics(f"{kind}, {images}", _size(inside, entry), fx, fy, cx, cy, *distortion, notes)
 
 
-def _chosen(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Side) -> tuple[str, tuple[str, ...]]:
+def kalibr_cameras(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the cameras of a camchain by name."""
+    return {name: entry for name, entry in document.items() if _NAME.fullmatch(name) and isinstance(entry, Mapping)}
+
+
+def chosen_camera(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Side) -> tuple[str, tuple[str, ...]]:
     """Return the name of the camera of one side, and notes on its choice."""
     topics = {name: str(entry.get("rostopic", "")) for name, entry in cameras.items()}
     if len(cameras) == 1:

@@ -1,8 +1,9 @@
 """Read OpenCV's FileStorage, YAML or XML, of one camera or a stereo pair.
 
-One camera: ``camera_matrix``, ``distortion_coefficients``. A pair: ``K1, K2, D1, D2`` (or ``M1, M2``), or
-``Left_Camera_Matrix``, ``Left_Distortion_Coefficients`` and ``Right_...``; case and underscores are ignored.
-``P1`` and ``P2`` (3, 4) are for rectified images. The pose between the two cameras (R, T) is not used.
+One camera: ``camera_matrix``, ``distortion_coefficients``. A pair: ``K1, K2, D1, D2`` (or ``M1, M2``),
+``cameraMatrixL``, ``distCoeffsL``, ``camera_matrix_left``, ``distortion_coefficients_left``, or
+``Left_Camera_Matrix``, ``Left_Distortion_Coefficients``, and the same of the right; case and underscores are ignored.
+``P1`` and ``P2`` (3, 4) are for rectified images. The pose between the two cameras is read in ``stereo``.
 """
 
 from __future__ import annotations
@@ -50,16 +51,22 @@ def read_storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
 
 def is_storage(document: Mapping[str, Any]) -> bool:
     """Whether a document has matrices of a FileStorage (with a type ``dt``) or the field names of a stereo pair."""
-    plain = _plain_names(document)
+    plain = plain_names(document)
     typed = any(isinstance(value, Mapping) and "dt" in value and "data" in value for value in plain.values())
-    return typed or any(has_field(plain, _names(side)[0]) for side in ("left", "right"))
+    return typed or is_stereo_storage(document)
+
+
+def is_stereo_storage(document: Mapping[str, Any]) -> bool:
+    """Whether a document has the field names of a stereo pair."""
+    plain = plain_names(document)
+    return any(has_field(plain, _names(side)[0]) for side in ("left", "right"))
 
 
 def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
     """Read the intrinsics of a FileStorage document; InputError names the field and what was expected."""
-    plain = _plain_names(document)
+    plain = plain_names(document)
     spelled = {_plain(name): name for name in document}
-    stereo = any(has_field(plain, _names(one)[0]) for one in ("left", "right"))
+    stereo = is_stereo_storage(document)
     matrices, distortions, projections = _names(side) if stereo else (_MATRIX, _DISTORTION, ("projectionmatrix", "p"))
     notes = () if stereo else one_camera(where, side)
     found, entry = _take(where, plain, spelled, matrices)
@@ -82,10 +89,15 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
 
 def _names(side: str) -> tuple[tuple[str, ...], ...]:
     """Return the normalised names of intrinsic matrix, distortion and projection matrix of one camera of a pair."""
-    n = _NUMBERED[side]
+    n, ends = _NUMBERED[side], (side[0], side)
     return (
-        (f"k{n}", f"m{n}", f"cameramatrix{n}", f"{side}cameramatrix"),
-        (f"d{n}", f"distcoeffs{n}", f"{side}distortioncoefficients"),
+        (f"k{n}", f"m{n}", f"cameramatrix{n}", f"{side}cameramatrix", *(f"cameramatrix{end}" for end in ends)),
+        (
+            f"d{n}",
+            f"distcoeffs{n}",
+            f"{side}distortioncoefficients",
+            *(f"{name}{end}" for name in ("distcoeffs", "distortioncoefficients") for end in ends),
+        ),
         (f"p{n}", f"{side}projectionmatrix"),
     )
 
@@ -95,7 +107,8 @@ def _plain(name: str) -> str:
     return name.lower().replace("_", "")
 
 
-def _plain_names(document: Mapping[str, Any]) -> dict[str, Any]:
+def plain_names(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a document by normalised names: lower case, without underscores."""
     return {_plain(name): value for name, value in document.items()}
 
 

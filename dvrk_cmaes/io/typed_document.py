@@ -51,10 +51,14 @@ if TYPE_CHECKING:  # arrays to a type checker, classes with a shape to msgspec
     Transform = NDArray[np.float64]
     Point = NDArray[np.float64]
     Pixel = NDArray[np.float64]
+    PointPair = NDArray[np.float64]
+    SquareOfThree = NDArray[np.float64]
 else:
     Transform = _array_type(4, 4)  # a rigid transform
     Point = _array_type(3)
     Pixel = _array_type(2)
+    PointPair = _array_type(2, 3)
+    SquareOfThree = _array_type(3, 3)
 
 
 def convert_document(where: str, document: object, kind: type[T], expected: Mapping[Any, str] | None = None) -> T:

@@ -79,8 +79,20 @@ def judge(
 
     ``probability`` is that of the first mode, ``expected`` its expected error.
     """
-    best = modes[0]
-    reasons = doubts_of_fit(best, quality, expected, evidence, instrument, trust)
+    reasons = doubts_of_fit(modes[0], quality, expected, evidence, instrument, trust)
+    return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust)
+
+
+def doubts_of_modes(
+    modes: Sequence[OutlineFit],
+    probability: float,
+    evidence: Evidence,
+    readings: Readings,
+    instrument: Instrument,
+    trust: TrustConfig,
+) -> list[str]:
+    """List the reasons, in words, for which the first of all modes may not be the true one; empty without any."""
+    best, reasons = modes[0], []
     better = min(modes, key=lambda mode: mode.outline_score)
     if best.outline_score - better.outline_score > trust.largest_outline_gap:
         reasons.append("readings against outline: a pose farther from the readings explains the mask clearly better")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
 from dvrk_cmaes.pose.refine.outline import OutlineFit
 from dvrk_cmaes.pose.search.global_search import find_candidates
-from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality
+from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
@@ -33,7 +34,8 @@ class FoundPose:
     [t, r, joints] in the root's axes; ``expected_error`` is that of tips and shaft. ``mode_probability`` is that of the
     pose's mode, None where a session's prediction tells the mode. ``reasons`` say why the pose is doubtful; none if it
     is not. ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the
-    readings. ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced.
+    readings. ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced. Where several views were
+    used, ``views`` has the fit in each, and ``notes`` remark on single ones.
     """
 
     camera_from_root: Float64
@@ -47,6 +49,8 @@ class FoundPose:
     mode_probability: float | None = None
     alternatives: tuple[Alternative, ...] = ()
     camera_from_base: Float64 | None = None
+    views: tuple[ViewCheck, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def find_pose(
@@ -80,11 +84,16 @@ def find_pose(
         rays=objective.renderer.rays + local.rays + renderer.rays + confirming,
         expected_error=expected,
         mode_probability=probability,
-        alternatives=tuple(
-            _alternative(instrument, readings, best, mode, quality)
-            for mode, quality in zip(modes[1:], qualities[1:], strict=True)
-        ),
+        alternatives=alternatives_of(instrument, readings, modes, qualities),
     )
+
+
+def alternatives_of(
+    instrument: Instrument, readings: Readings, modes: Sequence[OutlineFit], qualities: Sequence[Quality]
+) -> tuple[Alternative, ...]:
+    """Describe all modes of a frame but the first, with the qualities of all."""
+    pairs = zip(modes[1:], qualities[1:], strict=True)
+    return tuple(_alternative(instrument, readings, modes[0], mode, quality) for mode, quality in pairs)
 
 
 def _alternative(

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
-from dvrk_cmaes.io.typed_document import Number, Point, Transform
+import numpy as np
+
+from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, rounded_values
+from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
 
 Relation = Literal["mirror twin", "other mode"]
 
@@ -57,6 +59,49 @@ class Quality:
     bend_px: Number = 0.0
     steady_share: Number = 0.0
     distal_px: Number = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the quality in the result's schema."""
+        return {
+            "iou": rounded(self.iou),
+            "loss": rounded(self.loss),
+            "terms": rounded_values(self.terms),
+            "contour_px_median": rounded(self.contour_px_median),
+            "contour_px_95": rounded(self.contour_px_95),
+            "bend_px": rounded(self.bend_px),
+            "steady_share": rounded(self.steady_share),
+            "distal_px": rounded(self.distal_px),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ViewCheck:
+    """Fit of the pose in one view of a rig, and how far the view contradicts the first one.
+
+    name : of the view. quality : in this view alone. rotation_deg : (3,) rotation of the view about the first camera's
+    axes with which its mask would fit the pose best, degrees; zero for the first view. covariance_deg2 : (3, 3), of it.
+    """
+
+    name: str
+    quality: Quality
+    rotation_deg: Point
+    covariance_deg2: SquareOfThree
+
+    @property
+    def significance(self) -> float:
+        """Length of the rotation in standard deviations; 0 for the first view."""
+        if not self.rotation_deg.any():
+            return 0.0
+        return float(np.sqrt(self.rotation_deg @ np.linalg.solve(self.covariance_deg2, self.rotation_deg)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the view in the result's schema."""
+        return {
+            "name": self.name,
+            "quality": self.quality.to_dict(),
+            "rotation_deg": rounded_array(self.rotation_deg),
+            "covariance_deg2": rounded_matrix(self.covariance_deg2),
+        }
 
 
 @dataclass(frozen=True, eq=False)

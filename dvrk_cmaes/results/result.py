@@ -25,9 +25,9 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
-from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality
+from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
-__all__ = ["POSE_AXES", "SCHEMA", "Alternative", "ExpectedError", "Quality", "Result", "Source", "Status"]
+__all__ = ["POSE_AXES", "SCHEMA", "Alternative", "ExpectedError", "Quality", "Result", "Source", "Status", "ViewCheck"]
 
 Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
@@ -93,6 +93,8 @@ class Result:
     expected_error: ExpectedError | None = None
     mode_probability: Number | None = None
     alternatives: tuple[Alternative, ...] = ()
+    views: Texts = ()
+    view_fits: tuple[ViewCheck, ...] = ()
     seconds: Number = 0.0
     evaluations: Count = 0
     rays: Count = 0
@@ -206,18 +208,6 @@ class Result:
         if self.covariance is not None:
             axes = [*POSE_AXES, *self.joints]
             covariance = {"axes": axes, "matrix": rounded_matrix(self.covariance)}
-        quality = None
-        if self.quality is not None:
-            quality = {
-                "iou": rounded(self.quality.iou),
-                "loss": rounded(self.quality.loss),
-                "terms": rounded_values(self.quality.terms),
-                "contour_px_median": rounded(self.quality.contour_px_median),
-                "contour_px_95": rounded(self.quality.contour_px_95),
-                "bend_px": rounded(self.quality.bend_px),
-                "steady_share": rounded(self.quality.steady_share),
-                "distal_px": rounded(self.quality.distal_px),
-            }
         return {
             "schema": SCHEMA,
             "frame": self.frame,
@@ -236,7 +226,7 @@ class Result:
             "camera_from_base": None if self.camera_from_base is None else rounded_array(self.camera_from_base),
             "source": self.source,
             "change": self.change,
-            "quality": quality,
+            "quality": None if self.quality is None else self.quality.to_dict(),
             "std": std,
             "covariance": covariance,
             "mode_probability": None if self.mode_probability is None else rounded(self.mode_probability),
@@ -247,4 +237,11 @@ class Result:
             "seed": self.seed,
             "version": self.version,
             "config": self.config,
+            **self._of_views(),
         }
+
+    def _of_views(self) -> dict[str, Any]:
+        """Return the fields of a frame that was taken by a rig."""
+        if not self.views:
+            return {}
+        return {"views": list(self.views), "view_fits": [fit.to_dict() for fit in self.view_fits]}

@@ -138,8 +138,8 @@ def test_rectified_stereo_requires_projection_matrices(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fields", "expected"),
     [
-        ({"K1": LEFT}, "D1: missing (expected D1 or distcoeffs1 or leftdistortioncoefficients)"),
-        ({"K2": LEFT, "D2": BENT}, "K1: missing (expected K1 or M1 or cameramatrix1 or leftcameramatrix)"),
+        ({"K1": LEFT}, "D1: missing (expected D1 or distcoeffs1 or leftdistortioncoefficients"),
+        ({"K2": LEFT, "D2": BENT}, "K1: missing (expected K1 or M1 or cameramatrix1 or leftcameramatrix"),
         ({"K1": LEFT.T, "D1": BENT}, "K1: expected rows fx 0 cx, 0 fy cy, 0 0 1 (no skew), got "),
         ({"K1": P2, "D1": BENT}, "K1: expected 3 rows and 3 cols, got 3 and 4"),
         ({"K1": LEFT, "D1": BENT[:3]}, "D1: expected 0, 4, 5, 8, 12 or 14 coefficients, got 3"),

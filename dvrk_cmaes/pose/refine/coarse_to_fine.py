@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,26 @@ def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
     return np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
 
 
+class Refiner(Protocol):
+    """Refines poses on the masks of one frame, and counts the silhouettes rendered and the rays traced."""
+
+    @property
+    def silhouettes(self) -> int:
+        """Number of silhouettes rendered so far."""
+
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+
+    def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
+        """Score one pose (4, 4) and its joints (J,) without refining them."""
+
+    def refine_all(
+        self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
+    ) -> list[OutlineFit]:
+        """Refine poses (C, 4, 4) and their joints (C, J) independently."""
+
+
 class LocalSearch:
     """Refines modes of one frame, and counts the silhouettes rendered and the rays traced.
 
@@ -65,7 +86,7 @@ class LocalSearch:
         self.silhouettes = 0
         self.rays = 0
 
-    def _refiner(self, shrink: int, *, correlation: float | None = None) -> OutlineRefiner:
+    def _refiner(self, shrink: int, *, correlation: float | None = None) -> Refiner:
         outline = self._config.refine.outline
         if correlation is not None:
             outline = replace(outline, correlation=correlation)
@@ -76,7 +97,7 @@ class LocalSearch:
 
     def _refine(
         self,
-        refiner: OutlineRefiner,
+        refiner: Refiner,
         modes: Sequence[HasPose],
         *,
         cauchy: float | None = None,
@@ -127,8 +148,8 @@ class LocalSearch:
     def _finish(self, modes: list[OutlineFit]) -> list[OutlineFit]:
         """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""
         best = min(modes, key=lambda m: m.score)
-        noise = self._noise(best)
-        refiner = self._refiner(1, correlation=noise.length)
+        noises = self._noises(best)
+        refiner = self._last_refiner(noises)
         # Modes that are clearly worse, by score and by outline score, are not refined again, only scored.
         close = [
             mode
@@ -140,36 +161,44 @@ class LocalSearch:
         if missing := self._missing_twin(modes[0], modes[1:]):
             modes = best_per_mode([*modes, *self._last(refiner, missing)])
         first, *others = modes
-        if self._config.refine.method == "gauss-newton" and has_correlated_noise(noise):
-            fitted = refiner.assess(*fit_correlated(refiner, first.camera_from_root, first.joints))
-            if fitted.score < first.score + _AS_GOOD:
+        if self._config.refine.method == "gauss-newton":
+            fitted = self._fit_correlated(refiner, noises, first)
+            if fitted is not None and fitted.score < first.score + _AS_GOOD:
                 first = replace(first, camera_from_root=fitted.camera_from_root, joints=fitted.joints)
-        return [replace(first, information=pose_information(refiner, first, self._noise(first))), *others]
+        return [replace(first, information=self._information(refiner, first)), *others]
 
-    def _noise(self, mode: HasPose) -> OutlineNoise:
-        """Estimate the noise of the mask's contour from its distances to the silhouette of a mode."""
+    def _noises(self, mode: HasPose) -> tuple[OutlineNoise, ...]:
+        """Estimate the noise of each mask's contour from its distances to the silhouette of a mode."""
         silhouette = self._renderer.masks(mode.camera_from_root[None], mode.joints[None])[0]
-        return measure_noise(self._evidence.contour, silhouette)
+        return (measure_noise(self._evidence.contour, silhouette),)
 
-    def _last(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+    def _last_refiner(self, noises: Sequence[OutlineNoise]) -> Refiner:
+        """Return the refiner at full image size with the weights that follow from the contours' noise."""
+        return self._refiner(1, correlation=noises[0].length)
+
+    def _fit_correlated(self, refiner: Refiner, noises: Sequence[OutlineNoise], mode: OutlineFit) -> OutlineFit | None:
+        """Refine a mode by generalised least squares; None where the contours' noise is not of that kind."""
+        if not isinstance(refiner, OutlineRefiner) or not has_correlated_noise(noises[0]):
+            return None
+        return refiner.assess(*fit_correlated(refiner, mode.camera_from_root, mode.joints))
+
+    def _information(self, refiner: Refiner, mode: OutlineFit) -> Float64:
+        """Compute the information (6 + J, 6 + J) about the small changes of a refined mode."""
+        assert isinstance(refiner, OutlineRefiner)
+        return pose_information(refiner, mode, self._noises(mode)[0])
+
+    def _last(self, refiner: Refiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""
         if self._config.refine.method == "gauss-newton":
             return self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
         return [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
 
-    def _finest(self, refiner: OutlineRefiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
+    def _finest(self, refiner: Refiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes at full image size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
             return self._refine(refiner, modes)
-        objective = Objective(
-            self._renderer,
-            self._evidence,
-            self._readings,
-            config.weights,
-            decay=config.decay_px,
-            field=config.distance_field,
-        )
+        objective = self._objective()
         scale = 0.3 * scale_of_change(self._readings)
         fits = []
         for mode in modes:
@@ -185,3 +214,15 @@ class LocalSearch:
             fits.append(refiner.assess(moved(mode.camera_from_root, step[:6]), mode.joints + step[6:]))
             self.silhouettes += count
         return fits
+
+    def _objective(self) -> Callable[[Float64, Float64], Float64]:
+        """Return the loss (C,) of poses (C, 4, 4) and joints (C, J) at full image size."""
+        config = self._config
+        return Objective(
+            self._renderer,
+            self._evidence,
+            self._readings,
+            config.weights,
+            decay=config.decay_px,
+            field=config.distance_field,
+        )

@@ -15,6 +15,8 @@ errors above ``_CLIP`` standard deviations are outliers of the segmentation and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,29 +50,27 @@ def has_correlated_noise(noise: OutlineNoise) -> bool:
     return is_rough(noise) and noise.length < _LARGEST_LENGTH
 
 
-def fit_correlated(refiner: OutlineRefiner, pose: Float64, joints: Float64) -> tuple[Float64, Float64]:
+def fit_correlated(
+    refiner: OutlineRefiner,
+    pose: Float64,
+    joints: Float64,
+    others: Sequence[tuple[OutlineRefiner, Float64]] = (),
+) -> tuple[Float64, Float64]:
     """Refine a pose (4, 4) and joints (J,), already accurate to about a millimetre, with a refiner at full image size.
 
-    Stops early if fewer than 40 outline points have a contour point within reach.
+    Stops early if fewer than 40 outline points have a contour point within reach. ``others`` are the refiners of
+    further views with their ``view_from_camera`` (4, 4); one with too few such points does not count.
     """
     for _ in range(_STEPS):
-        outline, jacobian = refiner.outline_jacobian(pose, joints)
-        error, lengths = _contour_distances(refiner.mask, outline)
-        known = np.isfinite(error) & (sampled(refiner.weight, outline.pixels) > 0.5)
-        if known.sum() < 40:
+        terms = contour_terms(refiner, pose, joints)
+        if terms is None and not others:
             return pose, joints
-        sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 0.5)
-        index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
-        if len(index) > _MOST_POINTS:
-            index = np.sort(np.random.default_rng(0).choice(index, _MOST_POINTS, replace=False))
-        error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
-        jacobian = jacobian[index] / lengths[:, None]
-        variance = max(float(np.mean(error**2)) - _GRID / 2, 0.02)
-        apart = pixels[:, None] - pixels
-        covariance = variance * _CORRELATED * np.exp(-np.pi / _LENGTH**2 * np.einsum("ijk,ijk->ij", apart, apart))
-        covariance[np.diag_indices(len(index))] += variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
-        solved = np.linalg.solve(covariance, np.c_[jacobian, error])
-        information, slope = jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
+        information, slope = terms or _nothing(joints)
+        for other, view_from_camera in others:
+            more = contour_terms(other, view_from_camera @ pose, joints) or _nothing(joints)
+            information, slope = information + more[0], slope + more[1]
+        if not information.any():
+            return pose, joints
         refiner.priors.add(information, slope, pose, joints)
         step = -np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))
@@ -81,7 +81,39 @@ def fit_correlated(refiner: OutlineRefiner, pose: Float64, joints: Float64) -> t
     return pose, joints
 
 
-def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints) -> tuple[Float64, Float64]:
+def _nothing(joints: Float64) -> tuple[Float64, Float64]:
+    """Return the information and the slope of a mask that tells nothing."""
+    count = 6 + len(joints)
+    return np.zeros((count, count)), np.zeros(count)
+
+
+def contour_terms(
+    refiner: OutlineRefiner, pose: Float64, joints: Float64, reach: int = _REACH
+) -> tuple[Float64, Float64] | None:
+    """Compute the outline's information (6 + J, 6 + J) and slope (6 + J,); None with fewer than 40 points in reach.
+
+    ``reach``, px, is the distance from the outline in which the mask's contour is searched.
+    """
+    outline, jacobian = refiner.outline_jacobian(pose, joints)
+    error, lengths = _contour_distances(refiner.mask, outline, reach)
+    known = np.isfinite(error) & (sampled(refiner.weight, outline.pixels) > 0.5)
+    if known.sum() < 40:
+        return None
+    sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 0.5)
+    index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
+    if len(index) > _MOST_POINTS:
+        index = np.sort(np.random.default_rng(0).choice(index, _MOST_POINTS, replace=False))
+    error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
+    jacobian = jacobian[index] / lengths[:, None]
+    variance = max(float(np.mean(error**2)) - _GRID / 2, 0.02)
+    apart = pixels[:, None] - pixels
+    covariance = variance * _CORRELATED * np.exp(-np.pi / _LENGTH**2 * np.einsum("ijk,ijk->ij", apart, apart))
+    covariance[np.diag_indices(len(index))] += variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
+    solved = np.linalg.solve(covariance, np.c_[jacobian, error])
+    return jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
+
+
+def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints, reach: int) -> tuple[Float64, Float64]:
     """Measure the distance from each outline point to the mask's contour along the normal, px, (N,).
 
     It is positive if the contour is outside the outline, and NaN if there is none within reach. The contour is searched
@@ -97,7 +129,7 @@ def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints) -> tuple
         along, across = outline.pixels[index].T[:: -1 if vertical else 1]
         outwards = np.sign(outline.normals[index, int(vertical)])
         row = np.clip(np.rint(across).astype(int), 0, len(edges) - 1)
-        column = np.floor(along).astype(int)[:, None] + np.arange(-_REACH, _REACH + 1)
+        column = np.floor(along).astype(int)[:, None] + np.arange(-reach, reach + 1)
         inside = (column >= 0) & (column < edges.shape[1])
         found = edges[row[:, None], np.clip(column, 0, edges.shape[1] - 1)] == -outwards[:, None]
         off = np.where(inside & found, column + 0.5 - along[:, None], np.inf)

@@ -8,6 +8,8 @@ about the error of the pose, and shadows make it longer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,12 +31,38 @@ _ROUGH_FACTOR, _SMOOTH_FACTOR = 0.455, 0.65  # on the covariance; fitted to the 
 
 def pose_information(refiner: OutlineRefiner, fit: OutlineFit, noise: OutlineNoise) -> Float64:
     """Compute the information (6 + J, 6 + J) of outline and priors about the small changes of a fitted pose."""
+    information, factor = _outline_and_factor(refiner, fit, noise)
+    refiner.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+    return np.asarray((information + np.diag(_bounds(len(information)))) / factor)
+
+
+def joint_information(
+    refiners: Sequence[OutlineRefiner], fits: Sequence[OutlineFit], noises: Sequence[OutlineNoise]
+) -> list[Float64]:
+    """Compute the information (6 + J, 6 + J) of each of several views about the small changes of one fitted pose.
+
+    ``fits`` are that pose in each view; the first view's priors include the readings. The errors of the masks of
+    different views are taken to be independent.
+    """
+    found = []
+    for k, (refiner, fit, noise) in enumerate(zip(refiners, fits, noises, strict=True)):
+        information, factor = _outline_and_factor(refiner, fit, noise)
+        refiner.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+        bounds = _bounds(len(information)) if k == 0 else 0.0 * _bounds(len(information))
+        found.append((information + np.diag(bounds)) / factor)
+    return found
+
+
+def _outline_and_factor(refiner: OutlineRefiner, fit: OutlineFit, noise: OutlineNoise) -> tuple[Float64, float]:
+    """Compute the information (6 + J, 6 + J) of the outline, and the factor on its inverse that its noise requires."""
     rough = is_rough(noise)
     information = outline_information(refiner, fit, noise.sigma, _ROUGH_LENGTH if rough else noise.length)
-    refiner.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
-    bounds = [1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (len(information) - 3)
-    factor = noise.inflation * (_ROUGH_FACTOR if rough else _SMOOTH_FACTOR)
-    return np.asarray((information + np.diag(bounds)) / factor)
+    return information, noise.inflation * (_ROUGH_FACTOR if rough else _SMOOTH_FACTOR)
+
+
+def _bounds(count: int) -> Float64:
+    """Return the information of the largest standard deviations of ``count`` parameters, (count,)."""
+    return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 
 
 def outline_information(refiner: OutlineRefiner, fit: OutlineFit, sigma: float, correlation: float) -> Float64:

@@ -35,6 +35,8 @@ from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
 
+_EMPTY = np.zeros((0, 0)), np.zeros(0)  # information and slope that were not computed
+
 
 @dataclass(frozen=True, eq=False)
 class OutlineFit:
@@ -51,6 +53,26 @@ class OutlineFit:
     outline_score: float
     residual: float
     information: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineTerms:
+    """One mask's part in a refinement of a pose on several, at that pose.
+
+    ``loss`` is the robust sum of squares of the coverage, ``residual`` the same with the width of the configuration's
+    Cauchy loss, and ``least`` that of an exact mask. ``length`` is that of the contour, px, ``count`` its number of
+    independent measurements. ``prior`` is the sum of squares of the priors. ``outline`` and ``priors`` are information
+    (6 + J, 6 + J) and slope (6 + J,) of half of ``loss`` and half of ``prior``; empty where not asked for.
+    """
+
+    loss: float
+    residual: float
+    least: float
+    length: float
+    count: float
+    prior: float
+    outline: tuple[Float64, Float64]
+    priors: tuple[Float64, Float64]
 
 
 class OutlineRefiner:
@@ -240,6 +262,51 @@ class OutlineRefiner:
         information, slope = self._normal_equations(state, jacobian, self._config.cauchy)
         scale = self._scale(state.loss)
         return scale * information, scale * slope
+
+    def terms(
+        self,
+        poses: Float64,
+        joints: Float64,
+        *,
+        cauchy: float | None = None,
+        derivatives: bool = True,
+    ) -> list[OutlineTerms]:
+        """Compute this mask's terms at each of C poses (C, 4, 4) and joints (C, J); ``cauchy`` as in `refine_all`."""
+        width = self._config.cauchy if cauchy is None else cauchy
+        if not derivatives:
+            images = self._render_coverage(poses, joints)
+            return [self._term(*each, width) for each in zip(poses, joints, images, strict=True)]
+        drawn = self._render(poses, joints)
+        jacobians = self._jacobians([outline for _, outline in drawn], poses, joints)
+        found = []
+        for pose, joint, (image, outline), jacobian in zip(poses, joints, drawn, jacobians, strict=True):
+            state = _State(pose, joint, image, outline, loss=0.0)
+            found.append(self._term(pose, joint, image, width, self._normal_equations(state, jacobian, width)))
+        return found
+
+    def _term(
+        self,
+        pose: Float64,
+        joints: Float64,
+        image: NDArray[np.float32],
+        cauchy: float,
+        outline: tuple[Float64, Float64] = _EMPTY,
+    ) -> OutlineTerms:
+        """Return the terms of a blurred image (H, W), with the derivatives of its loss if they are given."""
+        least = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
+        priors = np.zeros_like(outline[0]), np.zeros_like(outline[1])
+        if outline is not _EMPTY:
+            self.priors.add(*priors, pose, joints)
+        return OutlineTerms(
+            loss=self._loss(image, cauchy),
+            residual=self._loss(image, self._config.cauchy),
+            least=least,
+            length=self._length,
+            count=self._length * self._shrink / self._config.correlation,
+            prior=self.priors.cost(pose, joints),
+            outline=outline,
+            priors=priors,
+        )
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) without refining them."""

@@ -1,0 +1,97 @@
+"""Read the rig of a stereo pair: one file that has both cameras and their pose, or a file of each camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvrk_cmaes.camera.fields import ONE_CAMERA
+from dvrk_cmaes.camera.files import Size, read_camera_file, read_document
+from dvrk_cmaes.camera.kalibr import is_camchain
+from dvrk_cmaes.camera.opencv import is_stereo_storage
+from dvrk_cmaes.camera.plain import is_plain
+from dvrk_cmaes.camera.rig import Rig
+from dvrk_cmaes.camera.ros import is_camera_info
+from dvrk_cmaes.camera.stereo import (
+    StereoPose,
+    pose_of_camchain,
+    pose_of_camera_infos,
+    pose_of_plain,
+    pose_of_storage,
+)
+from dvrk_cmaes.errors import InputError
+
+__all__ = ["RigFile", "read_rig"]
+
+
+@dataclass(frozen=True, eq=False)
+class RigFile:
+    """A rig read from files: ``kind`` describes the format, ``notes`` state assumptions that were made."""
+
+    rig: Rig
+    kind: str
+    notes: tuple[str, ...] = ()
+
+
+def read_rig(
+    left: str | Path,
+    right: str | Path | None = None,
+    *,
+    rectified: bool = False,
+    size: Size | Callable[[], Size] | None = None,
+) -> RigFile:
+    """Read the two cameras of a stereo pair and the pose between them.
+
+    Parameters
+    ----------
+    left
+        The left camera's file, or a file that has both cameras: OpenCV's of a pair, or a kalibr camchain.
+    right
+        The right camera's file: ROS camera_info beside one of the left, or plain YAML with ``right_from_left``.
+    rectified, size
+        As in ``read_camera_file``.
+
+    Raises
+    ------
+    InputError
+        As ``read_camera_file``; the files do not state the pose between the cameras, a baseline is not that of an
+        endoscope's eyes, or left and right are exchanged.
+    """
+    first = read_camera_file(left, rectified=rectified, side="left", size=size)
+    both = Path(left if right is None else right)
+    second = read_camera_file(both, rectified=rectified, side="right", size=size)
+    pose, notes = _pose_of_one(Path(left), rectified) if right is None else _pose_of_two(Path(left), both, rectified)
+    try:
+        rig = Rig.stereo(first.camera, second.camera, pose)
+    except InputError as error:
+        raise InputError(f"{both}: {error}") from None
+    kind = first.kind if right is None else f"{first.kind} of each eye"
+    more = tuple(note for note in second.notes if note != ONE_CAMERA)
+    return RigFile(rig, f"stereo: {kind}", tuple(dict.fromkeys((*first.notes, *more, *notes))))
+
+
+def _pose_of_one(path: Path, rectified: bool) -> StereoPose:
+    """Return the pose between the cameras of a file that has both."""
+    document = read_document(path)
+    if is_camchain(document):
+        return pose_of_camchain(str(path), document)
+    if is_stereo_storage(document):
+        return pose_of_storage(str(path), document, rectified=rectified)
+    raise InputError(f"{path}: expected both eyes (OpenCV's stereo, kalibr's camchain), got the file of one camera")
+
+
+def _pose_of_two(left: Path, right: Path, rectified: bool) -> StereoPose:
+    """Return the pose between the cameras of two files."""
+    documents: tuple[Mapping[str, Any], Mapping[str, Any]] = (read_document(left), read_document(right))
+    if is_stereo_storage(documents[1]):
+        raise InputError(f"{right}: expected the file of one camera, got a pair's: give it as the only file")
+    if is_plain(documents[1]):
+        return pose_of_plain(str(right), documents[1])
+    if all(is_camera_info(document) for document in documents):
+        return pose_of_camera_infos((str(left), str(right)), *documents, rectified=rectified)
+    raise InputError(
+        f"{right}: expected ROS camera_info of both eyes, or plain YAML with right_from_left, to tell the pose "
+        "between them, got neither"
+    )

@@ -1,0 +1,160 @@
+"""``estimate`` with a rig of two views: one answer for both, missing and empty views, and views that disagree."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes import Camera, EstimateConfig, Result, Rig, estimate
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import exp_rotation, rotation_angle, transform
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.silhouette import Body, Renderer
+
+LEFT = Camera(640, 480, 1025.0, 1025.0, 320.0, 240.0)
+RIGHT = Camera(720, 540, 1150.0, 1140.0, 400.0, 260.0)
+RIG = Rig.stereo(LEFT, RIGHT, transform(exp_rotation([0.01, 0.02, -0.01]), [-0.0053, 0.0003, 0.0002]))
+TRUTH = lookat_pose(0.5, 1.0, 0.7, 0.11)
+JOINTS = np.array([0.4, -0.3, 0.5])
+READINGS = {"wrist_pitch": 0.45, "wrist_yaw": -0.2, "jaw": 0.4}
+QUICK = EstimateConfig()
+QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
+
+Masks = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def masks(bundled_body: Body) -> Masks:
+    """Give the exact masks of the true pose in both views."""
+    found = {}
+    for view in RIG.views:
+        pose = view.view_from_camera @ TRUTH
+        found[view.name] = Renderer(bundled_body, view.camera).masks(pose[None], JOINTS[None])[0]
+    return found
+
+
+@pytest.fixture(scope="module")
+def solve(bundled_body: Body) -> Any:
+    """Give a function that estimates with few evaluations."""
+
+    def run(masks: Any, rig: Any = RIG, **more: Any) -> Result:
+        return estimate(masks, rig, READINGS, bundled_body, config=QUICK, **more)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def both(solve: Any, masks: Masks) -> Result:
+    return solve(masks)
+
+
+@pytest.fixture(scope="module")
+def right_only(solve: Any, masks: Masks) -> Result:
+    return solve({"left": None, "right": masks["right"]})
+
+
+def errors(result: Result) -> tuple[float, float]:
+    """Give the errors of a result's position, mm, and rotation, deg."""
+    assert result.camera_from_root is not None
+    off = result.camera_from_root[:3, 3] - TRUTH[:3, 3]
+    return 1e3 * float(np.linalg.norm(off)), float(np.degrees(rotation_angle(result.camera_from_root, TRUTH)))
+
+
+def test_pose_of_both_views_is_in_the_first_camera(both: Result) -> None:
+    distance, angle = errors(both)
+    assert distance < 0.15
+    assert angle < 0.8
+    assert both.views == ("left", "right")
+    assert both.status == "ok", both.reasons
+
+
+def test_views_have_their_own_fit_and_agree(both: Result) -> None:
+    left, right = both.view_fits
+    assert min(left.quality.iou, right.quality.iou) > 0.97
+    assert both.quality is not None
+    assert both.quality.iou == pytest.approx((left.quality.iou + right.quality.iou) / 2)
+    assert not left.rotation_deg.any()
+    assert np.linalg.norm(right.rotation_deg[:2]) < 0.05
+    assert right.significance < 3
+
+
+def test_second_view_makes_the_pose_more_certain(both: Result, right_only: Result) -> None:
+    assert both.covariance is not None
+    assert right_only.covariance is not None
+    assert (np.diag(both.covariance)[:6] < 0.8 * np.diag(right_only.covariance)[:6]).all()
+
+
+def test_single_view_beside_the_first_camera_gives_a_pose_in_the_first_camera(right_only: Result) -> None:
+    distance, angle = errors(right_only)
+    assert distance < 0.4
+    assert angle < 1.5
+    assert right_only.views == ("right",)
+    assert "view left: no mask" in right_only.unused
+
+
+def test_tips_are_pixels_of_the_first_camera(right_only: Result) -> None:
+    np.testing.assert_allclose(LEFT.project(np.stack(right_only.tips)), np.stack(right_only.tips_px), atol=1e-9)
+
+
+def test_view_with_an_empty_mask_is_left_out(solve: Any, masks: Masks, right_only: Result) -> None:
+    result = solve({"left": np.zeros_like(masks["left"]), "right": masks["right"]})
+    assert "view left: its mask is empty" in result.unused
+    np.testing.assert_array_equal(result.camera_from_root, right_only.camera_from_root)
+
+
+def test_rig_of_one_view_answers_as_its_camera(solve: Any, masks: Masks) -> None:
+    of_camera = solve(masks["left"], LEFT).to_dict()
+    for rig, given in ((Rig.of_camera(LEFT), masks["left"]), (RIG, {"left": masks["left"]})):
+        of_rig = solve(given, rig).to_dict()
+        assert of_rig.pop("views") == ["left"]
+        assert of_rig.pop("view_fits") == []
+        same = {name for name in of_camera if of_rig[name] == of_camera[name]}
+        assert set(of_camera) - same <= {"seconds", "unused"}
+
+
+def test_occlusion_in_one_view_is_a_remark_about_that_view(solve: Any, masks: Masks, bundled_body: Body) -> None:
+    tips = LEFT.project(np.einsum("ij,kj->ki", TRUTH[:3, :3], bundled_body.instrument.tips(JOINTS)) + TRUTH[:3, 3])
+    v, u = np.indices(masks["left"].shape)
+    hidden = masks["left"] & (np.hypot(*(np.stack([u, v]) - tips.mean(axis=0)[:, None, None])) > 60)
+    result = solve({"left": hidden, "right": masks["right"]})
+    assert errors(result)[0] < 1.0
+    assert not [reason for reason in result.reasons if reason.startswith("wrist or jaws off")]
+    assert [text for text in result.warnings if text.startswith("view left: wrist or jaws off")]
+
+
+def test_rig_that_is_turned_is_named(solve: Any, masks: Masks) -> None:
+    wrong = transform(exp_rotation([np.deg2rad(0.3), 0, 0]), np.zeros(3)) @ RIG.view("right").view_from_camera
+    result = solve(masks, Rig.stereo(LEFT, RIGHT, wrong))
+    assert result.status == "doubtful"
+    assert [reason for reason in result.reasons if reason.startswith("views disagree: right fits left only if turned")]
+    assert np.degrees(np.linalg.norm(result.view_fits[1].rotation_deg)) == pytest.approx(np.degrees(0.3), rel=0.3)
+
+
+def test_result_of_views_is_read_again(both: Result) -> None:
+    document = json.loads(json.dumps(both.to_dict()))
+    again = Result.from_dict(document)
+    assert again.views == both.views
+    assert [fit.to_dict() for fit in again.view_fits] == document["view_fits"]
+
+
+@pytest.mark.parametrize(
+    ("given", "rig", "text"),
+    [
+        (np.ones((480, 640), bool), RIG, r"mask: expected one by view \(left, right\), got one array"),
+        (
+            {"left": np.ones((480, 640), bool)},
+            LEFT,
+            "mask: expected a rig of cameras with masks by view, got one camera",
+        ),
+        ({"lft": np.ones((480, 640), bool)}, RIG, "mask: expected views left, right, got 'lft'"),
+        ({"left": None}, RIG, r"mask: expected one for at least one view \(left, right\), got none"),
+        ({"right": np.eye(7, dtype=bool)}, RIG, "mask: expected 720 x 540 pixels"),
+    ],
+)
+def test_wrong_masks_are_refused(solve: Any, given: Any, rig: Any, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        solve(given, rig)
