@@ -52,7 +52,8 @@ def compare(
     out
         Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
     picture
-        File for a figure of the differences over the frames: .png, .pdf, .svg or .jpg.
+        File for a figure of the differences over the frames: .png, .pdf, .svg or .jpg. Needs matplotlib (pip install
+        "dvrk-cmaes[plots]").
     json
         Print only the comparison, as JSON, on stdout.
     """
@@ -77,16 +78,14 @@ def compare(
     if out is not None:
         write_text(out / _TABLE, _csv_text(found))
         written += [out / _TABLE, write_compare_page(out, found)]
-    if picture is not None:
-        write_figure(picture, draw_comparison(found))
-        written.append(picture)
     if json:
         print(json_text(found.to_dict()), end="")
-        return 0
-    show(_sets(found))
-    show(_sums(found))
-    show(_frames(found, frames))
-    show(Line(f"written: {path}") for path in written)
+    else:
+        show([*_sets(found), *_sums(found), *_frames(found, frames), *(Line(f"written: {path}") for path in written)])
+    if picture is not None:  # after the tables, which need no matplotlib
+        write_figure(picture, draw_comparison(found))
+        if not json:
+            show([Line(f"written: {picture}")])
     return 0
 
 

@@ -56,7 +56,8 @@ def consistency(
         Description of the tool in the dVRK's format (JSON), for its roll offset (length along the shaft). By default
         the roll offset stated in the results, or that of the tools 400xxx if none is stated.
     picture
-        File for a figure of the axes and of their distances from x*: .png, .pdf, .svg or .jpg.
+        File for a figure of the axes and of their distances from x*, to one scale: .png, .pdf, .svg or .jpg. Needs
+        matplotlib (pip install "dvrk-cmaes[plots]").
     json
         Print only the measures, as JSON, on stdout.
     """
@@ -80,13 +81,11 @@ def consistency(
         measure_agreement(read_result_set(path, source), arm=arm, roll_offset=roll_offset)
         for path, source in zip(results, sources, strict=True)
     ]
-    if picture is not None:
-        write_figure(picture, draw_axes(found))
     if json:
         paper = {level: asdict(row) for level, row in TABLE_ONE.items()}
         print(json_text({"sets": [one.to_dict() for one in found], "paper": paper}), end="")
     else:
-        show(_table(found, picture))
+        show(_table(found))
     for one in found:
         if one.results.by_construction:
             instead = f"; one by one: {one.results.alone}" if one.results.alone else ""
@@ -94,10 +93,14 @@ def consistency(
                 f"{one.results.name}: solved {one.results.solved}: such frames agree by construction, which says "
                 f"nothing about accuracy; no comparison with the paper's{instead}"
             )
+    if picture is not None:  # after the table, which needs no matplotlib
+        write_figure(picture, draw_axes(found))
+        if not json:
+            show([Line(f"written: {picture}")])
     return 0
 
 
-def _table(found: Sequence[Agreement], picture: Path | None) -> Iterator[Line]:
+def _table(found: Sequence[Agreement]) -> Iterator[Line]:
     """Yield a table with one row for each set of results, then the paper's rows and the frames without a pose."""
     from dvrk_cmaes.evaluate.paper import TABLE_ONE
 
@@ -132,5 +135,3 @@ def _table(found: Sequence[Agreement], picture: Path | None) -> Iterator[Line]:
             yield Line(f"{one.results.name}: without a pose, left out: {', '.join(one.results.failed)}", "yellow")
         if one.results.doubtful:
             yield Line(f"{one.results.name}: doubtful, counted: {', '.join(one.results.doubtful)}", "yellow")
-    if picture is not None:
-        yield Line(f"written: {picture}")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.report.consistency_picture import draw_axes
 
 DEMO = bundled_path("demo")
 HEADER = "frame,rx,ry,rz,tx,ty,tz,wrist_pitch,wrist_yaw,jaw_2,jaw_1"
@@ -205,6 +208,38 @@ def test_json_output_and_picture(true_results: Path, tmp_path: Path, capsys: pyt
     assert set(found["distances_m"]) == set(found["base"]["rotation_deg"]) == {f"000{k}" for k in range(5)}
     assert json.loads(out)["paper"]["hard"] == {"sigma_m": 0.00253, "pnp_sigma_m": 0.06761}
     assert (tmp_path / "p" / "axes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_needs_no_matplotlib(
+    true_results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    code, out, err = run(capsys, true_results, "--session", DEMO, "--picture", tmp_path / "axes.png")
+    assert code == 1
+    assert "How well frames agree" in out
+    assert "written" not in out
+    assert err == "dvrk-cmaes: pictures need matplotlib: pip install 'dvrk-cmaes[plots]'\n"
+
+
+def test_rows_of_picture_have_one_view_and_all_labels(true_results: Path, tmp_path: Path) -> None:
+    shutil.copytree(true_results, tmp_path / "shifted")
+    for path in (tmp_path / "shifted").rglob("0*.json"):
+        document = json.loads(path.read_text())
+        document["camera_from_root"][0][3] += 0.002 * int(path.stem)
+        path.write_text(json.dumps(document))
+    sets = [measure_agreement(read_result_set(folder, DEMO)) for folder in (true_results, tmp_path / "shifted")]
+    figure = draw_axes(sets)
+    figure.savefig(io.BytesIO())  # lays the figure out
+    first, second = np.reshape(np.array(figure.axes), (2, 2))
+    for one, other in zip(first, second, strict=True):
+        assert one.get_xlim() == pytest.approx(other.get_xlim())
+        assert one.get_ylim() == pytest.approx(other.get_ylim())
+    page = figure.bbox
+    for panel in figure.axes:
+        for label in panel.texts:
+            box = label.get_window_extent()
+            assert page.x0 <= box.x0, label.get_text()
+            assert box.x1 <= page.x1, label.get_text()
 
 
 def test_wrong_input_is_refused_without_output(
