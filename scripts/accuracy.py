@@ -11,6 +11,7 @@
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
+    python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
@@ -40,6 +41,7 @@ from accuracy_errors import error_report, frame_errors, frame_rows
 from accuracy_halves import halved, halves_report
 from accuracy_lag import find_lags, lag_report
 from accuracy_lies import doubt_report, falsified_cases, load_others
+from accuracy_rig import rig_report
 from accuracy_session import Outcome, Trial, original_trials, read_bases, run_trials, session_report
 from accuracy_session_lies import falsified_report, falsified_session_cases, falsified_trials
 from accuracy_spread_bound import mask_report
@@ -123,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
         "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
     )
     parser.add_argument("--session", type=Path, metavar="JSON", help="for track: session.json to follow with")
-    parser.add_argument("--no-joints", action="store_true", help="for track: follow without readings")
+    parser.add_argument("--no-joints", action="store_true", help="for track and rig: estimate without readings")
     parser.add_argument(
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
     )
@@ -265,6 +267,17 @@ def cables(arguments: argparse.Namespace) -> Report:
     return cables_report(arguments.sessions, arguments.instrument, _config(arguments), runs, cases)
 
 
+def rig(arguments: argparse.Namespace) -> Report:
+    """Report what both eyes of stereo sessions bring, and whether wrong rigs are named."""
+    return rig_report(
+        arguments.sessions,
+        arguments.instrument,
+        _config(arguments),
+        frames=arguments.frames,
+        use_joints=not arguments.no_joints,
+    )
+
+
 def camera(arguments: argparse.Namespace) -> Report:
     """Report how many sessions contradict their camera file, right and with a focal length that is 10 % off."""
     bases, cases = read_bases(arguments.sessions), _original(arguments)
@@ -285,6 +298,7 @@ COMMANDS: Final = {
     "lag": lag,
     "track": track,
     "cables": cables,
+    "rig": rig,
     "camera": camera,
 }
 

@@ -32,6 +32,9 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dvrk_cmaes.camera import Camera, Rig
+    from dvrk_cmaes.camera.files import CameraFile
+    from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings
 
@@ -49,6 +52,9 @@ def estimate(
     time: Annotated[str | None, Parameter(group=FRAME)] = None,
     image: Annotated[Path | None, Parameter(group=FRAME)] = None,
     ignore: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    mask_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    image_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    ignore_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
     keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
     label: Annotated[int | None, Parameter(group=FRAME)] = None,
     pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
@@ -93,6 +99,9 @@ def estimate(
     ignore
         Mask of the pixels that are not used, such as tissue or another tool before the instrument: 8-bit PNG or JPEG,
         pixels above 127 are ignored.
+    mask_right, image_right, ignore_right
+        The same of the right eye of a stereo endoscope. --camera then has both eyes, or the left one beside
+        --camera-right. The pose is in the left camera.
     keypoints
         Pixels of the two jaw tips, u1,v1,u2,v2, in either order.
     label
@@ -141,8 +150,17 @@ def estimate(
     picked = None if pick is None else parse_pixel("pick", pick)
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
-    camera_file = camera.read(lambda: frame_size(files))
-    data = read_any_frame(files, camera_file.camera)
+    cameras: Camera | Rig
+    camera_file: CameraFile | RigFile
+    if mask_right is None and image_right is None:
+        camera_file = camera.read(lambda: frame_size(files))
+        cameras = camera_file.camera
+    else:
+        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, label)
+        files = replace(files, others={"right": other})
+        camera_file = camera.read_rig(lambda: frame_size(files))
+        cameras = camera_file.rig
+    data = read_any_frame(files, cameras)
     body = instrument.load()
     known = None if calibration is None else read_calibration(calibration)
     lag = None if known is None else known.applied_lag

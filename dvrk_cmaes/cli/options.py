@@ -14,6 +14,7 @@ from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
+    from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -55,10 +56,14 @@ class CameraOptions:
     rectified
         The images are rectified: use the projection matrix of the camera file, and no distortion.
     side
-        Camera to use if the file describes a stereo pair.
+        Camera to use if the file describes a stereo pair and one view is used.
+    camera_right
+        File of the right camera, where both eyes are used and the files are two. A stereo session folder's own
+        right.yaml by default.
     """
 
     camera: Path | None = None
+    camera_right: Path | None = None
     rectified: Flag = False
     side: Literal["left", "right"] = "left"
 
@@ -70,12 +75,26 @@ class CameraOptions:
             raise InputError("--camera: expected a camera file, got none")
         return read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
 
+    def read_rig(self, size: Callable[[], tuple[int, int]] | None = None) -> RigFile:
+        """Read the cameras of both eyes; ``size`` is as in `read`."""
+        from dvrk_cmaes.camera.rig_files import read_rig
+
+        if self.camera is None:
+            raise InputError("--camera: expected the camera file of the left eye, or of both, got none")
+        return read_rig(self.camera, self.camera_right, rectified=self.rectified, size=size)
+
     def read_session(self, folder: Path, *, known: Iterable[str], joints: Sequence[Path] = ()) -> Session:
         """Read a session folder with this camera; ``known`` and ``joints`` are as in `frames.session_folder`."""
         from dvrk_cmaes.frames.session_folder import read_session
 
         return read_session(
-            folder, camera=self.camera, rectified=self.rectified, side=self.side, known=known, joints=joints
+            folder,
+            camera=self.camera,
+            camera_right=self.camera_right,
+            rectified=self.rectified,
+            side=self.side,
+            known=known,
+            joints=joints,
         )
 
 

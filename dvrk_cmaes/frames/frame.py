@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
@@ -30,7 +30,8 @@ class FrameFiles:
     A frame without a mask has an image, in which the instrument is to be segmented. ``readings`` are by joint name, rad
     (insertion: m); ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and ``pick`` select the
     instrument in the mask, as in ``read_mask``. ``time`` is that of the image, s, if it is known. ``notes`` state how
-    camera and readings were chosen; ``problem`` states why this frame cannot be used, None if it can.
+    camera and readings were chosen; ``problem`` states why this frame cannot be used, None if it can. ``others`` are
+    the files of the further views of a rig, by name.
     """
 
     name: str
@@ -44,6 +45,7 @@ class FrameFiles:
     time: float | None = None
     notes: tuple[str, ...] = ()
     problem: str | None = None
+    others: Mapping[str, FrameFiles] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,8 @@ class FrameData:
     """A frame in memory.
 
     ``mask`` and ``ignore`` are (H, W) bool, ``image`` (H', W', 3) uint8 BGR of the mask's aspect; ``camera`` has the
-    mask's size. ``notes`` say what was done to make the parts fit, e.g. that the intrinsics were rescaled.
+    mask's size. ``notes`` say what was done to make the parts fit, e.g. that the intrinsics were rescaled. A frame of a
+    rig has the rig and the data of its further views; a view without a mask has an empty one.
     """
 
     mask: NDArray[np.bool_]
@@ -59,14 +62,16 @@ class FrameData:
     ignore: NDArray[np.bool_] | None
     image: NDArray[np.uint8] | None
     notes: tuple[str, ...]
+    rig: Rig | None = None
+    others: Mapping[str, FrameData] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameImage:
     """A frame without a mask in memory: its image (H, W, 3) uint8 BGR, in which the instrument is to be segmented.
 
-    ``ignore`` is (H, W) bool, ``camera`` has the image's size; ``path`` is the image's file, ``notes`` as in
-    `FrameData`.
+    ``ignore`` is (H, W) bool, ``camera`` has the image's size; ``path`` is the image's file, ``notes``, ``rig`` and
+    ``others`` as in `FrameData`.
     """
 
     path: Path
@@ -74,6 +79,8 @@ class FrameImage:
     camera: Camera
     ignore: NDArray[np.bool_] | None
     notes: tuple[str, ...]
+    rig: Rig | None = None
+    others: Mapping[str, FrameImage] = field(default_factory=dict)
 
     def with_mask(self, mask: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> FrameData:
         """Return the frame with a mask (H, W) that was found in its image, and notes added."""

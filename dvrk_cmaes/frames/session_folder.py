@@ -7,6 +7,8 @@ A session folder contains::
     masks/<frame>.png or images/<frame>.png|jpg, or both
     images.csv (frame, time), ignore/<frame>.png, keypoints.csv, golden.json (each optional)
 
+A stereo session has left.yaml, right.yaml, and masks/left, masks/right, images/left and so on.
+
 Instead of joints.csv, there may be files of the arm's topics, named after them: measured_js.yaml,
 jaw_measured_js.csv and so on. The layout of published frames (see ``published_layout``) is read as well; the layout is
 recognised by the files in the folder.
@@ -20,8 +22,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import Side, read_camera_file
+from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import read_keypoints
@@ -33,6 +36,7 @@ from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings,
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
+_VIEWS = ("left", "right")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 
@@ -42,6 +46,7 @@ class Session:
     """A session: its folder, its camera, and its frames sorted by name.
 
     ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
+    ``rig`` has both cameras of a stereo session, None for one camera; ``camera`` is its first.
     ``joint_files`` are the files of readings, ``image_times`` the times of the images by frame, ns, None if unknown.
     """
 
@@ -52,6 +57,12 @@ class Session:
     notes: tuple[str, ...] = ()
     joint_files: tuple[JointFile, ...] = ()
     image_times: Mapping[str, int | None] = field(default_factory=dict)
+    rig: Rig | None = None
+
+    @property
+    def cameras(self) -> Camera | Rig:
+        """The rig of a stereo session, else the camera."""
+        return self.camera if self.rig is None else self.rig
 
     def reading_series(self) -> ReadingSeries | None:
         """Return all readings as functions of time, with the frames' times; None where there is no common clock.
@@ -93,6 +104,7 @@ def read_session(
     folder: str | Path,
     *,
     camera: Path | None = None,
+    camera_right: Path | None = None,
     rectified: bool = False,
     side: Side = "left",
     known: Iterable[str] = (),
@@ -109,7 +121,10 @@ def read_session(
     folder
         The session folder, of either layout.
     camera
-        The camera file; the session's camera.yaml by default.
+        The camera file; the session's camera.yaml by default. Of a stereo session, the file of both eyes or of the
+        left one; left.yaml and right.yaml by default, or camera.yaml if that has both eyes.
+    camera_right
+        The file of the right camera of a stereo session.
     rectified, side
         Whether the images are rectified, and which camera of a stereo pair, as in ``read_camera_file``.
     known
@@ -134,6 +149,12 @@ def read_session(
     else:
         frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
+    if _is_stereo(root):
+        return _stereo_session(root, camera, camera_right, rectified, frames, readings, times, notes)
+    if camera_right is not None:
+        raise InputError(
+            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
+        )
     path = camera or root / "camera.yaml"
     if camera is None and not path.exists() and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
@@ -150,6 +171,39 @@ def read_session(
     )
 
 
+def _stereo_session(
+    root: Path,
+    left: Path | None,
+    right: Path | None,
+    rectified: bool,
+    frames: tuple[FrameFiles, ...],
+    readings: tuple[JointFile, ...],
+    times: dict[str, int | None],
+    notes: tuple[str, ...],
+) -> Session:
+    """Return the session of a folder with two views of each frame."""
+    if left is None and right is None and os.path.lexists(root / "left.yaml"):
+        left, right = root / "left.yaml", root / "right.yaml"
+    first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
+    found = read_rig(left or root / "camera.yaml", right, rectified=rectified, size=lambda: frame_size(first))
+    golden = root / "golden.json"
+    return Session(
+        folder=root,
+        camera=found.rig.camera,
+        frames=tuple(replace(frame, notes=(*found.notes, *frame.notes)) for frame in frames),
+        truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
+        notes=("a session folder of two views", *notes[1:], f"camera: {found.kind}", *found.notes),
+        joint_files=readings,
+        image_times=times,
+        rig=found.rig,
+    )
+
+
+def _is_stereo(root: Path) -> bool:
+    """Whether a session folder has masks or images of a left and a right view."""
+    return any((root / name / view).is_dir() for name in ("masks", "images") for view in _VIEWS)
+
+
 def _is_session_layout(root: Path) -> bool:
     """Whether a folder has a folder ``masks`` or ``images``."""
     return (root / "masks").is_dir() or (root / "images").is_dir()
@@ -159,16 +213,25 @@ def _session_frames(
     root: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
-    masks, images, ignore = (_image_files(root / name) for name in ("masks", "images", "ignore"))
-    if not masks and not images:
+    views = _VIEWS if _is_stereo(root) else (".",)
+    of_views = [[_image_files(root / name / view) for name in ("masks", "images", "ignore")] for view in views]
+    masks, images, ignore = of_views[0]
+    if not any(files for kinds in of_views for files in kinds[:2]):
         raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
     files = [read_joint_file(path, known=known) for path in joints or _joint_files(root)]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
-    image_times = {name: times.get(name, time_in_name(name)) for name in sorted({*masks, *images})}
+    image_times = {
+        name: times.get(name, time_in_name(name))
+        for name in sorted(set().union(*(files for kinds in of_views for files in kinds[:2])))
+    }
     frames, farthest = [], None
     for name, time in image_times.items():
+        others = {
+            view: FrameFiles(name, kinds[0].get(name), {}, kinds[1].get(name), kinds[2].get(name))
+            for view, kinds in zip(views[1:], of_views[1:], strict=True)
+        }
         frame = FrameFiles(
             name,
             masks.get(name),
@@ -176,6 +239,7 @@ def _session_frames(
             ignore=ignore.get(name),
             keypoints=tips.get(name),
             time=_seconds_of(files, name, time),
+            others=others,
         )
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)

@@ -165,7 +165,9 @@ def run_batch(
     home = Path(os.path.abspath(session.folder))
     if any(files.mask is None for files in frames) and Path(os.path.abspath(out)) == home:
         raise InputError(f"{out}: expected another folder than the session's, for the masks found in its images")
-    setup = BatchSetup(instrument, session.camera, settings, arm, home, segment or SegmentSettings(), calibration)
+    setup = BatchSetup(
+        instrument, session.camera, settings, arm, home, segment or SegmentSettings(), calibration, session.rig
+    )
     started = time.monotonic()
     with locked(folder):
         if resume:
@@ -322,4 +324,5 @@ def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
     )
     notes = tuple(relative_text(folder, note) for note in files.notes)
     problem = None if files.problem is None else relative_text(folder, files.problem)
-    return replace(files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem)
+    others = {name: _with_absolute_paths(other, folder) for name, other in files.others.items()}
+    return replace(files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem, others=others)

@@ -16,6 +16,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.files import file_digest
 
+_FILES = ("mask", "image", "ignore")
 _LENGTH = 16
 """Hexadecimal digits of a digest; among a million digests, two are equal by chance with a probability of 3e-8."""
 
@@ -47,7 +48,13 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
     }
     if files.time is not None:
         rest["time"] = files.time
-    return digests | {name: _digest(value) for name, value in rest.items()}
+    others = {
+        f"{view} {part}": digest
+        for view, other in files.others.items()
+        for part, digest in frame_digests(other).items()
+        if part in _FILES
+    }
+    return digests | {name: _digest(value) for name, value in rest.items()} | others
 
 
 def _file_digest(path: Path) -> str:

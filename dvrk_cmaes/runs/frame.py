@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.overlay import draw_failed, draw_overlay
+from dvrk_cmaes.draw.view_overlays import DrawnView, draw_views
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
@@ -43,8 +46,13 @@ class FrameRun:
     written: tuple[Path, ...]
 
 
-def read_any_frame(files: FrameFiles, camera: Camera) -> FrameData | FrameImage:
-    """Read a frame that has a mask, or only an image; errors as `read_frame` and `read_frame_image`."""
+def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData | FrameImage:
+    """Read a frame that has a mask, or only an image; of a rig, all of its views.
+
+    Errors as `read_frame`, `read_frame_image` and `read_views`.
+    """
+    if isinstance(camera, Rig):
+        return read_views(files, camera)
     if files.mask is None and files.image is not None:
         return read_frame_image(files, camera)
     return read_frame(files, camera)
@@ -96,6 +104,8 @@ def solve_frame(
 
     ``settings`` and ``hints`` say how, as in `segment_and_estimate`. Errors as `estimate` and `segment_and_estimate`.
     """
+    if isinstance(frame, FrameImage) and frame.rig is not None:
+        frame = _with_masks_of_views(frame, files, body, config=config, settings=settings, hints=hints)
     if isinstance(frame, FrameData):
         result = estimate_frame(files, frame, body, arm=arm, config=config, session=session)
         return SolvedFrame(_as_calibrated(frame, session), result)
@@ -117,6 +127,30 @@ def solve_frame(
     return SolvedFrame(_as_calibrated(segmented.data, session), segmented.result, found_mask=True)
 
 
+def _with_masks_of_views(
+    frame: FrameImage,
+    files: FrameFiles,
+    body: Body,
+    *,
+    config: EstimateConfig,
+    settings: SegmentSettings | None,
+    hints: Hints | None,
+) -> FrameData:
+    """Find the masks in the images of all views, each by itself; ``hints`` are those of the main view."""
+    from dvrk_cmaes.runs.image_frame import segment_and_estimate
+
+    assert frame.rig is not None
+    found = {}
+    for name, image in {frame.rig.names[0]: replace(frame, rig=None, others={}), **frame.others}.items():
+        own = hints if name == frame.rig.names[0] else None
+        segmented = segment_and_estimate(
+            image, files.name, files.readings, body, config=config, settings=settings, hints=own
+        )
+        found[name] = segmented.data
+    main = found.pop(frame.rig.names[0])
+    return replace(main, rig=frame.rig, others=found)
+
+
 def _as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
     """Return a frame's data with the camera with which a session was solved."""
     return data if session is None else replace(data, camera=session.corrected(data.camera))
@@ -132,13 +166,21 @@ def estimate_frame(
     session: SessionCalibration | None = None,
 ) -> Result:
     """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`."""
+    masks: Any = data.mask
+    ignore: Any = data.ignore
+    keypoints: Any = files.keypoints
+    if data.rig is not None:
+        of_views = {data.rig.names[0]: data, **data.others}
+        masks = {name: one.mask for name, one in of_views.items()}
+        ignore = {name: one.ignore for name, one in of_views.items()}
+        keypoints = {data.rig.names[0]: files.keypoints}
     return estimate(
-        data.mask,
-        data.camera,
+        masks,
+        data.camera if data.rig is None else data.rig,
         files.readings,
         body,
-        ignore=data.ignore,
-        keypoints=files.keypoints,
+        ignore=ignore,
+        keypoints=keypoints,
         arm=arm,
         session=session,
         frame=files.name,
@@ -149,7 +191,20 @@ def estimate_frame(
 
 
 def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -> NDArray[np.uint8]:
-    """Draw a frame's result over its image, or over its mask where it has no image; returns (H, W, 3) BGR."""
+    """Draw a frame's result over its image, or over its mask where it has no image; returns (H, W, 3) BGR.
+
+    The views of a rig are drawn side by side.
+    """
+    if data.rig is not None:
+        of_views = {data.rig.names[0]: data, **data.others}
+        seen = [
+            DrawnView(
+                view.name, of_views[view.name].mask, view.camera, view.view_from_camera, of_views[view.name].image
+            )
+            for view in data.rig.views
+            if view.name in of_views and of_views[view.name].mask.any()
+        ]
+        return draw_views(result, seen, body)
     return draw_overlay(
         result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
     )

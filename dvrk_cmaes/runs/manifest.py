@@ -1,7 +1,8 @@
 """Read and write ``run.json``: the inputs and settings of the results in a folder, compared before results are added.
 
 Fields: schema, version, instrument {name, digest}, arm, camera, config, segment {model, weights}, calibration (digest
-or null), session (its path; not compared), frames {frame: {part: digest}, or null for a frame of another shard}
+or null), session (its path; not compared), rig (the further views of a stereo session), frames {frame: {part: digest},
+or null for a frame of another shard}
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any, Final
 from msgspec import Struct, field
 
 from dvrk_cmaes._version import __version__
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
@@ -72,7 +74,19 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
         },
         "calibration": None if setup.calibration is None else calibration_digest(setup.calibration),
         "session": str(setup.folder),
+        **({} if setup.rig is None else {"rig": _described(setup.rig)}),
         "frames": _sorted(frames),
+    }
+
+
+def _described(rig: Rig) -> dict[str, Any]:
+    """Return the further views of a rig by name: intrinsics and ``view_from_camera``."""
+    return {
+        view.name: {
+            **{key: list(v) if isinstance(v, tuple) else v for key, v in asdict(view.camera).items()},
+            "view_from_camera": view.view_from_camera.tolist(),
+        }
+        for view in rig.views[1:]
     }
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
@@ -41,6 +41,7 @@ class BatchSetup:
     """Settings that all frames of a batch share.
 
     ``folder`` is the session's; paths in messages are relative to it. ``calibration`` is that of the session, if any.
+    ``rig`` has both cameras of a stereo session.
     """
 
     instrument: Instrument
@@ -50,6 +51,7 @@ class BatchSetup:
     folder: Path = Path()
     segment: SegmentSettings = field(default_factory=SegmentSettings)
     calibration: SessionCalibration | None = None
+    rig: Rig | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
 
 
 def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None]:
-    frame = read_any_frame(files, setup.camera)
+    frame = read_any_frame(files, setup.camera if setup.rig is None else setup.rig)
     frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
     solved = solve_frame(
         files,
