@@ -21,6 +21,7 @@ from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
 _MOST_FRAMES = 100_000
+_BASELINES = 0.001, 0.05  # m
 
 
 def synth(
@@ -32,6 +33,8 @@ def synth(
     frames: int = 10,
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     cables: Literal["independent", "measured"] | None = None,
+    stereo: Flag = False,
+    baseline: float = 0.0053,
     seed: int = 0,
     images: bool = True,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -91,6 +94,10 @@ def synth(
         Errors of a video's readings. measured: the joints follow their readings by the cables of a real arm, with
         coupling, play and wander. independent: offset, play and drift of each joint by itself. By default measured at
         the levels medium and hard.
+    stereo
+        Two eyes: masks/left, masks/right and so on, left.yaml and right.yaml. The truth is in the left camera.
+    baseline
+        Distance of the two eyes, metres.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
@@ -109,6 +116,10 @@ def synth(
         raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
     if cables is not None and motion != "video":
         raise InputError(f"--cables: expected it with --motion video only, got --motion {motion}")
+    if stereo and motion == "video":
+        raise InputError("--stereo: expected --motion rcm or free with it, got --motion video")
+    if not _BASELINES[0] <= baseline <= _BASELINES[1]:
+        raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
     from dvrk_cmaes.frames.markers import read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
     from dvrk_cmaes.joints.lag import Lag
@@ -131,6 +142,7 @@ def synth(
         arm=instrument.arm,
         lag=None if lag is None else FRAMES_A_SECOND * Lag.parse("--lag", lag).in_seconds(FRAMES_A_SECOND),
         cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
+        baseline=baseline if stereo else None,
     )
     if motion == "video":
         from dvrk_cmaes.synth.recording import write_recording

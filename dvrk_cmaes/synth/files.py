@@ -34,8 +34,8 @@ def rounded_truth(truth: Truth, name_of_pose: str, name_of_tips: str) -> dict[st
     }
 
 
-def write_camera_info(path: str | Path, camera: Camera, name: str) -> None:
-    """Write a ROS camera_info YAML file for images that are not rectified."""
+def write_camera_info(path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0) -> None:
+    """Write a ROS camera_info YAML file for images that are not rectified; ``baseline``, m, is that of a right eye."""
     K = camera.matrix
     document = {
         "image_width": camera.width,
@@ -45,7 +45,7 @@ def write_camera_info(path: str | Path, camera: Camera, name: str) -> None:
         "distortion_model": camera.model,
         "distortion_coefficients": _matrix(np.array([camera.distortion or (0.0,) * 5])),
         "rectification_matrix": _matrix(np.eye(3)),
-        "projection_matrix": _matrix(np.c_[K, np.zeros(3)]),
+        "projection_matrix": _matrix(np.c_[K, [-camera.fx * baseline, 0.0, 0.0]]),
     }
     write_text(path, yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120))
 

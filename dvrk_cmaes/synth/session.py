@@ -1,14 +1,14 @@
 """Synthetic sessions: frames of a level with their true poses, written as a session folder.
 
-The folder has camera.yaml, joints.csv, masks/, images/, ignore/, keypoints.csv, markers.csv, golden.json, and
-synth.json with the parameters. The same level, motion, seed, instrument, camera and number of frames give the same
-session. With another number of frames, the poses may differ from the first frame on.
+The folder has camera.yaml (left.yaml and right.yaml of two eyes), joints.csv, masks/, images/, ignore/, keypoints.csv,
+markers.csv, golden.json, and synth.json with the parameters. The same level, motion, seed, instrument, camera and
+number of frames give the same session. With another number of frames, the poses may differ from the first frame on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -19,6 +19,7 @@ from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import Marker, place_markers
+from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
@@ -83,6 +84,7 @@ class SessionPlan:
     lag : of a video, lag of its images behind its readings, frames; that of the level by default.
     cables : of a video, ``measured`` for readings that err as those of a real arm, ``independent`` for errors of each
         joint by itself.
+    baseline : distance of the right eye from the left, m; None for one view. Both eyes have the same camera.
     """
 
     body: Body
@@ -95,6 +97,12 @@ class SessionPlan:
     arm: Arm = "classic"
     lag: float | None = None
     cables: Cables = "independent"
+    baseline: float | None = None
+
+    @property
+    def right_from_left(self) -> Float64:
+        """Pose (4, 4) of the left camera in the right one's frame, m."""
+        return transform(np.eye(3), [-(self.baseline or 0.0), 0.0, 0.0])
 
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""
@@ -107,6 +115,7 @@ class SessionPlan:
             "arm": self.arm,
             "roll_offset": self.body.instrument.roll_offset,
             "version": __version__,
+            **({} if self.baseline is None else {"baseline": self.baseline}),
         }
 
 
@@ -148,6 +157,14 @@ def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[SyntheticFra
         yield _frame(plan, f"{k:0{digits}d}", truth, reading, _generator(plan, 2, k))
 
 
+def right_view(plan: SessionPlan, frame: SyntheticFrame) -> SyntheticFrame:
+    """Return a frame as the right eye sees it: the same instrument and tissue, with mistakes of their own."""
+    seen = replace(frame.truth, camera_from_root=plan.right_from_left @ frame.truth.camera_from_root)
+    number = int(frame.name)
+    same_tissue = _generator(plan, 2, number)
+    return _frame(plan, frame.name, seen, frame.readings, _generator(plan, 4, number), same_tissue)
+
+
 def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrite: bool = False) -> None:
     """Make a session and write it to the folder ``out``, completely or, after an error, not at all.
 
@@ -165,17 +182,19 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
         readings: dict[str, Mapping[str, float]] = {}
         tips, markers, golden = [], [], {}
         for frame in make_frames(plan, truths):
-            write_image(folder / "masks" / f"{frame.name}.png", frame.mask)
-            if frame.ignore is not None:
-                write_image(folder / "ignore" / f"{frame.name}.png", frame.ignore)
-            if images:
-                write_image(folder / "images" / f"{frame.name}.png", draw_frame(plan, frame))
+            views = {".": frame} if plan.baseline is None else {"left": frame, "right": right_view(plan, frame)}
+            for view, seen in views.items():
+                _write_view(folder, plan, view, seen, images=images)
             readings[frame.name] = frame.readings
             pixels = ["", "", "", ""] if frame.tips is None else [f"{value:.2f}" for value in frame.tips.ravel()]
             tips.append(",".join([frame.name, *pixels]))
             markers += [f"{frame.name},{name},{u:.2f},{v:.2f}" for name, (u, v) in frame.markers.items()]
             golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
-        write_camera_info(folder / "camera.yaml", plan.camera, "synth")
+        if plan.baseline is None:
+            write_camera_info(folder / "camera.yaml", plan.camera, "synth")
+        else:
+            write_camera_info(folder / "left.yaml", plan.camera, "synth_left")
+            write_camera_info(folder / "right.yaml", plan.camera, "synth_right", baseline=plan.baseline)
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
         write_joints(folder / "joints.csv", readings, columns)
         if plan.body.instrument.jaw_tips:
@@ -185,6 +204,15 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
         base = None if camera_from_base is None else rounded(camera_from_base)
         write_json(folder / "golden.json", {"camera_from_base": base, "frames": golden})
         write_json(folder / PLAN_FILE, plan.describe())
+
+
+def _write_view(folder: Path, plan: SessionPlan, view: str, frame: SyntheticFrame, *, images: bool) -> None:
+    """Write mask, ignored pixels and image of a frame to the folders of a view."""
+    write_image(folder / "masks" / view / f"{frame.name}.png", frame.mask)
+    if frame.ignore is not None:
+        write_image(folder / "ignore" / view / f"{frame.name}.png", frame.ignore)
+    if images:
+        write_image(folder / "images" / view / f"{frame.name}.png", draw_frame(plan, frame))
 
 
 def draw_frame(plan: SessionPlan, frame: SyntheticFrame) -> NDArray[np.uint8]:
@@ -205,11 +233,17 @@ def _generator(plan: SessionPlan, *stream: int) -> np.random.Generator:
 
 
 def _frame(
-    plan: SessionPlan, name: str, truth: Truth, reading: Mapping[str, float], rng: np.random.Generator
+    plan: SessionPlan,
+    name: str,
+    truth: Truth,
+    reading: Mapping[str, float],
+    rng: np.random.Generator,
+    rng_of_tissue: np.random.Generator | None = None,
 ) -> SyntheticFrame:
+    """Simulate a frame; ``rng_of_tissue`` draws the tissue before the instrument, where not ``rng`` does."""
     camera, level = plan.camera, plan.level
     outside_lens = None if level.lens_edge is None else outside_lens_circle(camera, level.lens_edge)
-    occluder, told = _tissue(plan, truth, rng)
+    occluder, told = _tissue(plan, truth, rng_of_tissue or rng)
     mask, holes = exact_mask(plan.body, camera, truth), None
     hidden = _union(occluder, outside_lens)
     if level.mistakes is None:
