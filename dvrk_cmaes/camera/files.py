@@ -100,6 +100,8 @@ def read_camera_file(
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
     """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
     where, document = str(path), read_document(path)
+    if all(isinstance(document.get(one), dict) for one in ("left", "right")):  # a mapping for each camera of a pair
+        where, document, side = f"{path}: {side}", document[side], "left"
     for is_kind, read_kind in _KINDS:
         if is_kind(document):
             return read_kind(where, document, rectified=rectified, side=side)

@@ -1,9 +1,9 @@
 """Read OpenCV's FileStorage, YAML or XML, of one camera or a stereo pair.
 
-One camera: ``camera_matrix``, ``distortion_coefficients``. A pair: ``K1, K2, D1, D2`` (or ``M1, M2``),
-``cameraMatrixL``, ``distCoeffsL``, ``camera_matrix_left``, ``distortion_coefficients_left``, or
-``Left_Camera_Matrix``, ``Left_Distortion_Coefficients``, and the same of the right; case and underscores are ignored.
-``P1`` and ``P2`` (3, 4) are for rectified images. The pose between the two cameras is read in ``stereo``.
+One camera: ``camera_matrix``, ``distortion_coefficients``. A pair: the same names, or ``K`` or ``M`` and ``D``, with
+``1`` and ``2``, ``L`` and ``R`` or ``left`` and ``right`` before or after them; case and underscores are ignored.
+``P1`` and ``P2`` (3, 4) are for rectified images. The pose between the two cameras is read
+in ``stereo``.
 """
 
 from __future__ import annotations
@@ -32,6 +32,15 @@ from dvrk_cmaes.errors import InputError
 _MATRIX = ("cameramatrix", "k")
 _DISTORTION = ("distortioncoefficients", "distcoeffs", "d")
 _NUMBERED = {"left": "1", "right": "2"}
+_USUAL = {
+    side: (
+        (f"k{n}", f"m{n}", f"cameramatrix{n}", f"{side}cameramatrix"),
+        (f"d{n}", f"distcoeffs{n}", f"{side}distortioncoefficients"),
+        (f"p{n}", f"{side}projectionmatrix"),
+    )
+    for side, n in _NUMBERED.items()
+}
+"""Usual names of intrinsic matrix, distortion and projection matrix of each camera of a pair, which messages state."""
 _SIZES = ("imagedimensions", "imagesize", "size")
 
 
@@ -89,17 +98,17 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
 
 def _names(side: str) -> tuple[tuple[str, ...], ...]:
     """Return the normalised names of intrinsic matrix, distortion and projection matrix of one camera of a pair."""
-    n, ends = _NUMBERED[side], (side[0], side)
+    marks = _NUMBERED[side], side[0], side
     return (
-        (f"k{n}", f"m{n}", f"cameramatrix{n}", f"{side}cameramatrix", *(f"cameramatrix{end}" for end in ends)),
-        (
-            f"d{n}",
-            f"distcoeffs{n}",
-            f"{side}distortioncoefficients",
-            *(f"{name}{end}" for name in ("distcoeffs", "distortioncoefficients") for end in ends),
-        ),
-        (f"p{n}", f"{side}projectionmatrix"),
+        (*_USUAL[side][0], *_of_side(("k", "m", "cameramatrix", "intrinsics", "intrinsicmatrix"), *marks)),
+        (*_USUAL[side][1], *_of_side(("d", "distcoeffs", "distortioncoefficients", "distortion"), *marks)),
+        (*_USUAL[side][2], *_of_side(("p", "projectionmatrix"), *marks)),
     )
+
+
+def _of_side(names: tuple[str, ...], *marks: str) -> tuple[str, ...]:
+    """Return names with each mark of a side after them, and with the side's whole word, the last mark, before them."""
+    return (*(f"{name}{mark}" for name in names for mark in marks), *(f"{marks[-1]}{name}" for name in names))
 
 
 def _plain(name: str) -> str:
@@ -115,8 +124,9 @@ def plain_names(document: Mapping[str, Any]) -> dict[str, Any]:
 def _take(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str], names: tuple[str, ...]) -> tuple[str, Any]:
     """Return the first of several fields, its name spelled as in the file; InputError if there is none."""
     if not has_field(plain, names):
-        known = {name: name.upper() if len(name) <= 2 else name for name in names}
-        take_field(where, {}, [spelled.get(name, known[name]) for name in names])
+        usual = [name for name in names if any(name in each for kinds in _USUAL.values() for each in kinds)] or names
+        shown = list(dict.fromkeys(name.upper() if len(name) <= 2 else name for name in usual))
+        take_field(where, {}, [spelled.get(name, name) for name in shown])
     name, value = take_field(where, plain, names)
     return spelled[name], value
 

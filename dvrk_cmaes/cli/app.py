@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, MissingArgumentError
 
 from dvrk_cmaes._version import __version__
 from dvrk_cmaes.cli.batch import batch
@@ -81,16 +81,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except (Exception, KeyboardInterrupt) as error:
             if debug:
                 traceback.print_exc()
-            return _said(error)
+            return _said(error, tokens)
 
 
-def _said(error: BaseException) -> int:
-    """Print the line of an error, and return its exit code."""
+def _said(error: BaseException, tokens: Sequence[str]) -> int:
+    """Print the line of an error of a command line, and return its exit code."""
     match error:
         case CycloptsError():
             error.verbose = False
             command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
-            print_error(f"{error} (see {command} --help)")
+            print_error(f"{_missing(error, tokens) or error} (see {command} --help)")
             return InputError.exit_code
         case DvrkCmaesError():
             print_error(str(error))
@@ -112,3 +112,13 @@ def _said(error: BaseException) -> int:
             where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
             print_error(f"internal error: {where}: {one_line(error)}; {_DEBUG} shows where")
     return DvrkCmaesError.exit_code
+
+
+def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:
+    """Return the message for a required argument that was not given at all; None for any other error."""
+    if not isinstance(error, MissingArgumentError) or error.argument is None:
+        return None
+    name = error.argument.name
+    if any(token == name or token.startswith(f"{name}=") for token in tokens):
+        return None  # given, but without a value
+    return f"{name}: missing; it is required"

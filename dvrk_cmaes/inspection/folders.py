@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
+from dvrk_cmaes.inspection.pictures import inspect_image
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.results.folder import read_results
 
 RECORDINGS = (".bag", ".db3", ".mcap")
+PICTURES = (".png", ".jpg", ".jpeg")
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov")
 
 _DESCRIPTIONS = ("readings: ", "camera: ")
@@ -30,10 +33,37 @@ def inspect_folder(path: Path, options: Options) -> Finding:
         if options.camera is None and not (path / "camera.yaml").exists():
             return _without_camera(path)
         return _session(path, options)
+    pictures = [
+        one for one in sorted(path.iterdir()) if one.suffix.lower() in PICTURES and not one.name.startswith(".")
+    ]
+    if pictures:
+        return _pictures(path, pictures)
     raise InputError(
         f"{path}: expected a session (masks, images, or frames in the published layout), results (frames) or a ROS 2 "
         f"bag (metadata.yaml), got a folder of {listed(sorted(p.name for p in path.iterdir())) or 'nothing'}"
     )
+
+
+def _pictures(path: Path, pictures: Sequence[Path]) -> Finding:
+    """Describe a folder of masks or images by what each of its pictures is; other files in it are skipped."""
+    kinds: Counter[str] = Counter()
+    problems = []
+    for picture in pictures:
+        try:
+            found = inspect_image(picture)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        kinds[f"{found.kind}, {found.read['width']} x {found.read['height']} px"] += 1
+    skipped = sorted({one.name for one in path.iterdir()} - {picture.name for picture in pictures})
+    lines = (
+        f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
+        *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),
+        *problems,
+        *([f"skipped: {listed(skipped)}"] if skipped else []),
+    )
+    read = {"pictures": [picture.stem for picture in pictures], "kinds": dict(kinds), "skipped": skipped}
+    return Finding("folder of pictures", lines, read, ("the kind of each picture is told by its pixels",))
 
 
 def inspect_recording(path: Path) -> Finding:

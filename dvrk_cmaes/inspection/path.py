@@ -29,6 +29,7 @@ from dvrk_cmaes.joints.npy import MAGIC as NUMPY
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
 _IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
+_TEXTS = (".md", ".rst", ".html", ".log")
 _START = 65536  # bytes read to recognise the format
 _ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
 _IMAGE_TIMES = {"frame", "time"}
@@ -57,6 +58,8 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
         return inspect_recording(file)
     if file.suffix.lower() in MESHES:
         return inspect_mesh(file)
+    if file.suffix.lower() in _TEXTS:
+        return Finding("text for people", ("skipped: it has no data that is read",), {})
     if file.suffix.lower() == ".toml":
         return _inspect_settings(file)
     if start.startswith(_IMAGE_STARTS):

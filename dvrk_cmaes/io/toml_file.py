@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +28,7 @@ T = TypeVar("T")
 _LARGEST = 1_000_000  # bytes
 _MOST_DOTS = 100  # in a key or a value; the memory that tomllib needs grows with the square of a key's parts
 _SUGGESTED = 3
+_CLOSE = 0.75  # similarity from which a known name is probably the one that was meant
 _LARGEST_INTEGER = 2**63 - 1  # of TOML
 _EXPECTED = {str: "text in quotes", dict: "a table"}
 
@@ -64,8 +66,10 @@ def _merged(tree: Mapping[str, Any], values: Mapping[str, Any], where: str, tabl
     for name, value in values.items():
         key = f"{table}{name}"
         if name not in tree:
-            near = ", ".join(nearest_first(key, known)[:_SUGGESTED])
-            raise InputError(f"{where}: unknown key {shown(key)[1:-1]}; the nearest known are {near}")
+            close = get_close_matches(key, known, n=_SUGGESTED, cutoff=_CLOSE)
+            near = close or nearest_first(key, known)[:_SUGGESTED]
+            verb = "is" if len(near) == 1 else "are"
+            raise InputError(f"{where}: unknown key {shown(key)[1:-1]}; the nearest known {verb} {', '.join(near)}")
         if isinstance(tree[name], dict) and isinstance(value, Mapping):
             value = _merged(tree[name], value, where, f"{key}.", known)
         elif type(tree[name]) is int and isinstance(value, int) and abs(value) > _LARGEST_INTEGER:

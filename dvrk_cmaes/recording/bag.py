@@ -99,6 +99,8 @@ def _recording(
 @contextmanager
 def _open(path: Path) -> Iterator[AnyReader]:
     """Open a recording with rosbags; InputError if it is not one or rosbags is not installed."""
+    if not path.is_dir():
+        check_file(path, expected="a ROS recording")
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -107,9 +109,7 @@ def _open(path: Path) -> Iterator[AnyReader]:
             f"{path}: ROS recordings are read by the library rosbags, which is not installed; "
             "run: pip install 'rosbags>=0.11,<0.12'"
         ) from None
-    if not path.is_dir():
-        check_file(path, expected="a ROS recording")
-    elif not (path / "metadata.yaml").is_file():
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise InputError(
             f"{path}: expected a ROS 2 recording, got a folder without metadata.yaml "
             "(give its .mcap or .db3 file, or run: ros2 bag reindex)"

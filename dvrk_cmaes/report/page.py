@@ -22,6 +22,7 @@ from dvrk_cmaes.report.page_frames import (
     frame_card,
 )
 from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
+from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
     Run,
@@ -33,6 +34,7 @@ from dvrk_cmaes.report.page_session import (
 )
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import thumbnail
+from dvrk_cmaes.report.page_tips_plot import tips_plot
 from dvrk_cmaes.results.folder import ResultsFolder, read_results, result_paths
 from dvrk_cmaes.results.paths import overlay_path
 from dvrk_cmaes.results.result import Result
@@ -74,7 +76,7 @@ def render_page(folder: ResultsFolder) -> str:
     views = _views(folder, results, base, left_out)
     return render_template(
         "page.html",
-        script="page.js",
+        scripts=("page.js", "scene.js"),
         rules=sorted({view.thumbnail.crop.style for view in views if view.thumbnail and view.thumbnail.crop}),
         results=results,
         times=any(result.time is not None for result in results),
@@ -88,6 +90,8 @@ def render_page(folder: ResultsFolder) -> str:
         reasons=reason_counts(results),
         shared_warnings=common_warnings(results),
         joint_plot=joint_plot(results),
+        tips_plot=tips_plot(results),
+        scene=scene_of(results, base),
         rcm_plot=None if base is None else rcm_plot(results, base),
         base=base,
         frames=views,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 _ROUND = (1.0, 2.0, 5.0, 10.0)
@@ -59,6 +60,22 @@ def value_axis(
 def centred_axis(label: str, centre: float, reach: float, start: float, end: float) -> Axis:
     """Make an axis from ``centre - reach`` to ``centre + reach``, with ticks at round numbers."""
     return value_axis(label, centre - reach, centre + reach, start=start, end=end, most=6, to_ticks=False)
+
+
+def frame_axis(
+    names: Sequence[str], times: Sequence[float | None], *, start: float, end: float, most: int = 10
+) -> tuple[Axis, list[float]]:
+    """Make an axis of frames and return it with the frames' values on it.
+
+    It is an axis of time, s, from the first image on, if the times of all frames are known and differ; else the frames
+    are at 0, 1, ..., labelled by their names.
+    """
+    known = [time for time in times if time is not None]
+    if len(known) == len(names) > 1 and max(known) > min(known):
+        values = [time - min(known) for time in known]
+        label = "time from the first image, s"
+        return value_axis(label, 0.0, max(values), start=start, end=end, most=most, to_ticks=False), values
+    return name_axis("frame", tuple(names), start=start, end=end, most=most), [float(k) for k in range(len(names))]
 
 
 def name_axis(label: str, names: tuple[str, ...], *, start: float, end: float, most: int = 10) -> Axis:

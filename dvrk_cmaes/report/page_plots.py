@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.report.page_axes import Axis, centred_axis, name_axis, value_axis
+from dvrk_cmaes.report.page_axes import Axis, centred_axis, frame_axis, value_axis
 from dvrk_cmaes.report.page_session import FrameBases, correction
 from dvrk_cmaes.results.result import Result
 
@@ -107,7 +107,7 @@ def mark_path(shape: str, x: float, y: float, radius: float) -> str:
 
 
 def joint_plot(results: Sequence[Result]) -> Plot | None:
-    """Plot each joint's found less read, deg, over the frames in the given order; None if no joint was read."""
+    """Plot each joint's found less read, deg, over time or, without times, over the frames; None if none was read."""
     read: dict[str, list[tuple[int, float, float | None]]] = {}
     for place, result in enumerate(results):
         std = result.std_joints_deg or {}
@@ -128,17 +128,19 @@ def joint_plot(results: Sequence[Result]) -> Plot | None:
     wide = len(results) >= _WIDE_FROM
     width = 1320 if wide else 720
     names = tuple(result.frame for result in results)
-    across = name_axis("frame", names, start=64, end=width - 12, most=20 if wide else 10)
+    times = [result.time for result in results]
+    across, at = frame_axis(names, times, start=64, end=width - 24, most=20 if wide else 10)
     up = value_axis("found - read, deg", low - least / 2, high + least / 2, start=276, end=14)
-    step = across.at(1) - across.at(0)
+    step = (across.end - across.start) / len(results)
     series = []
     for k, (joint, points) in enumerate(read.items()):
         aside = (k - (len(read) - 1) / 2) * min(0.22 * step, 7.0)
         marks = [
-            Mark(place, across.at(place) + aside, up.at(off), results[place].status == "ok") for place, off, _ in points
+            Mark(place, across.at(at[place]) + aside, up.at(off), results[place].status == "ok")
+            for place, off, _ in points
         ]
         spans = [
-            (across.at(place) + aside, up.clamped(off + std_deg), up.clamped(off - std_deg))
+            (across.at(at[place]) + aside, up.clamped(off + std_deg), up.clamped(off - std_deg))
             for place, off, std_deg in points
             if bars and std_deg is not None
         ]

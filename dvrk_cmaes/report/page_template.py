@@ -17,9 +17,9 @@ from dvrk_cmaes.report.page_session import reason_kind
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
-def render_template(name: str, *, script: str | None = None, rules: Iterable[str] = (), **values: Any) -> str:
-    """Render a template with the style page.css and more rules, the script of a name, and the values that it names."""
-    code, style = "" if script is None else _text(script), "\n".join([_text("page.css"), *rules])
+def render_template(name: str, *, scripts: Iterable[str] = (), rules: Iterable[str] = (), **values: Any) -> str:
+    """Render a template with the style page.css and more rules, the scripts of some names, and the values it names."""
+    code, style = "\n".join(map(_text, scripts)), "\n".join([_text("page.css"), *rules])
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,

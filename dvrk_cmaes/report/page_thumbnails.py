@@ -71,13 +71,12 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
         picture = read_image(overlay, halved=True)
     except InputError:
         return None
-    height, width = picture.shape[:2]
-    unit = width / 1280
-    above, below = (strip.shape[0] for strip in text_strips(result, width, unit))
+    height, width = (2 * size for size in picture.shape[:2])
+    above, below = (strip.shape[0] for strip in text_strips(result, width, width / 1280))
     crop = None
     if above + below < height / 2:  # otherwise it is another picture than this result's overlay
         crop = Crop(above / width, (height - above - below) / width)
-        picture = _around_outlines(picture[above : height - below])
+        picture = _around_outlines(picture[-(-above // 2) : (height - below) // 2])
     height, width = picture.shape[:2]
     scale = min(WIDTH / width, _TALLEST * WIDTH / height)
     size = max(1, round(width * scale)), max(1, round(height * scale))

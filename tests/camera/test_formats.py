@@ -277,3 +277,41 @@ def test_real_left_camera_is_refused_as_right(shared: Path) -> None:
     assert message(folder / "ros_camera_info_left.yaml", side="right") == (
         "--side right: expected the right camera, got 'left'"
     )
+
+
+@pytest.mark.parametrize(
+    ("matrix", "distortion"),
+    [
+        ("cameraMatrixL", "distCoeffsL"),
+        ("K_left", "D_left"),
+        ("left_K", "left_D"),
+        ("leftCameraMatrix", "leftDistCoeffs"),
+        ("intrinsics_left", "distortion_left"),
+    ],
+)
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_names_of_stereo_pairs_are_known(tmp_path: Path, matrix: str, distortion: str, side: Side) -> None:
+    other = {"L": "R", "left": "right"}
+    lines = []
+    for name, values in ((matrix, (LEFT, RIGHT)), (distortion, (BENT, -BENT))):
+        mark = "left" if "left" in name else "L"
+        lines += [f"{name}: {values[0].tolist()}", f"{name.replace(mark, other[mark])}: {values[1].tolist()}"]
+    path = tmp_path / "stereo.yaml"
+    path.write_text("\n".join([*lines, "image_size: [640, 480]"]))
+    camera = read_camera(path, side=side)
+    expected = LEFT if side == "left" else RIGHT
+    np.testing.assert_allclose(camera.matrix, expected)
+    np.testing.assert_allclose(camera.distortion, BENT if side == "left" else -BENT)
+
+
+def test_pair_of_mappings_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.yaml"
+    fields = "image_width: 640, image_height: 480, distortion_model: plumb_bob"
+    path.write_text(
+        "\n".join(
+            f"{side}: {{{fields}, camera_matrix: {matrix.tolist()}, distortion_coefficients: {BENT.tolist()}}}"
+            for side, matrix in (("left", LEFT), ("right", RIGHT))
+        )
+    )
+    np.testing.assert_allclose(read_camera(path).matrix, LEFT)
+    np.testing.assert_allclose(read_camera(path, side="right").matrix, RIGHT)

@@ -30,6 +30,23 @@ def written(folder: Path, name: str, text: str | bytes) -> Path:
     return path
 
 
+def test_folder_of_masks_is_described(tmp_path: Path) -> None:
+    for name in ("0001", "0002"):
+        write_image(tmp_path / f"{name}.png", MASK > 0)
+    written(tmp_path, "0003.png", b"\x89PNG\r\n\x1a\n torn")
+    written(tmp_path, "notes.txt", "mine")
+    found = inspect_path(tmp_path)
+    assert found.kind == "folder of pictures"
+    assert "2 of 3: mask, 640 x 480 px" in found.lines
+    assert f"{tmp_path}/0003.png: expected an image (PNG or JPEG), got" in said(found)
+    assert "skipped: notes.txt" in found.lines
+
+
+def test_text_for_people_is_skipped(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(DEMO / "README.md"), str(DEMO / "joints.csv")]) == 0
+    assert "README.md: text for people" in capsys.readouterr().out
+
+
 def said(found: Finding) -> str:
     return "\n".join((*found.lines, *(f"rule: {note}" for note in found.notes)))
 

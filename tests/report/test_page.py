@@ -25,6 +25,7 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_axes import name_axis, round_step, value_axis
 from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
+from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
     common_warnings,
@@ -34,6 +35,7 @@ from dvrk_cmaes.report.page_session import (
     reason_kind,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
+from dvrk_cmaes.report.page_tips_plot import tips_plot
 from dvrk_cmaes.results.result import Result
 
 JPEG = "data:image/jpeg;base64,"
@@ -281,6 +283,42 @@ def test_joint_plot_positions_agree_with_axis() -> None:
         assert [(mark.place, mark.sure) for mark in series.marks] == [(0, True), (1, False)]
         assert [mark.y for mark in series.marks] == pytest.approx([panel.up.at(math.degrees(0.1))] * 2)
         assert len(series.bars) == 2
+
+
+def test_plots_are_over_time_where_it_is_known() -> None:
+    frames = [result("a", time=10.0), result("b", time=10.5), result("c", time=12.0)]
+    tips = (np.array([0.0, 0.0, 0.1]), np.array([0.002, 0.0, 0.1]))
+    frames = [replace(one, tips=tuple(tip + np.array([k / 1e3, 0, 0]) for tip in tips)) for k, one in enumerate(frames)]
+    for plot in (joint_plot(frames), tips_plot(frames)):
+        assert plot is not None
+        (panel,) = plot.panels
+        assert panel.across.label == "time from the first image, s"
+        middle = np.mean([[mark.x for mark in series.marks] for series in panel.series], axis=0)
+        assert middle - middle[0] == pytest.approx([panel.across.at(t) - panel.across.at(0) for t in (0, 0.5, 2)])
+    unknown = joint_plot([*frames[:2], result("c")])
+    assert unknown is not None
+    assert unknown.panels[0].across.label == "frame"
+
+
+def test_tips_plot_is_from_median_in_millimetres() -> None:
+    frames = [result(f"{k}", tips=(np.array([0.001 * k, 0.0, 0.1 + 0.002 * k]),)) for k in range(3)]
+    plot = tips_plot([*frames, failed("x")])
+    assert plot is not None
+    up = plot.panels[0].up
+    for series, off in zip(plot.panels[0].series, ([-1, 0, 1], [0, 0, 0], [-2, 0, 2]), strict=True):
+        assert [mark.y for mark in series.marks] == pytest.approx([up.at(value) for value in off])
+    assert tips_plot(frames[:1]) is None
+
+
+def test_scene_has_shafts_through_base_and_tips() -> None:
+    frames = [at_rcm("a", 50, 0, 0), at_rcm("b", 50, 0, 0), failed("c")]
+    frames[0] = replace(frames[0], tips=(np.array([0.01, 0.02, 0.12]),))
+    scene = json.loads(scene_of(frames, FrameBases.of(frames)) or "")
+    assert [one[:2] for one in scene["frames"]] == [[0, "ok"], [1, "ok"]]
+    assert scene["frames"][0][3:] == [[10, -20, 100], [10, 20, 120]]
+    assert scene["base"][3] == [50, 0, 0]
+    assert scene["base"][0] == [70, 0, 0]
+    assert scene_of([failed("c")], None) is None
 
 
 def test_no_joint_plot_without_readings() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from helpers.browser import CONTRAST, chromium, command, complaints, emulate, requests
 from helpers.page_results import doubtful, failed, overlay, result, write_results
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
@@ -191,6 +192,23 @@ def test_plot_mark_links_to_its_frame(page: WebDriver) -> None:
         "return document.getElementById('tip').textContent"
     )
     assert name == f"{opened(page)[0]}, doubtful"
+
+
+def test_scene_in_space_can_be_turned(page: WebDriver) -> None:
+    canvas = page.find_element(By.ID, "scene")
+    assert canvas.is_displayed()
+    pictures = [page.execute_script("return arguments[0].toDataURL()", canvas)]
+    assert len(pictures[0]) > 3000  # something is drawn
+    ActionChains(page).drag_and_drop_by_offset(canvas, 60, 20).perform()
+    pictures.append(page.execute_script("return arguments[0].toDataURL()", canvas))
+    canvas.send_keys(Keys.ARROW_LEFT)
+    pictures.append(page.execute_script("return arguments[0].toDataURL()", canvas))
+    canvas.send_keys("+")
+    pictures.append(page.execute_script("return arguments[0].toDataURL()", canvas))
+    assert len(set(pictures)) == 4
+    ActionChains(page).double_click(canvas).perform()
+    assert page.execute_script("return arguments[0].toDataURL()", canvas) == pictures[0]
+    assert complaints(page) == []
 
 
 def test_other_scripts_are_blocked(page: WebDriver) -> None:

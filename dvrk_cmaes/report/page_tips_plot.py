@@ -1,0 +1,42 @@
+"""The page's plot of the tips' place in the camera over time, or over the frames where times are not known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dvrk_cmaes.report.page_axes import frame_axis, value_axis
+from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark_size
+from dvrk_cmaes.results.result import Result
+
+_LEAST_SPAN = 1.0  # mm
+
+
+def tips_plot(results: Sequence[Result]) -> Plot | None:
+    """Plot the mean position of the tips, mm from its median over the frames; None for fewer than two frames with tips.
+
+    The series are the camera's axes x, y and z; bars are their standard deviations.
+    """
+    places = [place for place, result in enumerate(results) if result.tips]
+    if len(places) < 2:
+        return None
+    middles = np.array([1e3 * np.mean(results[place].tips, axis=0) for place in places])
+    off = middles - np.median(middles, axis=0)
+    across, at = frame_axis(
+        [result.frame for result in results], [result.time for result in results], start=64, end=696
+    )
+    span = max(float(np.ptp(off)), _LEAST_SPAN)
+    up = value_axis("tips, mm from their median", float(off.min()), float(off.min()) + span, start=276, end=14)
+    series = []
+    for k, axis in enumerate("xyz"):
+        marks, bars = [], []
+        for place, value in zip(places, off[:, k].tolist(), strict=True):
+            x = across.at(at[place])
+            marks.append(Mark(place, x, up.at(value), results[place].status == "ok"))
+            expected = results[place].expected_error
+            axes = None if expected is None else expected.tip_axes_mm.get("mean", expected.tip_axes_mm.get("tip"))
+            if axes is not None:
+                bars.append((x, up.clamped(value + float(axes[k])), up.clamped(value - float(axes[k]))))
+        series.append(Series(axis, SHAPES[k], tuple(marks), tuple(bars)))
+    return Plot("tips", mark_size(len(results)), (Panel(720, 330, across, up, tuple(series), zero=up.clamped(0.0)),))
