@@ -15,6 +15,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    DEFAULT_PROMPTS,
     DEFAULT_SEGMENT,
     METHOD,
     MOST_WORKERS,
@@ -23,6 +24,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     InstrumentOptions,
     MethodOptions,
+    PromptOptions,
     SegmentOptions,
     SessionOption,
     check_range,
@@ -67,6 +69,7 @@ def batch(
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     segment: SegmentOptions = DEFAULT_SEGMENT,
+    prompts: PromptOptions = DEFAULT_PROMPTS,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
@@ -130,6 +133,8 @@ def batch(
         The method. Each worker uses one thread unless --threads is given.
     segment
         Segmentation of the images of frames without a mask.
+    prompts
+        Prompts for the segmentation of all frames without a mask and without a row in the session's boxes.csv.
     json
         Print only summary.json, on stdout.
     """
@@ -166,6 +171,7 @@ def batch(
         label=label,
         scheduler=scheduler,
         segment=segment.resolve(),
+        prompts=prompts,
         pattern=frames,
         shard=part,
         resume=resume,
@@ -193,6 +199,7 @@ def _run(
     *,
     joints: tuple[Path, ...],
     label: int | None,
+    prompts: PromptOptions,
     scheduler: str | None,
     lag: str | None,
     calibration: SessionCalibration | None,
@@ -204,6 +211,7 @@ def _run(
 ) -> BatchSummary:
     """Read the session and run the batch, with progress on stderr."""
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.frames.boxes import FramePrompts
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
@@ -215,6 +223,9 @@ def _run(
     session = camera.read_session(folder, known=model.joint_names, joints=joints)
     if label is not None:
         session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
+    if prompts != DEFAULT_PROMPTS:
+        hints = prompts.resolve()
+        session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
         stop = stack.enter_context(stopping_on_interrupt())

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.boxes import FramePrompts
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
@@ -29,9 +30,10 @@ class FrameFiles:
 
     A frame without a mask has an image, in which the instrument is to be segmented. ``readings`` are by joint name, rad
     (insertion: m); ``keypoints`` (2, 2) px are the jaw tips in either order. ``label`` and ``pick`` select the
-    instrument in the mask, as in ``read_mask``. ``time`` is that of the image, s, if it is known. ``notes`` state how
-    camera and readings were chosen; ``problem`` states why this frame cannot be used, None if it can. ``others`` are
-    the files of the further views of a rig, by name.
+    instrument in the mask, as in ``read_mask``. ``prompts`` state where the instrument is in an image without a mask.
+    ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
+    states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
+    name.
     """
 
     name: str
@@ -43,6 +45,7 @@ class FrameFiles:
     label: int | None = None
     pick: tuple[float, float] | None = None
     time: float | None = None
+    prompts: FramePrompts | None = None
     notes: tuple[str, ...] = ()
     problem: str | None = None
     others: Mapping[str, FrameFiles] = field(default_factory=dict)

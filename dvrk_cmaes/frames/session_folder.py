@@ -5,7 +5,7 @@ A session folder contains::
     camera.yaml
     joints.csv
     masks/<frame>.png or images/<frame>.png|jpg, or both
-    images.csv (frame, time), ignore/<frame>.png, keypoints.csv, golden.json (each optional)
+    images.csv (frame, time), ignore/<frame>.png, keypoints.csv, boxes.csv, golden.json (each optional)
 
 A stereo session has left.yaml, right.yaml, and masks/left, masks/right, images/left and so on.
 
@@ -26,6 +26,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
@@ -73,6 +74,14 @@ class Session:
             return ReadingSeries.of_files(self.joint_files, self.image_times)
         except InputError:
             return None
+
+    def with_prompts(self, prompts: FramePrompts) -> Session:
+        """Return the session with prompts for the frames that have neither a mask nor a row in boxes.csv."""
+        frames = (
+            files if files.mask is not None or files.prompts is not None else replace(files, prompts=prompts)
+            for files in self.frames
+        )
+        return replace(self, frames=tuple(frames))
 
     def with_lag(self, lag: Lag) -> Session:
         """Return the session with each frame's readings of the time of its image less the lag.
@@ -222,6 +231,7 @@ def _session_frames(
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
+    boxes = read_boxes(root / "boxes.csv") if os.path.lexists(root / "boxes.csv") else {}
     image_times = {
         name: times.get(name, time_in_name(name))
         for name in sorted(set().union(*(files for kinds in of_views for files in kinds[:2])))
@@ -240,6 +250,7 @@ def _session_frames(
             keypoints=tips.get(name),
             time=_seconds_of(files, name, time),
             others=others,
+            prompts=boxes.get(name),
         )
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)

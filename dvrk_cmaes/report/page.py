@@ -70,8 +70,10 @@ def render_page(folder: ResultsFolder) -> str:
     """Render the HTML page of a results folder."""
     results = list(folder.frames.values())
     run = Run.of(folder.summary)
-    base = FrameBases.of(results)
     calibration = calibration_of(folder)
+    left = {} if calibration is None else calibration.left_out
+    solved = [result for result in results if result.frame not in left]  # the session's figures are of these
+    base = FrameBases.of(solved)
     left_out = {} if calibration is None else left_out_views(folder, calibration, _documents(folder))
     views = _views(folder, results, base, left_out)
     return render_template(
@@ -85,8 +87,8 @@ def render_page(folder: ResultsFolder) -> str:
         statuses=STATUSES,
         counts={status: sum(result.status == status for result in results) for status in STATUSES},
         together=sum(result.source == "session" for result in results),
-        figures=list(session_figures(results, base, run)),
-        joints=list(joint_summaries(results)),
+        figures=list(session_figures(solved, base, run)),
+        joints=list(joint_summaries(solved)),
         reasons=reason_counts(results),
         shared_warnings=common_warnings(results),
         joint_plot=joint_plot(results),

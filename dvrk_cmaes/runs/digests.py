@@ -48,6 +48,8 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
     }
     if files.time is not None:
         rest["time"] = files.time
+    if files.prompts is not None and files.mask is None:
+        rest["prompts"] = files.prompts
     others = {
         f"{view} {part}": digest
         for view, other in files.others.items()

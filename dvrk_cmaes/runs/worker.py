@@ -30,7 +30,7 @@ from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
-from dvrk_cmaes.segment.segmentation import SegmentSettings
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
 _unpacking = threading.Lock()
@@ -134,10 +134,17 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
         config=setup.config,
         session=setup.calibration,
         settings=setup.segment,
+        hints=_hints(files),
     )
     drawing = draw_frame(solved.result, files, solved.data, body)
     mask = encoded_image(mask_path(Path(), files.name), solved.data.mask) if solved.found_mask else None
     return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), mask
+
+
+def _hints(files: FrameFiles) -> Hints | None:
+    """Return the prompts of a frame for its segmentation; None without any."""
+    prompts = files.prompts
+    return None if prompts is None else Hints(prompts.box, prompts.points, prompts.not_points)
 
 
 def _outcome(result: Result, overlay: bytes | None, mask: bytes | None = None) -> FrameOutcome:

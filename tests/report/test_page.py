@@ -288,7 +288,7 @@ def test_joint_plot_positions_agree_with_axis() -> None:
 def test_plots_are_over_time_where_it_is_known() -> None:
     frames = [result("a", time=10.0), result("b", time=10.5), result("c", time=12.0)]
     tips = (np.array([0.0, 0.0, 0.1]), np.array([0.002, 0.0, 0.1]))
-    frames = [replace(one, tips=tuple(tip + np.array([k / 1e3, 0, 0]) for tip in tips)) for k, one in enumerate(frames)]
+    frames = [replace(one, tips=tuple(np.add(tip, [k / 1e3, 0, 0]) for tip in tips)) for k, one in enumerate(frames)]
     for plot in (joint_plot(frames), tips_plot(frames)):
         assert plot is not None
         (panel,) = plot.panels

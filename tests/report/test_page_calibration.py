@@ -21,7 +21,7 @@ from dvrk_cmaes.report.page_calibration import MOST_PICTURES, CalibrationView, c
 from dvrk_cmaes.report.page_lag_plot import lag_plot
 from dvrk_cmaes.report.page_shafts_plot import ShaftsView, shafts_plot
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Quality, Result
 
 NAMES = ("a", "b", "c", "d", "e")
 
@@ -100,6 +100,16 @@ def test_lag_that_is_zero_within_its_error_is_not_taken_out(tmp_path: Path) -> N
     page = page_of(write_calibrated(tmp_path, frames, calibration(frames, lag=Lag(0.1, 0.2, applied=False))))
     assert "0.10 frames standard deviation 0.20 frames; zero within its error, not taken out" in page.text
     assert "How late the images are" not in page.text
+
+
+def test_figures_of_session_are_without_frames_left_out(tmp_path: Path) -> None:
+    frames = solved(NAMES)
+    bad = replace(frames[4], quality=Quality(0.3, 1.0, {}, 20.0, 60.0), seconds=99.0)
+    session = calibration(frames[:4], left_out={"e": "another mode"})
+    text = page_of(write_calibrated(tmp_path, [*frames[:4], bad], session)).text
+    assert "Overlap (IoU), median 0.960 lowest 0.960" in text
+    assert "slowest 4.00 s" in text
+    assert "IoU 0.300" in text  # its card is there all the same
 
 
 def test_left_out_frames_are_listed_with_reason_and_link(tmp_path: Path) -> None:
