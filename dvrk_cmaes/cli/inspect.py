@@ -54,8 +54,7 @@ def inspect(
         except InputError as error:
             code = error.exit_code
             documents.append({"path": str(file), "kind": None, "error": str(error)})
-            if not json:
-                print_error(str(error))
+            print_error(str(error))
             continue
         documents.append({"path": str(file), **found.to_dict()})
         if not json:

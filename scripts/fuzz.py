@@ -1,0 +1,229 @@
+"""Damage inputs of every kind and run the commands that read them: each must succeed, or refuse in one line.
+
+    python scripts/fuzz.py --tries 400              # in this process, with the estimates replaced by a stored result
+    python scripts/fuzz.py --tries 40 --processes   # the whole program in a process of its own for each try
+    python scripts/fuzz.py --family mask --only 17  # one try again
+
+Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
+traceback or an internal error; anything but one line on stderr, or anything on stdout or written, with exit code 2; a
+wrong exit code; a file accepted that cannot be read at all; more than 30 s; and for processes more than 1.5 GB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from fuzz_damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
+from fuzz_families import FAMILIES, OPTIONS, Family, write_material
+
+from dvrk_cmaes.cli import main as run_command_line
+from dvrk_cmaes.results.file import read_result
+
+SLOW, LARGE = 30.0, 1500.0  # s, MB
+_LONGEST_LINE = 1000
+_PLACES = 0.1  # share of the tries in which something else than a file is in its place
+_JSON = ("inspect", "--json")  # which reports on stdout as well
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command line did: exit code, output, seconds and largest memory in MB, 0 where it is not measured."""
+
+    code: int
+    out: str
+    err: str
+    seconds: float
+    megabytes: float = 0.0
+
+
+Runner = Callable[[list[str]], Outcome]
+
+
+def main() -> int:
+    """Run the tries and print the report; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = [family.name for family in FAMILIES]
+    parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
+    parser.add_argument("--family", choices=names, action="append", help="only this family; may be repeated")
+    parser.add_argument("--only", type=int, metavar="K", help="only the try with this number")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the damage (default: %(default)s)")
+    parser.add_argument("--processes", action="store_true", help="run the whole program in a process for each try")
+    arguments = parser.parse_args()
+    numbers = range(arguments.tries) if arguments.only is None else [arguments.only]
+    chosen = [family for family in FAMILIES if arguments.family is None or family.name in arguments.family]
+    violations = tries = 0
+    with tempfile.TemporaryDirectory() as place:
+        material = Path(place, "material")
+        material.mkdir()
+        write_material(material)
+        with stubbed(material) if not arguments.processes else contextlib.nullcontext():
+            run = in_a_process if arguments.processes else in_this_process
+            for family in chosen:
+                found = Report(family.name)
+                for number in numbers:
+                    found.add(number, *attempt(family, number, arguments.seed, material, Path(place, "try"), run))
+                print(found, flush=True)
+                violations, tries = violations + len(found.violations), tries + found.tries
+    print(f"{tries} tries, {violations} violations")
+    return 1 if violations else 0
+
+
+class Report:
+    """Counts of a family's tries, and its violations."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.tries, self.refused = name, 0, 0
+        self.violations: list[str] = []
+
+    def add(self, number: int, command: list[str], outcome: Outcome, violation: str | None) -> None:
+        """Count a try."""
+        self.tries += 1
+        self.refused += outcome.code == 2
+        if violation is not None:
+            self.violations.append(f"  try {number}: {' '.join(command)[:150]}: {violation}")
+
+    def __str__(self) -> str:
+        head = f"{self.name}: {self.tries} tries, {self.refused} refused, {len(self.violations)} violations"
+        return "\n".join([head, *self.violations])
+
+
+def attempt(
+    family: Family, number: int, seed: int, material: Path, place: Path, run: Runner
+) -> tuple[list[str], Outcome, str | None]:
+    """Damage a copy of the material, run a command on it, and say how the outcome violates what is promised, if so."""
+    chance = random.Random(f"{seed} {family.name} {number}")
+    shutil.rmtree(place, ignore_errors=True)
+    shutil.copytree(material, place, symlinks=True)
+    command = list(chance.choice(family.commands))
+    unreadable = damage(family, place, command, chance)
+    before = contents(place)
+    with contextlib.chdir(place):
+        outcome = run(command)
+    changed = contents(place) != before
+    return command, outcome, violation_of(outcome, command, changed=changed, unreadable=unreadable and family.refuses)
+
+
+def damage(family: Family, place: Path, command: list[str], chance: random.Random) -> bool:
+    """Damage the family's file, or add an option to the command; returns whether the file cannot be read at all."""
+    if family.kind == "options":
+        command += [chance.choice(OPTIONS), chance.choice(ODD_WORDS)]
+        return False
+    path = place / family.file
+    if chance.random() < _PLACES:
+        return damage_place(path, chance) != "missing"
+    data = path.read_bytes()
+    match family.kind:
+        case "document":
+            path.write_bytes(damaged_document(data.decode(), chance))
+        case "text":
+            path.write_bytes(damaged_text(data.decode(), chance))
+        case _:
+            path.write_bytes(damaged_bytes(data, chance))
+    return False
+
+
+def violation_of(outcome: Outcome, command: Sequence[str], *, changed: bool, unreadable: bool) -> str | None:
+    """Say how an outcome violates what is promised; None if it does not."""
+    lines = outcome.err.splitlines()
+    if "Traceback" in outcome.err + outcome.out or "internal error" in outcome.err:
+        return f"exit code {outcome.code}: {outcome.err.strip()[-300:]}"
+    if outcome.seconds > SLOW or outcome.megabytes > LARGE:
+        return f"{outcome.seconds:.0f} s, {outcome.megabytes:.0f} MB"
+    if outcome.code not in (0, 2, 3) and not ("--merge" in command and "still to be done" in outcome.err):
+        return f"exit code {outcome.code}: {outcome.err.strip()[-300:]}"
+    if outcome.code != 2:
+        return "accepted, though it cannot be read" if unreadable else None
+    if len(lines) != 1 or not lines[0].startswith("dvrk-cmaes: ") or len(lines[0]) > _LONGEST_LINE:
+        return f"exit code 2 with {len(lines)} lines on stderr: {outcome.err[:300]!r}"
+    if outcome.out and not all(word in command for word in _JSON):
+        return f"exit code 2 with output: {outcome.out[:100]!r}"
+    return "exit code 2, but files were written" if changed else None
+
+
+def contents(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return size and time of change of everything in a folder, by its path."""
+    found = {}
+    for path in folder.rglob("*"):
+        status = path.lstat()
+        found[str(path.relative_to(folder))] = (0, 0) if path.is_dir() else (status.st_size, status.st_mtime_ns)
+    return found
+
+
+def in_this_process(command: list[str]) -> Outcome:
+    """Run a command line in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with tempfile.TemporaryFile() as native:
+        stderr = os.dup(2)
+        os.dup2(native.fileno(), 2)
+        began = time.monotonic()
+        try:
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                code = run_command_line(command)
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        native.seek(0)
+        printed = native.read().decode(errors="replace")
+    return Outcome(code, out.getvalue(), printed + err.getvalue(), time.monotonic() - began)
+
+
+def in_a_process(command: list[str]) -> Outcome:
+    """Run a command line in a process of its own, whose files are limited to 100 MB; it is killed after 60 s."""
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        began = time.monotonic()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dvrk_cmaes", *command],
+            stdout=out,
+            stderr=err,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (10**8, 10**8)),
+        )
+        alarm = signal.signal(signal.SIGALRM, lambda *_: process.kill())
+        signal.alarm(int(2 * SLOW))
+        _, status, used = os.wait4(process.pid, 0)
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, alarm)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
+        err.seek(0)
+        return Outcome(
+            process.returncode, out.read(), err.read(), time.monotonic() - began, megabytes=used.ru_maxrss / 1e3
+        )
+
+
+@contextlib.contextmanager
+def stubbed(material: Path) -> Iterator[None]:
+    """Replace the estimate of a frame by a stored result, and worker processes by calls, so that reading is tested."""
+    stored = read_result(material / "results" / "frames" / "0000.json")
+
+    def estimate(*_: Any, frame: str = "", **__: Any) -> Any:
+        return replace(stored, frame=frame)
+
+    def run_in_processes(tasks: Sequence[Any], call: Callable[[Any], Any], **_: Any) -> Iterator[tuple[Any, Any]]:
+        for task in tasks:
+            yield task, call(task)
+
+    with (
+        mock.patch("dvrk_cmaes.runs.frame.estimate", estimate),
+        mock.patch("dvrk_cmaes.runs.batch.run_in_processes", run_in_processes),
+    ):
+        yield
+
+
+if __name__ == "__main__":
+    sys.exit(main())
