@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,7 +170,9 @@ def write_material(folder: Path) -> None:
     with ThreadPoolExecutor(1) as executor:
         run_batch(session, folder / "results", load_instrument("lnd"), config=settings, executor=executor)
     _write_calibration(folder / "session.json", folder / "results")
-    shutil.copy(bundled_path("demo", "golden.json"), folder / "session")
+    golden = json.loads(bundled_path("demo", "golden.json").read_text(encoding="utf-8"))
+    golden["frames"] = dict(list(golden["frames"].items())[:FRAMES])
+    write_json(folder / "session" / "golden.json", golden)
     mask = cv2.imread(str(folder / "session/masks/0000.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(folder / "mask.jpg"), mask)
     np.save(folder / "q.npy", np.array([0.1, 0.2, 0.1, 0.3, 0.8, -0.3]))

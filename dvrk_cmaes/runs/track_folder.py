@@ -123,10 +123,16 @@ def track_folder(
             check_same_settings(out, old, manifest)
             names = list(manifest["frames"])
             check_same_frames(out, old, manifest["frames"], done=names, session=names)
+        run = _Run(session, out, body, settings, frames, clock, stop, progress)
+        tracker = settings.tracker(session.camera, body)
+        restored = old is not None and resume and not settings.smooth
+        rows = _restored(out, tracker, body.instrument.joint_names) if restored else []
         (out / SESSION).unlink(missing_ok=True)
         write_manifest(out, manifest)
-        run = _Run(session, out, body, settings, frames, clock, stop, progress)
-        rows, tracker = _smoothed(run) if settings.smooth else _forwards(run, resume=resume and old is not None)
+        if settings.smooth:
+            rows, tracker = _smoothed(run)
+        else:
+            _forwards(run, tracker, rows)
         interrupted = len(rows) < len(frames)
         calibration = tracker.calibration(clock.interval, clock.unit)
         if calibration is not None and rows:
@@ -140,10 +146,8 @@ def track_folder(
     return TrackSummary(dict(counts), interrupted, calibration)
 
 
-def _forwards(run: _Run, *, resume: bool) -> tuple[list[dict[str, Any]], Tracker]:
-    """Follow all frames, and write each row when it is there; returns the rows so far and the tracker."""
-    tracker = run.settings.tracker(run.session.camera, run.body)
-    rows = _restored(run.out, tracker, run.body.instrument.joint_names) if resume else []
+def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
+    """Follow the frames after those that have rows; add each row to them, and write it, when it is there."""
     kept, total = len(rows), len(run.frames)
     run.progress(kept, total, None)
     with _lines(run.out, rows) as append:
@@ -155,7 +159,6 @@ def _forwards(run: _Run, *, resume: bool) -> tuple[list[dict[str, Any]], Tracker
                 write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
             if run.stopped:
                 break
-    return rows, tracker
 
 
 def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
