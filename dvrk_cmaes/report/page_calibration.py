@@ -19,9 +19,11 @@ from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.report.page_cables_plot import cables_plot
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
 from dvrk_cmaes.report.page_lag_plot import LagPlot, lag_plot
 from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, offset_estimates, offset_panels
+from dvrk_cmaes.report.page_plots import Plot
 from dvrk_cmaes.report.page_session import KeyFigure, correction
 from dvrk_cmaes.report.page_shafts_plot import ShaftsPlot, shafts_plot
 from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
@@ -60,6 +62,8 @@ class CalibrationView:
     offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
     lag : lag of the images that was taken out of the readings, as text; empty if there is none.
+    cables : what the cables add to the offsets, in words. cables_plot : plots of the joints' errors, None if the
+    session does not tell of its cables.
     lag_plot : plot of the frames' disagreement as a function of the lag, None if no lag was searched.
     alone : address of the page of the same frames solved one by one, None if it does not exist.
     """
@@ -75,6 +79,8 @@ class CalibrationView:
     pictures: tuple[Prediction, ...]
     left_out: tuple[tuple[str, str, bool], ...]
     lag: str
+    cables: tuple[str, ...]
+    cables_plot: Plot | None
     lag_plot: LagPlot | None
     alone: str | None
 
@@ -133,6 +139,8 @@ def calibration_view(
         pictures=tuple([one for one in predictions if one.picture][:MOST_PICTURES]),
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
         lag=_lag(calibration),
+        cables=() if calibration.cables is None else tuple(calibration.cables.in_words()),
+        cables_plot=cables_plot(results, calibration, used),
         lag_plot=lag_plot(calibration),
         alone=f"{ALONE}/report.html" if (folder.folder / ALONE / "report.html").is_file() else None,
     )
@@ -250,8 +258,9 @@ def _corrections(
             continue
         model, constants = calibration.model(outer, np.full((1, len(joints)), np.nan), joints)
         change_of_root = change_between(model.predict(constants)[0][0], result.camera_from_root)
-        found["insertion"][place] = calibration.offsets["insertion"] + float(change_of_root[2])
-        found["roll"][place] = calibration.offsets["roll"] + float(change_of_root[5])
+        expected = constants.offsets[1] + model.correction.values[0, 0]
+        found["insertion"][place] = float(constants.offsets[0] + change_of_root[2])
+        found["roll"][place] = float(expected + change_of_root[5])
     return found
 
 

@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.page_calibrations import OFFSETS as PAGE_OFFSETS
+from helpers.page_calibrations import cables_of, solved
+from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration import SessionCalibration
@@ -231,3 +234,26 @@ def test_missing_standard_deviation_is_refused() -> None:
     del document["spreads"]["jaw"]
     with pytest.raises(InputError, match=r"session: spreads: expected those of .*, got no jaw$"):
         SessionCalibration.from_dict(document).model(WORLD.model.outer, WORLD.model.joints, WORLD.model.names)
+
+
+def test_cables_survive_the_document_and_correct_frames_by_their_readings_alone() -> None:
+    frames = solved(("a", "b"))
+    before = page_calibration(frames, cables=cables_of(frames))
+    after = SessionCalibration.from_dict(json.loads(json.dumps(before.to_dict())))
+    assert after.cables == before.cables
+    readings = np.array([[0.0, 0.0, 0.12, 0.5]]), np.array([[0.1, 0.4, 0.0]])
+    model, constants = after.model(*readings, ("wrist_pitch", "wrist_yaw", "jaw"))
+    joints = model.predict(constants)[1][0]
+    np.testing.assert_allclose(joints[0], 0.1 + PAGE_OFFSETS["wrist_pitch"] + 0.25 * 0.4)
+    np.testing.assert_allclose(model.deviations.joints, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("coupling", [[0.0]]), ("width", [0.1]), ("seconds", [0.0] * 4), ("joints", ["roll"])]
+)
+def test_cables_of_another_number_of_joints_are_refused(field: str, value: object) -> None:
+    frames = solved(("a", "b"))
+    document = page_calibration(frames, cables=cables_of(frames)).to_dict()
+    document["cables"][field] = value
+    with pytest.raises(InputError, match=r"^session\.json: cables"):
+        SessionCalibration.from_dict(document, where="session.json")

@@ -10,6 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.calibration.model import BASE_AXES
+from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.geometry import exp_rotation, moved, transform
 from dvrk_cmaes.instrument.arm import base_from_root
@@ -60,6 +61,34 @@ def calibration(frames: Sequence[Result], **changes: object) -> SessionCalibrati
         roll_offset=ROLL_OFFSET,
     )
     return replace(one, **changes)  # type: ignore[arg-type]
+
+
+def cables_of(frames: Sequence[Result]) -> SessionCables:
+    """Give cables of which wrist_yaw drags wrist_pitch; the frames were read a second apart."""
+    names = ("roll", *JOINTS)
+    none, count = (0.0,) * len(names), len(names)
+    zeros = (none,) * count
+    coupling = tuple(tuple(0.25 * (j == 1 and k == 2) for k in range(count)) for j in range(count))
+    play = tuple(tuple(0.5 * (j == k == 2) for k in range(count)) for j in range(count))
+    return SessionCables(
+        parts=("coupling", "play", "wander"),
+        gain=20.0,
+        joints=names,
+        reference=none,
+        coupling=coupling,
+        coupling_std=((0.05,) * count,) * count,
+        play=play,
+        play_std=((0.1,) * count,) * count,
+        narrow=none,
+        narrow_std=none,
+        width=(0.02, 0.2, 0.3, 0.2),
+        wander=(0.01, 0.05, 0.05, 0.05),
+        seconds=(10.0,) * count,
+        noise=(0.01,) * count,
+        alone=CablesAlone(tuple(OFFSETS[name] for name in names), coupling, zeros, (0.05,) * count),
+        corrections={frame.frame: (0.0, 0.01 * k, 0.02, 0.0) for k, frame in enumerate(frames)},
+        times={frame.frame: float(k) for k, frame in enumerate(frames)},
+    )
 
 
 def write_calibrated(

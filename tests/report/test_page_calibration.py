@@ -10,7 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.page_calibrations import BASE, BASE_STD, OFFSETS, SPREADS, STD, calibration, solved, write_calibrated
+from helpers.page_calibrations import (
+    BASE,
+    BASE_STD,
+    OFFSETS,
+    SPREADS,
+    STD,
+    cables_of,
+    calibration,
+    solved,
+    write_calibrated,
+)
 from helpers.page_results import failed, page_of, write_results
 
 from dvrk_cmaes.calibration.lag import LagCurve
@@ -290,3 +300,24 @@ def transform_away(pose: np.ndarray) -> np.ndarray:
 
 def test_no_shafts_plot_without_used_frames() -> None:
     assert shafts_plot(calibration(solved(NAMES)), {}, frozenset({0, 1})) is None
+
+
+def test_cables_are_told_in_words_and_drawn_over_reading_and_time(tmp_path: Path) -> None:
+    frames = solved(NAMES)
+    view = view_of(tmp_path / "view", frames, cables=cables_of(frames))
+    assert view.cables[:2] == (
+        "wrist_yaw stays behind its reading by up to 9 deg, std 2",
+        "wrist_yaw drags wrist_pitch by +14 deg a rad, std 3",
+    )
+    assert view.cables_plot is not None
+    assert [panel.across.label for panel in view.cables_plot.panels[:2]] == ["reading of wrist_pitch, deg", "time, s"]
+    assert all(len(series.marks) == len(NAMES) for panel in view.cables_plot.panels for series in panel.series)
+    text = page_of(write_calibrated(tmp_path / "page", frames, calibration(frames, cables=cables_of(frames)))).text
+    assert "What the cables do" in text
+    assert "wrist_yaw drags wrist_pitch by +14 deg a rad, std 3" in text
+
+
+def test_page_of_a_session_that_does_not_tell_of_its_cables_has_no_plot_of_them(tmp_path: Path) -> None:
+    frames = solved(NAMES)
+    assert view_of(tmp_path / "view", frames).cables_plot is None
+    assert "What the cables do" not in page_of(write_calibrated(tmp_path / "page", frames, calibration(frames))).text
