@@ -13,8 +13,16 @@ from helpers.moving_worlds import SMALL
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
-from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS, moving_arm, read_moving
+from dvrk_cmaes.synth.moving_arm import (
+    MOTION_LEVELS,
+    arm_with_cables,
+    cable_joints,
+    level_offsets,
+    moving_arm,
+    read_moving,
+)
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
 
@@ -94,3 +102,25 @@ def test_command_makes_images_late(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["synth", str(tmp_path / "not"), "--lag", "0.1"]) == 2
     assert "--lag: expected it with --motion video only, got --motion rcm" in capsys.readouterr().err
     assert not (tmp_path / "not").exists()
+
+
+def test_joints_follow_their_readings_by_the_cables_of_a_real_arm(bundled_body: Body) -> None:
+    level, names = replace(MOTION_LEVELS["medium"], lag=0.0), cable_joints(bundled_body)
+    rng = np.random.default_rng(5)
+    cables = draw_cables(names, level_offsets(names, level), rng)
+    _, truths, paths = arm_with_cables(bundled_body, SMALL, rng, 120, level, cables)
+    read = read_moving(truths, rng, level, cables, paths)
+    errors = {name: np.array([{**truth.outer, **truth.joints}[name] for truth in truths]) - read[name] for name in read}
+    assert np.degrees(np.std(errors["wrist_pitch"])) > 2
+    assert np.degrees(np.std(errors["roll"])) < np.degrees(np.std(errors["wrist_pitch"]))
+    assert np.degrees(np.std(errors["yaw"])) < 0.2
+
+
+def test_levels_medium_and_hard_have_measured_cables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["--motion", "video", "--level", "medium", "--frames", "2"]
+    assert main(["synth", str(tmp_path / "made"), *line]) == 0
+    assert main(["synth", str(tmp_path / "other"), *line, "--cables", "independent"]) == 0
+    cables = [json.loads((tmp_path / name / "synth.json").read_text())["cables"] for name in ("made", "other")]
+    assert cables == ["measured", "independent"]
+    assert main(["synth", str(tmp_path / "not"), "--cables", "measured"]) == 2
+    assert "--cables: expected it with --motion video only, got --motion rcm" in capsys.readouterr().err
