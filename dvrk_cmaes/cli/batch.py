@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -35,6 +35,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration import SessionCalibration
     from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.worklist import Shard
 
@@ -58,6 +59,7 @@ def batch(
     retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     label: Annotated[int | None, Parameter(group=FOLDER)] = None,
+    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
     merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
@@ -107,6 +109,9 @@ def batch(
         File of readings to use instead of the session's own. May be given several times.
     label
         Value of the instrument in masks of labels, 0 to 255.
+    only
+        Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
+        times.
     shard
         I/N: estimate only part I of N parts (I from 1 to N), for N machines that share the folder.
     merge
@@ -159,35 +164,66 @@ def batch(
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
     from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool
+    from dvrk_cmaes.frames.session_toml import read_session_toml
 
     part = None if shard is None else Shard.parse(shard)
-    done = _run(
-        session,
-        session / "results" if out is None else out,
-        camera,
-        instrument,
-        method,
-        joints=joints,
-        label=label,
-        scheduler=scheduler,
-        segment=segment.resolve(),
-        prompts=prompts,
-        pattern=frames,
-        shard=part,
-        resume=resume,
-        retry_failed=retry_failed,
-        workers=workers,
-        time_limit=time_limit,
-        lag=lag,
-        calibration=None if calibration is None else read_calibration(calibration),
-    )
-    _report(done.document, done.folder, json, shard=part)
+    entries = read_session_toml(session)
+    tools = chosen_tools(entries, only, session)
+    several = entries is not None and len(entries.tools) > 1
+    results = session / "results" if out is None else out
+    finished = {}
+    for tool in tools:
+        done = _run(
+            session,
+            results / tool.arm if several and tool is not None else results,
+            camera,
+            instrument if tool is None else of_tool(instrument, tool),
+            method,
+            entries=entries,
+            tool=tool,
+            joints=joints,
+            label=label,
+            scheduler=scheduler,
+            segment=segment.resolve(),
+            prompts=prompts,
+            pattern=frames,
+            shard=part,
+            resume=resume,
+            retry_failed=retry_failed,
+            workers=workers,
+            time_limit=time_limit,
+            lag=lag,
+            calibration=None if calibration is None else read_calibration(calibration),
+        )
+        finished["" if tool is None else tool.arm] = done
+        if done.interrupted:
+            break
+    _report_all(finished, json, part, several=several)
     if done.interrupted:
         again = "the same command" if resume else "the same command without --overwrite"
         left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
         print_error(f"interrupted: {left}; {again} goes on from here")
         return _INTERRUPTED
-    return _DOUBTFUL if done.counts["doubtful"] or done.counts["failed"] else 0
+    return _DOUBTFUL if any(each.counts["doubtful"] or each.counts["failed"] for each in finished.values()) else 0
+
+
+def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None, *, several: bool) -> None:
+    """Print the summaries of all arms, and which of them seem to be exchanged."""
+    from dvrk_cmaes.evaluate.exchanged_tools import exchanged_tools
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.results.folder import read_results
+
+    if several and json:
+        print(json_text({arm: done.document for arm, done in finished.items()}), end="")
+    for arm, done in finished.items():
+        if several and not json:
+            show([Line(arm, "bold")])
+        if not (several and json):
+            _report(done.document, done.folder, json, shard=shard)
+    if len(finished) > 1 and shard is None:
+        for text in exchanged_tools({arm: read_results(done.folder).frames for arm, done in finished.items()}):
+            warn(text)
 
 
 def _run(
@@ -197,6 +233,8 @@ def _run(
     instrument: InstrumentOptions,
     method: MethodOptions,
     *,
+    entries: SessionEntries | None,
+    tool: ToolEntry | None,
     joints: tuple[Path, ...],
     label: int | None,
     prompts: PromptOptions,
@@ -220,7 +258,7 @@ def _run(
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = method.resolve()
     model = instrument.load().instrument
-    session = camera.read_session(folder, known=model.joint_names, joints=joints)
+    session = camera.read_session(folder, known=model.joint_names, joints=joints, entries=entries, tool=tool)
     if label is not None:
         session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
     if prompts != DEFAULT_PROMPTS:
@@ -236,7 +274,7 @@ def _run(
                 out,
                 model,
                 config=settings,
-                arm=instrument.arm,
+                arm=instrument.kinematics,
                 threads=method.threads or 1,
                 executor=executor,
                 stop=stop,
@@ -252,7 +290,9 @@ def _run(
             session = with_calibrated_lag(session, calibration)
         elif lag == AUTO:
             with progress() as reporter:
-                found = find_batch_lag(session, out, partial(run, progress=reporter), model, settings, instrument.arm)
+                found = find_batch_lag(
+                    session, out, partial(run, progress=reporter), model, settings, instrument.kinematics
+                )
             warn(found.text)
             session = session if found.lag is None else session.with_lag(found.lag)
         reporter = stack.enter_context(progress())

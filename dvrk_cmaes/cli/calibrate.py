@@ -21,6 +21,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     check_range,
 )
+from dvrk_cmaes.cli.session_tools import single_tool
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
@@ -41,6 +42,7 @@ def calibrate(
     results: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
+    only: Annotated[str | None, Parameter(group=FOLDER)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     camera: CameraOptions = DEFAULT_CAMERA,
@@ -74,6 +76,8 @@ def calibrate(
         Folder for session.json, the frames' results and the HTML report; SESSION/calibration by default.
     joints
         File of readings to use instead of the session's own. May be given several times.
+    only
+        Arm of a session.toml with several tools that is calibrated.
     refine_camera
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml. Needs at least 10 frames and 5 mm of insertion.
@@ -100,8 +104,10 @@ def calibrate(
     if results is not None and results.resolve() == target.resolve():
         raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
     settings = method.resolve()
+    chosen = single_tool(session, instrument, only)
+    instrument = chosen.options
     model = instrument.load().instrument
-    found = camera.read_session(session, known=model.joint_names, joints=joints)
+    found = chosen.read(session, camera, known=model.joint_names, joints=joints)
     if results is None:
         results = target / ALONE
         with stopping_on_interrupt() as stop, progress() as reporter:
@@ -110,7 +116,7 @@ def calibrate(
                 results,
                 model,
                 config=settings,
-                arm=instrument.arm,
+                arm=instrument.kinematics,
                 workers=workers,
                 stop=stop,
                 progress=reporter,
@@ -123,7 +129,7 @@ def calibrate(
         model,
         target,
         alone=results,
-        arm=instrument.arm,
+        arm=instrument.kinematics,
         refine_camera=refine_camera,
         config=settings,
         workers=workers or usable_cores(),

@@ -171,7 +171,7 @@ def estimate(
         files,
         data,
         body,
-        arm=instrument.arm,
+        arm=instrument.kinematics,
         config=settings,
         out=out,
         session=known,

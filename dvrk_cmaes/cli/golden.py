@@ -19,12 +19,14 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
 )
+from dvrk_cmaes.cli.session_tools import single_tool
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.instrument.arm import Arm
     from dvrk_cmaes.runs.golden import FrameCheck
     from dvrk_cmaes.silhouette import Body
 
@@ -133,8 +135,8 @@ def record(
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
     config = method.resolve()
-    body, found = _load(session, camera, instrument)
-    results = _tracked(estimate_all(found.frames, found, body, arm=instrument.arm, config=config), len(found.frames))
+    body, found, arm = _load(session, camera, instrument)
+    results = _tracked(estimate_all(found.frames, found, body, arm=arm, config=config), len(found.frames))
     recording = recorded(results, body.instrument, allow_doubtful=allow_doubtful)
     kept = list(recording.truth.frames)
     if kept:
@@ -195,10 +197,10 @@ def check(
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path)
-    body, found = _load(session, camera, instrument)
+    body, found, arm = _load(session, camera, instrument)
     _check_names(path, kept.frames, found)
     frames = [files for files in found.frames if files.name in kept.frames]
-    results = _tracked(estimate_all(frames, found, body, arm=instrument.arm, config=config), len(frames))
+    results = _tracked(estimate_all(frames, found, body, arm=arm, config=config), len(frames))
     checks = list(checked(results, kept, body.instrument, most, modulo_twin=tolerance.modulo_twin))
     right = all(one.check.right for one in checks)
     not_checked = [files.name for files in found.frames if files.name not in kept.frames]
@@ -215,10 +217,11 @@ def check(
     return 0 if right else 1
 
 
-def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -> tuple[Body, Session]:
-    """Load the instrument and read the session."""
-    body = instrument.load()
-    return body, camera.read_session(session, known=body.instrument.joint_names)
+def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -> tuple[Body, Session, Arm]:
+    """Load the instrument and read the session; the last value are the arm's kinematics."""
+    chosen = single_tool(session, instrument)
+    body = chosen.options.load()
+    return body, chosen.read(session, camera, known=body.instrument.joint_names), chosen.options.kinematics
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:

@@ -141,7 +141,7 @@ def live(
         ),
         names,
         instrument.load(),
-        instrument.arm,
+        instrument.kinematics,
         None if calibration is None else read_calibration(calibration),
         method.resolve(),
         lag,

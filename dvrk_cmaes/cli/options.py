@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
@@ -83,19 +84,37 @@ class CameraOptions:
             raise InputError("--camera: expected the camera file of the left eye, or of both, got none")
         return read_rig(self.camera, self.camera_right, rectified=self.rectified, size=size)
 
-    def read_session(self, folder: Path, *, known: Iterable[str], joints: Sequence[Path] = ()) -> Session:
-        """Read a session folder with this camera; ``known`` and ``joints`` are as in `frames.session_folder`."""
-        from dvrk_cmaes.frames.session_folder import read_session
+    def read_session(
+        self,
+        folder: Path,
+        *,
+        known: Iterable[str],
+        joints: Sequence[Path] = (),
+        entries: SessionEntries | None = None,
+        tool: ToolEntry | None = None,
+    ) -> Session:
+        """Read a session folder with this camera; ``known`` and ``joints`` are as in `frames.session_folder`.
 
-        return read_session(
+        ``entries`` are those of its session.toml, which count where the command line says nothing; the frames are those
+        of ``tool``.
+        """
+        from dvrk_cmaes.frames.session_folder import read_session
+        from dvrk_cmaes.frames.session_toml import CameraEntry
+        from dvrk_cmaes.frames.tool_frames import frames_of_tool
+
+        said = CameraEntry() if entries is None or self.camera is not None else entries.camera
+        own = () if tool is None or tool.joints is None else (tool.joints,)
+        session = read_session(
             folder,
-            camera=self.camera,
-            camera_right=self.camera_right,
-            rectified=self.rectified,
+            camera=self.camera or said.file or said.left,
+            camera_right=self.camera_right or said.right,
+            rectified=self.rectified or said.rectified,
             side=self.side,
             known=known,
-            joints=joints,
+            joints=joints or own,
+            masks=None if tool is None else tool.masks,
         )
+        return session if entries is None or tool is None else frames_of_tool(session, entries, tool.arm)
 
 
 @Parameter(name="*", group=INSTRUMENT)
@@ -106,7 +125,8 @@ class InstrumentOptions:
     Parameters
     ----------
     instrument
-        Name of a bundled instrument (lnd, a Large Needle Driver), or path of a URDF.
+        Name of a bundled instrument (lnd, a Large Needle Driver), or path of a URDF. By default that of the session's
+        session.toml, or else lnd.
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in the URDF. Other packages are searched
         for in the URDF's folder and its parents. May be given several times.
@@ -118,15 +138,34 @@ class InstrumentOptions:
         Description of the tool in the dVRK's format (JSON): its joint limits replace those of the URDF, and its roll
         offset (length along the shaft) replaces that of the tools 400xxx.
     arm
-        Arm whose kinematics are used to compute camera_from_base.
+        Arm whose kinematics are used to compute camera_from_base: classic or si. By default that of session.toml, or
+        else classic.
     """
 
-    instrument: str = "lnd"
+    instrument: str | None = None
     package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     root_link: str | None = None
     shaft_radius: float | None = None
     tool: Path | None = None
-    arm: Literal["classic", "si"] = "classic"
+    arm: Literal["classic", "si"] | None = None
+
+    @property
+    def kinematics(self) -> Literal["classic", "si"]:
+        """The arm's kinematics."""
+        return self.arm or "classic"
+
+    def of_tool(self, tool: ToolEntry) -> InstrumentOptions:
+        """Return the options with what a session says of its tool, where the command line says nothing."""
+        packages = tuple(f"{name}={folder}" for name, folder in tool.packages.items())
+        own = self.instrument is None
+        return replace(
+            self,
+            instrument=tool.instrument if own else self.instrument,
+            package_path=(*packages, *self.package_path) if own else self.package_path,
+            root_link=self.root_link or (tool.root_link if own else None),
+            tool=self.tool or (tool.tool if own else None),
+            arm=self.arm or tool.kinematics,
+        )
 
     def load(self) -> Body:
         """Load the instrument, from the instrument cache if it is there, and prepare it for rendering."""
@@ -137,7 +176,7 @@ class InstrumentOptions:
 
         tool = None if self.tool is None else read_tool(self.tool)
         loaded = load_instrument(
-            self.instrument,
+            self.instrument or "lnd",
             package_paths=split_packages(self.package_path),
             root_link=self.root_link,
             shaft_radius=self.shaft_radius,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import DEFAULT_CAMERA, DEFAULT_INSTRUMENT, FRAME, OUTPUT, CameraOptions, InstrumentOptions
+from dvrk_cmaes.cli.session_tools import single_tool
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
 from dvrk_cmaes.errors import InputError
 
@@ -62,8 +63,10 @@ def pnp(
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.paths import check_output, result_path
 
+    chosen = single_tool(session, instrument)
+    instrument = chosen.options
     model = instrument.load().instrument
-    read = camera.read_session(session, known=model.joint_names)
+    read = chosen.read(session, camera, known=model.joint_names)
     for frame in read.frames:
         check_output(out, frame.name)
     if points == "tips":
@@ -99,7 +102,7 @@ def _by_markers(
         raise InputError(f"{path}: marker: expected one of {', '.join(table)}, got {unknown[0]!r}")
     for files in session.frames:
         yield pose_from_markers(
-            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=instrument.arm
+            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=instrument.kinematics
         )
 
 
@@ -109,7 +112,7 @@ def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions)
     from dvrk_cmaes.pnp.pnp_frame import pose_from_tips
 
     for files in session.frames:
-        yield pose_from_tips(files, read_frame(files, session.camera), model, arm=instrument.arm)
+        yield pose_from_tips(files, read_frame(files, session.camera), model, arm=instrument.kinematics)
 
 
 def _lines(results: list[Result], out: Path) -> Iterator[Line]:

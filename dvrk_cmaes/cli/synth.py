@@ -139,7 +139,7 @@ def synth(
         frames=frames,
         seed=seed,
         markers=table if painted else {},
-        arm=instrument.arm,
+        arm=instrument.kinematics,
         lag=None if lag is None else FRAMES_A_SECOND * Lag.parse("--lag", lag).in_seconds(FRAMES_A_SECOND),
         cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
         baseline=baseline if stereo else None,

@@ -24,6 +24,7 @@ from dvrk_cmaes.cli.options import (
     SessionOption,
     check_range,
 )
+from dvrk_cmaes.cli.session_tools import single_tool
 from dvrk_cmaes.cli.terminal import Line, frames_text, show
 from dvrk_cmaes.errors import InputError
 
@@ -46,6 +47,7 @@ def track(
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     joints: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    only: Annotated[str | None, Parameter(group=FOLDER)] = None,
     lag: Annotated[str, Parameter(group=FOLDER, allow_leading_hyphen=True)] = AUTO,
     fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
     smooth: Annotated[Flag, Parameter(group=FOLDER)] = False,
@@ -80,6 +82,8 @@ def track(
         Follow only every N-th frame.
     joints
         File of readings to use instead of the session's own, or none: follow by masks alone.
+    only
+        Arm of a session.toml with several tools that is followed.
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. auto: that of --session,
         or found while following.
@@ -116,12 +120,14 @@ def track(
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
     target = session / "tracks" if out is None else out
+    chosen = single_tool(session, instrument, only)
+    instrument = chosen.options
     body = instrument.load()
     files = () if joints is None or joints == "none" else (Path(joints),)
-    found = camera.read_session(session, known=body.instrument.joint_names, joints=files)
+    found = chosen.read(session, camera, known=body.instrument.joint_names, joints=files)
     settings = TrackSettings(
         method.resolve(),
-        instrument.arm,
+        instrument.kinematics,
         None if calibration is None else read_calibration(calibration),
         seconds,
         every,

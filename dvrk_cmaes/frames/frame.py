@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +23,15 @@ from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 
 _LARGEST = 400_000_000  # bytes
+_BESIDE = 2  # px beside another tool, where its outline and this one's cannot be told apart
+
+
+@dataclass(frozen=True)
+class OtherTool:
+    """The mask of another tool in a frame, or its value in a mask of labels."""
+
+    mask: Path
+    label: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +43,7 @@ class FrameFiles:
     instrument in the mask, as in ``read_mask``. ``prompts`` state where the instrument is in an image without a mask.
     ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
     states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
-    name.
+    name; ``other_tools`` are other tools in the frame, whose pixels count neither way.
     """
 
     name: str
@@ -49,6 +59,7 @@ class FrameFiles:
     notes: tuple[str, ...] = ()
     problem: str | None = None
     others: Mapping[str, FrameFiles] = field(default_factory=dict)
+    other_tools: tuple[OtherTool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +160,12 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np
         raise InputError(
             f"{files.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
         )
+    for tool in files.other_tools:
+        there = read_mask(tool.mask, label=tool.label, blank=True)
+        if there.shape != shape[:2]:
+            raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
+        near = cv2.dilate(there.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_BESIDE).astype(np.bool_)
+        ignore = near if ignore is None else ignore | near
     return ignore
 
 

@@ -61,6 +61,11 @@ class Session:
     rig: Rig | None = None
 
     @property
+    def view_names(self) -> tuple[str, ...]:
+        """Names of the views, which are subfolders of the folders of masks and images; ``.`` for one camera."""
+        return (".",) if self.rig is None else self.rig.names
+
+    @property
     def cameras(self) -> Camera | Rig:
         """The rig of a stereo session, else the camera."""
         return self.camera if self.rig is None else self.rig
@@ -118,6 +123,7 @@ def read_session(
     side: Side = "left",
     known: Iterable[str] = (),
     joints: Sequence[Path] = (),
+    masks: Path | None = None,
     tolerance: int = TIME_TOLERANCE,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
@@ -140,6 +146,8 @@ def read_session(
         Names of the instrument's joints, as in ``read_joints``.
     joints
         Files of readings; by default those in the session folder.
+    masks
+        Folder of the masks; ``masks`` in the session folder by default.
     tolerance
         Largest distance in time between an image and the readings before and after it, ns.
 
@@ -152,13 +160,14 @@ def read_session(
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
-    if _is_session_layout(root) or not is_published_layout(root):
-        frames, readings, times, notes = _session_frames(root, tuple(known), joints, tolerance)
+    mask_folder = root / "masks" if masks is None else masks
+    if masks is not None or _is_session_layout(root) or not is_published_layout(root):
+        frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, tolerance)
         notes = ("a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
-    if _is_stereo(root):
+    if _is_stereo(root, mask_folder):
         return _stereo_session(root, camera, camera_right, rectified, frames, readings, times, notes)
     if camera_right is not None:
         raise InputError(
@@ -208,9 +217,9 @@ def _stereo_session(
     )
 
 
-def _is_stereo(root: Path) -> bool:
+def _is_stereo(root: Path, masks: Path) -> bool:
     """Whether a session folder has masks or images of a left and a right view."""
-    return any((root / name / view).is_dir() for name in ("masks", "images") for view in _VIEWS)
+    return any((folder / view).is_dir() for folder in (masks, root / "images") for view in _VIEWS)
 
 
 def _is_session_layout(root: Path) -> bool:
@@ -219,14 +228,15 @@ def _is_session_layout(root: Path) -> bool:
 
 
 def _session_frames(
-    root: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
+    root: Path, mask_folder: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
-    views = _VIEWS if _is_stereo(root) else (".",)
-    of_views = [[_image_files(root / name / view) for name in ("masks", "images", "ignore")] for view in views]
+    views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
+    folders = (mask_folder, root / "images", root / "ignore")
+    of_views = [[image_files(folder / view) for folder in folders] for view in views]
     masks, images, ignore = of_views[0]
     if not any(files for kinds in of_views for files in kinds[:2]):
-        raise InputError(f"{root / 'masks'}: expected masks (PNG or JPEG) of the frames, got none")
+        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got none")
     files = [read_joint_file(path, known=known) for path in joints or _joint_files(root)]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
@@ -314,13 +324,13 @@ def find_images(folder: str | Path) -> dict[str, Path]:
     if not _is_session_layout(root) and is_published_layout(root):
         found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
     else:
-        found = dict(_image_files(root / "images" if (root / "images").is_dir() else root))
+        found = dict(image_files(root / "images" if (root / "images").is_dir() else root))
     if not found:
         raise InputError(f"{folder}: expected images (PNG or JPEG), got none")
     return found
 
 
-def _image_files(folder: Path) -> Mapping[str, Path]:
+def image_files(folder: Path) -> Mapping[str, Path]:
     """Find the PNG and JPEG files of a folder by frame name, their stem; none if the folder does not exist."""
     if not folder.is_dir():
         return {}

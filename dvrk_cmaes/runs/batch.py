@@ -325,4 +325,14 @@ def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
     notes = tuple(relative_text(folder, note) for note in files.notes)
     problem = None if files.problem is None else relative_text(folder, files.problem)
     others = {name: _with_absolute_paths(other, folder) for name, other in files.others.items()}
-    return replace(files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem, others=others)
+    tools = tuple(replace(tool, mask=Path(os.path.abspath(tool.mask))) for tool in files.other_tools)
+    return replace(
+        files,
+        mask=mask,
+        image=image,
+        ignore=ignore,
+        notes=notes,
+        problem=problem,
+        others=others,
+        other_tools=tools,
+    )

@@ -41,6 +41,9 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
         for name, path in (("mask", files.mask), ("image", files.image), ("ignore", files.ignore))
         if path is not None
     }
+    others_there = {
+        f"other tool {k}": _file_digest(tool.mask) + str(tool.label or "") for k, tool in enumerate(files.other_tools)
+    }
     rest: dict[str, Any] = {
         "readings": (dict(sorted(files.readings.items())), files.notes, files.problem),
         "keypoints": files.keypoints,
@@ -56,7 +59,7 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
         for part, digest in frame_digests(other).items()
         if part in _FILES
     }
-    return digests | {name: _digest(value) for name, value in rest.items()} | others
+    return digests | {name: _digest(value) for name, value in rest.items()} | others | others_there
 
 
 def _file_digest(path: Path) -> str:

@@ -53,3 +53,29 @@ def make_stereo_session(folder: Path, body: Body) -> Path:
     golden = {"frames": {name: {"T_camera_roll_link": pose.tolist(), "joints": JOINTS} for name, pose in POSES.items()}}
     (folder / "golden.json").write_text(json.dumps(golden), encoding="utf-8")
     return folder
+
+
+SECOND_POSES = {"0000": lookat_pose(0.5, 2.0, -0.75, 0.12), "0001": lookat_pose(0.55, 1.2, -0.7, 0.13)}
+SECOND_JOINTS = {"wrist_pitch": -0.5, "wrist_yaw": 0.4, "jaw": 0.9}
+
+
+def make_session_of_two_tools(folder: Path, body: Body) -> Path:
+    """Write a session of two arms in masks of labels."""
+    (folder / "masks").mkdir(parents=True)
+    (folder / "camera.yaml").write_text(yaml.safe_dump(camera_info()), encoding="utf-8")
+    renderer = Renderer(body, CAMERA, threads=1)
+    for name in POSES:
+        first, second = (
+            renderer.masks(transform(np.eye(3), shift) @ poses[name][None], np.array([list(joints.values())]))[0]
+            for poses, joints, shift in ((POSES, JOINTS, [-0.012, 0, 0]), (SECOND_POSES, SECOND_JOINTS, [0.012, 0, 0]))
+        )
+        labels = np.where(first, 1, np.where(second, 2, 0)).astype(np.uint8)
+        (folder / "masks" / f"{name}.png").write_bytes(cv2.imencode(".png", labels)[1].tobytes())
+    lines = ['[camera]\nfile = "camera.yaml"']
+    for number, joints in enumerate((JOINTS, SECOND_JOINTS), start=1):
+        rows = [",".join(["frame", *joints]), *(",".join([name, *map(str, joints.values())]) for name in POSES)]
+        (folder / f"joints_{number}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+        lines.append(f'[[tool]]\narm = "PSM{number}"\ninstrument = "lnd"\nlabel = {number}')
+        lines.append(f'joints = "joints_{number}.csv"')
+    (folder / "session.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder

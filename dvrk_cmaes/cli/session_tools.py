@@ -1,0 +1,72 @@
+"""The tools of a session that a command works on, and what its session.toml says of their instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dvrk_cmaes.cli.terminal import warn
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
+    from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+
+
+def chosen_tools(entries: SessionEntries | None, only: Sequence[str], folder: Path) -> list[ToolEntry | None]:
+    """Return the tools of a session, or those of the arms ``only``; one None for a session that names no tool.
+
+    Raises
+    ------
+    InputError
+        An arm that the session does not name.
+    """
+    if entries is None or not entries.tools:
+        if only:
+            raise InputError(f"--only: expected a session.toml that names arms in {folder}, got none")
+        return [None]
+    return [entries.tool(arm) for arm in only] if only else list(entries.tools)
+
+
+def of_tool(options: InstrumentOptions, tool: ToolEntry) -> InstrumentOptions:
+    """Return the options of the instrument with what the session says of a tool; the command line wins, and warns."""
+    if None not in (options.instrument, tool.instrument) and options.instrument != tool.instrument:
+        warn(f"{tool.arm}: session.toml names {tool.instrument}, but --instrument {options.instrument} is used")
+    return options.of_tool(tool)
+
+
+@dataclass(frozen=True, eq=False)
+class SessionTool:
+    """The one tool of a session that a command works on: its instrument's options, and the entries of session.toml."""
+
+    options: InstrumentOptions
+    entries: SessionEntries | None
+    tool: ToolEntry | None
+
+    def read(
+        self, folder: Path, camera: CameraOptions, *, known: Iterable[str], joints: Sequence[Path] = ()
+    ) -> Session:
+        """Read the session with the masks and readings of the tool; arguments as in `CameraOptions.read_session`."""
+        return camera.read_session(folder, known=known, joints=joints, entries=self.entries, tool=self.tool)
+
+
+def single_tool(folder: Path, options: InstrumentOptions, arm: str | None = None) -> SessionTool:
+    """Return the tool of a session for a command that works on one; ``arm`` chooses among several.
+
+    Raises
+    ------
+    InputError
+        The session names several arms and none is chosen, or the arm is not among them.
+    """
+    from dvrk_cmaes.frames.session_toml import read_session_toml
+
+    entries = read_session_toml(folder)
+    tools = chosen_tools(entries, () if arm is None else (arm,), folder)
+    if len(tools) > 1 and entries is not None:
+        named = ", ".join(tool.arm for tool in entries.tools)
+        raise InputError(f"{entries.path}: tool: expected one, or the choice of an arm (--only ARM), got {named}")
+    tool = tools[0]
+    return SessionTool(options if tool is None else of_tool(options, tool), entries, tool)

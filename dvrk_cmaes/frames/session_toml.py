@@ -1,0 +1,189 @@
+"""Reader of session.toml: what is in a session folder, and which tools are in its frames.
+
+Example::
+
+    [camera]
+    left = "left.yaml"
+    right = "right.yaml"
+    rectified = true
+
+    [[tool]]
+    arm = "PSM1"
+    kinematics = "classic"
+    instrument = "lnd"
+    packages = {dvrk_model = "../dvrk_model"}
+    label = 1
+    joints = "joints_psm1.csv"
+
+Paths are relative to the folder of the file. All keys but ``arm`` may be missing.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal
+
+from msgspec import Struct
+
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.files import read_text
+from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.results.paths import check_frame_name
+
+SESSION_FILE: Final = "session.toml"
+_LARGEST = 1_000_000  # bytes
+_EXPECTED = {str: "text in quotes", dict: "a table", tuple: "a list of tables"}
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``."""
+
+    file: Path | None = None
+    left: Path | None = None
+    right: Path | None = None
+    rectified: bool = False
+
+
+@dataclass(frozen=True)
+class ToolEntry:
+    """One tool of a session: the arm that holds it, its kinematics and instrument, and its part of the files.
+
+    ``label`` is its value in the masks, or ``masks`` the folder of its own masks; ``joints`` are its readings.
+    """
+
+    arm: str
+    kinematics: Literal["classic", "si"] | None = None
+    instrument: str | None = None
+    packages: dict[str, Path] = field(default_factory=dict)
+    root_link: str | None = None
+    tool: Path | None = None
+    label: int | None = None
+    masks: Path | None = None
+    joints: Path | None = None
+
+
+@dataclass(frozen=True)
+class SessionEntries:
+    """The content of session.toml: its path, camera and tools."""
+
+    path: Path
+    camera: CameraEntry
+    tools: tuple[ToolEntry, ...]
+
+    def tool(self, arm: str) -> ToolEntry:
+        """Return the tool of an arm; InputError, which lists the arms, if there is none."""
+        for tool in self.tools:
+            if tool.arm == arm:
+                return tool
+        known = ", ".join(nearest_first(arm, [tool.arm for tool in self.tools])) or "none"
+        raise InputError(f"{self.path}: arm: expected one of {known}, got {arm!r}")
+
+
+class _Camera(Struct, forbid_unknown_fields=True, frozen=True):
+    file: str | None = None
+    left: str | None = None
+    right: str | None = None
+    rectified: bool = False
+
+
+class _Tool(Struct, forbid_unknown_fields=True, frozen=True):
+    arm: str
+    kinematics: Literal["classic", "si"] | None = None
+    instrument: str | None = None
+    packages: dict[str, str] = {}
+    root_link: str | None = None
+    tool: str | None = None
+    label: int | None = None
+    masks: str | None = None
+    joints: str | None = None
+
+
+class _Document(Struct, forbid_unknown_fields=True, frozen=True):
+    camera: _Camera = _Camera()
+    tool: tuple[_Tool, ...] = ()
+
+
+def read_session_toml(folder: str | Path) -> SessionEntries | None:
+    """Read the session.toml of a folder; None if there is none.
+
+    Raises
+    ------
+    InputError
+        The file is no TOML file, a key is unknown or has a value of another type, two tools have one arm or one label,
+        or a tool among several has neither a label nor a folder of masks.
+    """
+    root = Path(folder)
+    path = root / SESSION_FILE
+    if not os.path.lexists(path):
+        return None
+    text = read_text(path, expected="a session's description (TOML)", largest=_LARGEST)
+    try:
+        document = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected TOML, got no valid TOML: {error}") from None
+    _check_keys(path, document)
+    read = convert_document(str(path), document, _Document, _EXPECTED)
+    own = read.camera
+    camera = CameraEntry(_within(root, own.file), _within(root, own.left), _within(root, own.right), own.rectified)
+    tools = tuple(_tool(root, tool) for tool in read.tool)
+    _check_tools(path, tools)
+    return SessionEntries(path, camera, tools)
+
+
+def _check_keys(path: Path, document: dict[str, object]) -> None:
+    """Raise an InputError for a key that no table has, with the nearest known ones."""
+    tables: list[tuple[str, object, tuple[str, ...]]] = [
+        ("", document, _Document.__struct_fields__),
+        ("camera.", document.get("camera"), _Camera.__struct_fields__),
+    ]
+    tools = document.get("tool")
+    if isinstance(tools, list):
+        tables += [("tool.", tool, _Tool.__struct_fields__) for tool in tools]
+    for prefix, table, known in tables:
+        for key in table if isinstance(table, dict) else ():
+            if key not in known:
+                near = ", ".join(nearest_first(key, known)[:3])
+                raise InputError(f"{path}: unknown key {prefix}{key}; the nearest known are {near}")
+
+
+def _tool(root: Path, read: _Tool) -> ToolEntry:
+    """Return a tool with its paths in the session's folder; the name of a bundled instrument is not a path."""
+    instrument = read.instrument
+    if instrument is not None and instrument.lower().endswith((".urdf", ".xml")):
+        instrument = str(root / instrument)
+    return ToolEntry(
+        arm=read.arm,
+        kinematics=read.kinematics,
+        instrument=instrument,
+        packages={name: root / folder for name, folder in read.packages.items()},
+        root_link=read.root_link,
+        tool=_within(root, read.tool),
+        label=read.label,
+        masks=_within(root, read.masks),
+        joints=_within(root, read.joints),
+    )
+
+
+def _within(root: Path, name: str | None) -> Path | None:
+    """Return a path relative to a folder; None for none."""
+    return None if name is None else root / name
+
+
+def _check_tools(path: Path, tools: tuple[ToolEntry, ...]) -> None:
+    """Check that tools can be told from each other; errors as in `read_session_toml`."""
+    arms = [tool.arm for tool in tools]
+    labels = [tool.label for tool in tools if tool.label is not None]
+    for arm in arms:
+        check_frame_name(arm)
+    for name, values in (("arm", arms), ("label", labels)):
+        if len(set(values)) < len(values):
+            raise InputError(f"{path}: tool.{name}: expected a different one for each tool, got {values}")
+    for tool in tools:
+        if tool.label is not None and not 1 <= tool.label <= 255:
+            raise InputError(f"{path}: tool.label: expected a value of an 8-bit mask, 1 to 255, got {tool.label}")
+        if (tool.label is None) == (tool.masks is None) and (len(tools) > 1 or tool.label is not None):
+            raise InputError(f"{path}: tool {tool.arm}: expected either a label or a folder of masks for each tool")

@@ -1,0 +1,43 @@
+"""Tools whose masks or readings were exchanged."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dvrk_cmaes.evaluate.exchanged_tools import exchanged_tools
+from dvrk_cmaes.results.result import Result
+
+NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
+
+
+def results(joints: np.ndarray, readings: np.ndarray) -> dict[str, Result]:
+    """Give the results of frames with given joints and readings (N, 3), rad."""
+    return {
+        f"{k:04d}": Result(
+            f"{k:04d}",
+            "ok",
+            (),
+            "lnd",
+            "roll_link",
+            np.eye(4),
+            dict(zip(NAMES, found.tolist(), strict=True)),
+            dict(zip(NAMES, read.tolist(), strict=True)),
+        )
+        for k, (found, read) in enumerate(zip(joints, readings, strict=True))
+    }
+
+
+def test_exchange_is_told_by_the_readings_of_the_other_tool() -> None:
+    rng = np.random.default_rng(0)
+    true = rng.uniform(-0.8, 0.8, (2, 6, 3))
+    read = true + np.deg2rad(8) * rng.standard_normal(true.shape)
+    right = {"PSM1": results(true[0], read[0]), "PSM2": results(true[1], read[1])}
+    assert exchanged_tools(right) == []
+    (text,) = exchanged_tools({"PSM1": results(true[0], read[1]), "PSM2": results(true[1], read[0])})
+    assert text.startswith("PSM1 and PSM2: the joints found for each are nearer to the readings of the other")
+
+
+def test_two_frames_tell_nothing() -> None:
+    rng = np.random.default_rng(1)
+    true = rng.uniform(-0.8, 0.8, (2, 2, 3))
+    assert exchanged_tools({"PSM1": results(true[0], true[1]), "PSM2": results(true[1], true[0])}) == []

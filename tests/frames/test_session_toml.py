@@ -1,0 +1,120 @@
+"""session.toml: what it says, wrong entries, and the frames of each of several tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.batch_sessions import make_session
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import OtherTool, read_frame
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_toml import SessionEntries, read_session_toml
+from dvrk_cmaes.frames.tool_frames import frames_of_tool
+
+TWO_TOOLS = """
+[camera]
+file = "camera.yaml"
+[[tool]]
+arm = "PSM1"
+instrument = "lnd"
+label = 1
+joints = "joints.csv"
+[[tool]]
+arm = "PSM2"
+kinematics = "si"
+instrument = "other/tool.urdf"
+packages = {dvrk_model = "../model"}
+label = 2
+"""
+
+
+def described(folder: Path, text: str) -> SessionEntries:
+    """Write a session.toml and read it."""
+    (folder / "session.toml").write_text(text, encoding="utf-8")
+    entries = read_session_toml(folder)
+    assert entries is not None
+    return entries
+
+
+def test_session_without_the_file_has_no_entries(tmp_path: Path) -> None:
+    assert read_session_toml(tmp_path) is None
+
+
+def test_paths_are_relative_to_the_session(tmp_path: Path) -> None:
+    entries = described(tmp_path, TWO_TOOLS)
+    assert entries.camera.file == tmp_path / "camera.yaml"
+    first, second = entries.tools
+    assert (first.arm, first.instrument, first.label) == ("PSM1", "lnd", 1)
+    assert first.joints == tmp_path / "joints.csv"
+    assert second.instrument == str(tmp_path / "other" / "tool.urdf")
+    assert second.packages == {"dvrk_model": tmp_path / "../model"}
+    assert (second.kinematics, second.joints) == ("si", None)
+    assert entries.tool("PSM2") is second
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[[tool]", "expected TOML, got no valid TOML"),
+        ('[[tool]]\narm = "PSM1"\nlable = 1', "unknown key tool.lable; the nearest known are label"),
+        ('[camra]\nfile = "a"', "unknown key camra; the nearest known are camera"),
+        ('[[tool]]\narm = "PSM1"\nlabel = "one"', "label: expected a whole number, got 'one'"),
+        ('[[tool]]\nlabel = 1\n[[tool]]\narm = "a"\nlabel = 2', "arm"),
+        ('[[tool]]\narm = "a"\nlabel = 1\n[[tool]]\narm = "a"\nlabel = 2', "tool.arm: expected a different one"),
+        ('[[tool]]\narm = "a"\nlabel = 1\n[[tool]]\narm = "b"\nlabel = 1', "tool.label: expected a different one"),
+        ('[[tool]]\narm = "a"\nlabel = 300', "tool.label: expected a value of an 8-bit mask, 1 to 255, got 300"),
+        ('[[tool]]\narm = "a"\n[[tool]]\narm = "b"\nlabel = 1', "tool a: expected either a label or a folder of masks"),
+        ('[[tool]]\narm = "../a"', "expected a name that can be a file's"),
+    ],
+)
+def test_wrong_entry_is_named(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        described(tmp_path, text)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_arm_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected one of PSM1, PSM2, got 'PSM3'"):
+        described(tmp_path, TWO_TOOLS).tool("PSM3")
+
+
+def write_labels(folder: Path, *places: slice) -> np.ndarray:
+    """Write a mask of labels 1, 2, ... on parts of the columns, as the mask of frame 0000; returns it."""
+    labels = np.zeros((120, 160), np.uint8)
+    for label, columns in enumerate(places, start=1):
+        labels[40:80, columns] = label
+    (folder / "masks" / "0000.png").write_bytes(cv2.imencode(".png", labels)[1].tobytes())
+    return labels
+
+
+def test_each_tool_has_its_label_and_ignores_the_other(tmp_path: Path) -> None:
+    folder = make_session(tmp_path / "session", ["0000"])
+    labels = write_labels(folder, slice(20, 60), slice(60, 110))
+    entries = described(folder, TWO_TOOLS)
+    session = read_session(folder)
+    for arm, label in (("PSM1", 1), ("PSM2", 2)):
+        (files,) = frames_of_tool(session, entries, arm).frames
+        data = read_frame(files, session.camera)
+        np.testing.assert_array_equal(data.mask, labels == label)
+        assert data.ignore is not None
+        assert data.ignore[labels == 3 - label].all()
+        assert not data.ignore[:, :15].any()
+        assert 0 < data.ignore[labels == label].mean() < 0.1
+
+
+def test_tools_with_folders_of_masks_ignore_each_other(tmp_path: Path) -> None:
+    folder = make_session(tmp_path / "session", ["0000", "0001"])
+    (folder / "other").mkdir()
+    (folder / "masks" / "0001.png").rename(folder / "other" / "0000.png")
+    text = '[[tool]]\narm = "PSM1"\nmasks = "masks"\n[[tool]]\narm = "PSM2"\nmasks = "other"\n'
+    entries = described(folder, text)
+    first = frames_of_tool(read_session(folder), entries, "PSM1")
+    assert first.frames[0].other_tools == (OtherTool(folder / "other" / "0000.png"),)
+    second = frames_of_tool(read_session(folder, masks=folder / "other"), entries, "PSM2")
+    assert second.frames[0].mask == folder / "other" / "0000.png"
+    assert second.frames[0].other_tools == (OtherTool(folder / "masks" / "0000.png"),)
