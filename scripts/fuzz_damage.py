@@ -14,7 +14,7 @@ from typing import Any
 
 Steps = tuple[Any, ...]
 
-_ODD = (
+_ODD: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 2**31, 2**63 - 1, 2**80, -(2**63), 10**400),
     *(0.5, -0.0, 1e-308, 1e308, -1e308, float("inf"), float("-inf"), float("nan")),
     *("", "nan", "..", "/", "a/b", "\0", "\n", "\ud800", "☃", "<b>", "x" * 5000),

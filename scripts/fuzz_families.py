@@ -12,6 +12,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.cli import main as run_command_line
@@ -173,8 +174,7 @@ def write_material(folder: Path) -> None:
     golden = json.loads(bundled_path("demo", "golden.json").read_text(encoding="utf-8"))
     golden["frames"] = dict(list(golden["frames"].items())[:FRAMES])
     write_json(folder / "session" / "golden.json", golden)
-    mask = cv2.imread(str(folder / "session/masks/0000.png"), cv2.IMREAD_GRAYSCALE)
-    cv2.imwrite(str(folder / "mask.jpg"), mask)
+    cv2.imwrite(str(folder / "mask.jpg"), _image(folder / "session/masks/0000.png", cv2.IMREAD_GRAYSCALE))
     np.save(folder / "q.npy", np.array([0.1, 0.2, 0.1, 0.3, 0.8, -0.3]))
     (folder / "wrist.csv").write_text("frame,wrist_pitch\n0000,0.1\n")
     (folder / "tool.json").write_text(json.dumps(_TOOL))
@@ -197,8 +197,15 @@ def _write_session(folder: Path) -> None:
     (folder / "joints.csv").write_text("\n".join([header, *rows[:FRAMES]]) + "\n")
     for number in range(FRAMES):
         for path, flag in ((f"masks/{number:04d}.png", cv2.IMREAD_GRAYSCALE), (f"images/{number:04d}.jpg", 1)):
-            small = cv2.resize(cv2.imread(str(demo / path), flag), (160, 120), interpolation=cv2.INTER_AREA)
+            small = cv2.resize(_image(demo / path, flag), (160, 120), interpolation=cv2.INTER_AREA)
             cv2.imwrite(str(folder / path), small)
+
+
+def _image(path: Path, flag: int) -> NDArray[np.uint8]:
+    """Read an image of the bundled session or a copy of it."""
+    pixels = cv2.imread(str(path), flag)
+    assert pixels is not None
+    return np.asarray(pixels, np.uint8)
 
 
 def _write_calibration(path: Path, results: Path) -> None:
@@ -221,6 +228,7 @@ def _write_calibration(path: Path, results: Path) -> None:
         offsets=offsets,
         axes=("tx", "ty", "tz", "rx", "ry", "rz", *offsets),
         covariance=np.eye(11) * 1e-6,
+        covariance_given_camera=np.eye(11) * 1e-6,
         spreads=dict.fromkeys(outer, 0.01),
         frames=("0000",),
     )
