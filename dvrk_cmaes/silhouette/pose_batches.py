@@ -41,11 +41,11 @@ def batch_size_for(poses: int) -> int:
 def batch_slices(poses: int) -> list[slice]:
     """Divide poses into batches of nearly equal length, at most ``POSES_PER_BATCH`` each.
 
-    More than ``POSES_PER_BATCH`` / 2 poses are divided into an even number of batches, so that two threads get equal
+    More than ``POSES_PER_BATCH`` poses are divided into an even number of batches, so that two threads get equal
     shares. The division does not depend on the number of threads.
     """
     batches = max(-(-poses // POSES_PER_BATCH), 1)
-    if batches % 2 and poses > POSES_PER_BATCH // 2:
+    if batches % 2 and poses > POSES_PER_BATCH:
         batches += 1
     edges = [round(poses * i / batches) for i in range(batches + 1)]
     return [slice(begin, end) for begin, end in pairwise(edges)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from threading import Lock
 from typing import TypeVar
 
@@ -23,6 +23,7 @@ from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 from dvrk_cmaes.silhouette.pose_batches import batch_slices
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
+from dvrk_cmaes.silhouette.shortened import ShortenedShaft
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
 
@@ -43,6 +44,11 @@ class Body:
     def prepare(instrument: Instrument) -> Body:
         """Build the edge topology and the scenes of an instrument."""
         return Body(instrument, build_topology(instrument), LinkScenes(instrument))
+
+    @cached_property
+    def shortened(self) -> ShortenedShaft:
+        """The instrument with the part of its shaft cut off that lies outside an image."""
+        return ShortenedShaft(self.instrument, self.topology)
 
     def decimated(self, cell: float) -> Body:
         """Return a body with fewer faces for images of low resolution, decimated on a grid with cells of ``cell`` m."""
@@ -125,7 +131,7 @@ class Renderer:
         batches = [links[part] for part in batch_slices(len(links))]
 
         def work(batch: NDArray[np.float64]) -> T:
-            return use(OutlineEdges(self.body.topology, self.camera, batch))
+            return use(OutlineEdges(self.body.shortened.topology_for(self.camera, batch), self.camera, batch))
 
         if self.threads == 1 or len(batches) == 1:
             done = [work(batch) for batch in batches]
