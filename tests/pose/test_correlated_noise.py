@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
@@ -12,7 +11,7 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
+from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise, solve_correlated
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -92,8 +91,13 @@ def test_pose_far_from_mask_is_unchanged(bundled_body: Body) -> None:
     np.testing.assert_array_equal(joints, JOINTS)
 
 
-def test_limited_number_of_points_suffices(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
-    at = refiner(bundled_body, noisy_mask(bundled_body, 2))
-    every = fit_correlated(at, POSE, JOINTS)
-    monkeypatch.setattr("dvrk_cmaes.pose.refine.correlated_noise._MOST_POINTS", 300)
-    assert tip_error(bundled_body, *fit_correlated(at, POSE, JOINTS)) < 2 * tip_error(bundled_body, *every) + 0.1
+def test_banded_solution_is_that_of_the_whole_covariance() -> None:
+    rng = np.random.default_rng(0)
+    along = rng.permutation(np.linspace(0, 1, 300))
+    pixels = np.column_stack([100 + 300 * along, 200 + 20 * np.sin(20 * along) + 50 * (along > 0.5)])
+    uncorrelated, right = 0.8 + 0.1 * rng.uniform(size=300), rng.standard_normal((300, 4))
+    apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
+    covariance = 0.9 * np.exp(-np.pi * (apart / 21) ** 2) + np.diag(uncorrelated)
+    expected = np.linalg.solve(covariance, right)
+    found = solve_correlated(pixels, 0.9, uncorrelated, right)
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled
 from dvrk_cmaes.geometry import moved
@@ -35,7 +36,7 @@ _CLIP = 2.5  # standard deviations
 _REACH = 8  # px from the outline in which the mask's contour is searched
 _GRID = 1 / 12  # px^2, variance of the quantisation to pixels
 _INFLATION = 2.0  # factor on the variances, because the errors of fits are larger than the covariance predicts
-_MOST_POINTS = 1000  # the cost grows with the third power of the number of points
+_FARTHEST = 40.0  # px, between points whose errors are correlated
 _STEPS = 6  # at most
 _LARGEST_STEP = 6.0  # standard deviations
 
@@ -101,16 +102,35 @@ def contour_terms(
         return None
     sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 0.5)
     index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
-    if len(index) > _MOST_POINTS:
-        index = np.sort(np.random.default_rng(0).choice(index, _MOST_POINTS, replace=False))
     error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
     jacobian = jacobian[index] / lengths[:, None]
     variance = max(float(np.mean(error**2)) - _GRID / 2, 0.02)
-    apart = pixels[:, None] - pixels
-    covariance = variance * _CORRELATED * np.exp(-np.pi / _LENGTH**2 * np.einsum("ijk,ijk->ij", apart, apart))
-    covariance[np.diag_indices(len(index))] += variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
-    solved = np.linalg.solve(covariance, np.c_[jacobian, error])
+    uncorrelated = variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
+    solved = solve_correlated(pixels, variance * _CORRELATED, uncorrelated, np.c_[jacobian, error])
     return jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
+
+
+def solve_correlated(pixels: Float64, variance: float, uncorrelated: Float64, right: Float64) -> Float64:
+    """Solve C x = ``right`` (N, K) for points ``pixels`` (N, 2) px whose errors have the covariance C of this module.
+
+    ``variance`` is that of the correlated part, ``uncorrelated`` (N,) those of the rest, px^2. Correlations beyond
+    ``_FARTHEST`` px, below 2e-5, count as zero. With the points in their order along the longest extent of the outline,
+    the matrix is then banded, and the cost linear in the number of points.
+    """
+    spread = pixels - pixels.mean(axis=0)
+    along = spread @ np.linalg.eigh(spread.T @ spread)[1][:, -1]
+    order = np.argsort(along, kind="stable")
+    along, pixels = along[order], pixels[order]
+    count = len(order)
+    width = int((np.searchsorted(along, along + _FARTHEST, side="right") - np.arange(count)).max())
+    first = np.arange(count)
+    second = np.minimum(first + np.arange(width)[:, None], count - 1)
+    apart = pixels[second] - pixels[first]
+    band = variance * np.exp(-np.pi / _LENGTH**2 * (apart[..., 0] ** 2 + apart[..., 1] ** 2))
+    band[0] += uncorrelated[order]
+    solved = np.empty_like(right)
+    solved[order] = solveh_banded(band, right[order], lower=True, overwrite_ab=True, check_finite=False)
+    return solved
 
 
 def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints, reach: int) -> tuple[Float64, Float64]:
