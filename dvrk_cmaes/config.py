@@ -62,7 +62,7 @@ class SearchConfig:
     evaluations: int = 64
     spares: int = 22
     width_px: int = 160
-    detail_m: float = 3e-4
+    detail_m: float = 6e-4
     use_edges: bool = True
     free_share: float = 0.15
     unread_share: float = 0.25
@@ -122,7 +122,10 @@ class OutlineConfig:
     Attributes
     ----------
     iterations
-        Largest number of iterations.
+        Largest number of iterations, each with a silhouette for every pose.
+    inner_steps
+        Steps of each iteration that need no silhouette: with the robust weights of the previous one, on the residual
+        sampled along the outline. At smaller image sizes, whose loss is less robust, a third of these.
     blur
         Standard deviation of the Gaussian blur of coverage and mask, px of the image at the current size.
     lines_per_pixel
@@ -144,7 +147,8 @@ class OutlineConfig:
         Length of a step, in standard deviations per parameter, below which the refinement stops.
     """
 
-    iterations: int = 40
+    iterations: int = 8
+    inner_steps: int = 6
     blur: float = 1.2
     lines_per_pixel: int = 2
     cauchy: float = 0.5
@@ -174,6 +178,8 @@ class RefineConfig:
         Gauss-Newton iterations for all candidates, at the image size of the search.
     small_modes, small_steps
         Number of best modes that are kept after that, and largest number of further iterations at the same size.
+    first_share, small_share
+        Share of the poses, the best ones, that continue after each of these iterations.
     half_size_modes
         Number of best modes that are refined at half the image size.
     modes
@@ -186,7 +192,9 @@ class RefineConfig:
     evaluations: int = 400
     first_steps: int = 3
     small_modes: int = 10
-    small_steps: int = 12
+    small_steps: int = 8
+    first_share: float = 0.5
+    small_share: float = 0.6
     half_size_modes: int = 3
     modes: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)

@@ -33,7 +33,14 @@ _LEAST = {
     **{f"refine.outline.{name}_step": 1e-7 for name in ("translation", "swing", "turn", "joint")},
 }
 _RANGE = 1e-9, 1e6  # of settings without limits of their own, against values whose squares overflow or vanish
-_SHARES = ("search.free_share", "trust.least_iou", "trust.largest_bend_share", "trust.least_mode_probability")
+_SHARES = (
+    "search.free_share",
+    "refine.first_share",
+    "refine.small_share",
+    "trust.least_iou",
+    "trust.largest_bend_share",
+    "trust.least_mode_probability",
+)
 
 
 def check_config(config: EstimateConfig) -> None:

@@ -15,7 +15,6 @@ from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.parallel import batches
 from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.refine.information import pose_information
@@ -23,7 +22,7 @@ from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
 from dvrk_cmaes.pose.search.global_search import Candidate, image_size, scale_of_change
 from dvrk_cmaes.pose.search.modes import HasPose, best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.silhouette import POSES_PER_BATCH, Renderer
+from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
@@ -59,9 +58,16 @@ class Refiner(Protocol):
         """Score one pose (4, 4) and its joints (J,) without refining them."""
 
     def refine_all(
-        self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
+        self,
+        poses: Float64,
+        joints: Float64,
+        *,
+        iterations: int | None = None,
+        cauchy: float | None = None,
+        share: float = 1.0,
+        least: int = 1,
     ) -> list[OutlineFit]:
-        """Refine poses (C, 4, 4) and their joints (C, J) independently."""
+        """Refine poses (C, 4, 4) and their joints (C, J); arguments as in `OutlineRefiner`."""
 
 
 class LocalSearch:
@@ -102,12 +108,13 @@ class LocalSearch:
         *,
         cauchy: float | None = None,
         iterations: int | None = None,
+        share: float = 1.0,
+        least: int = 1,
     ) -> list[OutlineFit]:
-        def work(part: Sequence[HasPose]) -> list[OutlineFit]:
-            return refiner.refine_all(*_stacked(part), cauchy=cauchy, iterations=iterations)
-
         before = refiner.silhouettes, refiner.rays
-        fits = [fit for part in batches(modes, POSES_PER_BATCH) for fit in work(part)]
+        fits = []
+        if modes:
+            fits = refiner.refine_all(*_stacked(modes), cauchy=cauchy, iterations=iterations, share=share, least=least)
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
         return fits
@@ -131,15 +138,19 @@ class LocalSearch:
         full_width = self._evidence.camera.width
         coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if instrument.has_twin else []
-        modes = self._refine(coarse, [*candidates, *twins], iterations=config.refine.first_steps)
-        modes = best_per_mode(modes, most=config.refine.small_modes)
-        modes = self._refine(coarse, modes, iterations=config.refine.small_steps)
-        modes = best_per_mode(modes, most=config.refine.half_size_modes)
+        c = config.refine
+        modes = self._refine(
+            coarse, [*candidates, *twins], iterations=c.first_steps, share=c.first_share, least=c.small_modes
+        )
+        modes = best_per_mode(modes, most=c.small_modes)
+        least = c.half_size_modes + 1
+        modes = self._refine(coarse, modes, iterations=c.small_steps, share=c.small_share, least=least)
+        modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
             modes = self._refine(self._refiner(2), modes)
             modes = best_per_mode(modes)
         finest = self._refiner(1)
-        final = self._finest(finest, modes[: config.refine.modes])
+        final = self._finest(finest, modes[: c.modes])
         best = min(final, key=lambda m: m.score)
         if missing := self._missing_twin(best, final):
             final += self._finest(finest, missing)

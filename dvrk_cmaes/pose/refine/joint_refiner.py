@@ -72,16 +72,26 @@ class JointRefiner:
         return self.refine_all(pose[None], joints[None], iterations=0)[0]
 
     def refine_all(
-        self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
+        self,
+        poses: Float64,
+        joints: Float64,
+        *,
+        iterations: int | None = None,
+        cauchy: float | None = None,
+        share: float = 1.0,
+        least: int = 1,
     ) -> list[OutlineFit]:
-        """Refine poses (C, 4, 4) and their joints (C, J) independently; arguments as in `OutlineRefiner`."""
+        """Refine poses (C, 4, 4) and their joints (C, J); arguments as in `OutlineRefiner`."""
         most = self._iterations if iterations is None else iterations
         starts = zip(poses, joints, self._terms(poses, joints, cauchy), strict=True)
         states = [_State(pose, joint, terms, *_summed(terms)) for pose, joint, terms in starts]
+        kept = float(len(states))
         for left in reversed(range(most)):
-            active = [state for state in states if not state.finished]
+            best = sorted(states, key=lambda state: _score(state.terms, [term.loss for term in state.terms]))
+            active = [state for state in best[: max(round(kept), least)] if not state.finished]
             if not active:
                 break
+            kept *= share
             steps = np.stack([state.step() for state in active])
             at = moved(np.stack([s.pose for s in active]), steps[:, :6]), np.stack([s.joints for s in active])
             trials = self._terms(at[0], at[1] + steps[:, 6:], cauchy, derivatives=left > 0)
@@ -147,7 +157,11 @@ def _summed(terms: Sequence[OutlineTerms]) -> tuple[Float64, Float64]:
 def _fit(state: _State) -> OutlineFit:
     """Return the fit of a state; its score has the variance of the contours' errors estimated from the residuals."""
     residuals = [term.residual for term in state.terms]
-    count = sum(term.count for term in state.terms)
-    alone = 0.5 * count * float(np.log(_mean_residual(residuals, state.terms)))
-    score = alone + 0.5 * sum(term.prior for term in state.terms)
-    return OutlineFit(state.pose, state.joints, score, alone, sum(residuals), state.information)
+    score, prior = _score(state.terms, residuals), 0.5 * sum(term.prior for term in state.terms)
+    return OutlineFit(state.pose, state.joints, score, score - prior, sum(residuals), state.information)
+
+
+def _score(terms: Sequence[OutlineTerms], residuals: Sequence[float]) -> float:
+    """Return the negative log-likelihood of all views and of the priors, up to a constant."""
+    count = sum(term.count for term in terms)
+    return 0.5 * count * float(np.log(_mean_residual(residuals, terms))) + 0.5 * sum(term.prior for term in terms)

@@ -4,10 +4,9 @@ The residuals are the differences between antialiased coverage and mask, both sl
 functions of the pose. They have a robust Cauchy loss, so that outliers of the segmentation have little influence.
 Readings, given jaw tips and a session's prediction are further residuals with their own standard deviations.
 
-Moving the outline by e along its normal adds e to the coverage there. The gradient of the loss is therefore an integral
-along the outline: the blurred residual times the Jacobian of the outline's displacement, which is computed by central
-differences of the projection of the surface points on the outline. It needs one silhouette with its outline, instead of
-two silhouettes for each parameter.
+Moving the outline by e along its normal adds e to the coverage there. The loss after a small change of the pose is
+therefore known from the residual beside the outline and from the Jacobian of the outline's displacement, without a
+silhouette (see `profiles`). An iteration minimises that, and then draws one silhouette with its outline.
 
 The weight of the residuals of coverage relative to the readings is estimated from the residuals. Shifting a piece of
 outline of length s by e changes the sum of squares of an edge blurred with sigma by s e^2 / (2 sqrt(pi) sigma), so the
@@ -28,14 +27,16 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
 from dvrk_cmaes.evidence.joint_prior import Readings
-from dvrk_cmaes.evidence.outline_noise import sampled
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.pose.refine.outline_jacobian import outline_jacobians
 from dvrk_cmaes.pose.refine.priors import PosePrior, Priors
+from dvrk_cmaes.pose.refine.profiles import Profiles, Quadratics, minimise
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
 
 _EMPTY = np.zeros((0, 0)), np.zeros(0)  # information and slope that were not computed
+_LARGEST_DAMPING = 10.0  # beyond which a refinement stops
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,7 @@ class OutlineRefiner:
         self._shrink = shrink
         # At smaller sizes, modes only need to be distinguished.
         self._tolerance = config.tolerance * (1 if shrink == 1 else 4)
+        self._inner_steps = config.inner_steps if shrink == 1 else max(config.inner_steps // 3, 1)
         self._noise_loss: float | None = None
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
         joints = len(readings.values)
@@ -161,8 +163,10 @@ class OutlineRefiner:
 
     def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
         """Compute the Cauchy loss of a blurred image (H, W), which is the sum of squares for small residuals."""
-        r = (image - self._target) / np.float32(cauchy)
-        return float(cauchy**2 * (self._weight * np.log1p(r * r)).sum(dtype=np.float64))
+        r = (image - self._target).ravel()
+        near = np.flatnonzero(r)  # few pixels: both images are 0 or 1 elsewhere
+        r = r[near] * np.float32(1 / cauchy)
+        return float(cauchy**2 * (self._weight.ravel()[near] * np.log1p(r * r)).sum(dtype=np.float64))
 
     def set_noise_at(
         self, pose: Float64, joints: Float64, *, cauchy: float | None = None, camera: Camera | None = None
@@ -187,50 +191,14 @@ class OutlineRefiner:
 
     def _outline_score(self, loss: float) -> float:
         """Compute the outline's negative log-likelihood up to a constant, with the variance estimated from the loss."""
+        if self._noise_loss is not None:
+            return 0.5 * self._scale(loss) * loss
         count = self._length * self._shrink / self._config.correlation
         floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
         return 0.5 * count * float(np.log(max(loss, floor)))
 
-    def _normal_equations(self, state: _State, jacobian: Float64, cauchy: float) -> tuple[Float64, Float64]:
-        """Compute the outline's information (D, D) and slope (D,) at a state, in sums of squares of coverage.
-
-        ``jacobian`` (N, D) is that of the state's outline points.
-        """
-        at, normals = state.outline.pixels, state.outline.normals
-        r = state.image - self._target
-        weight = self._weight / (1 + (r / np.float32(cauchy)) ** 2)
-        residual, weight_there = sampled(self._blurred(weight * r), at), sampled(self._blurred(weight), at)
-        factor = weight_there / (2 * np.sqrt(np.pi) * self._config.blur * np.linalg.norm(normals, axis=1))
-        return jacobian.T @ (jacobian * factor[:, None]), residual @ jacobian
-
     def _jacobians(self, outlines: Sequence[OutlinePoints], poses: Float64, joints: Float64) -> list[Float64]:
-        """Compute the Jacobian (N, D) of the outline points of each of C poses.
-
-        It is the derivative, by each small change, of the points' displacements along their normals times the length of
-        outline that each represents. It is computed by central differences of the projection of the points, which are
-        fixed on the instrument.
-        """
-        count = len(self.steps)
-        change = np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
-        changed = moved(poses[:, None], change[:, :6]).reshape(-1, 4, 4)
-        bent = (joints[:, None] + change[:, 6:]).reshape(len(changed), -1)
-        links = self._renderer.body.camera_from_links(changed, bent)
-        # (C, L, 3, 4, 2 D): camera_from_link without its last row, for all changes.
-        camera_from_link = links.reshape(len(poses), 2 * count, -1, 4, 4)[..., :3, :].transpose(0, 2, 3, 4, 1)
-        camera_from_link = np.ascontiguousarray(camera_from_link, dtype=np.float32)
-        found = []
-        for outline, to_camera in zip(outlines, camera_from_link, strict=True):
-            points = np.ones((len(outline.points), 4), dtype=np.float32)
-            points[:, :3] = outline.points
-            moving = np.empty((3, len(points), 2 * count), dtype=np.float32)
-            edges = np.searchsorted(outline.link, np.arange(len(to_camera) + 1))
-            for matrix, begin, end in zip(to_camera, edges[:-1], edges[1:], strict=True):
-                np.matmul(points[begin:end], matrix, out=moving[:, begin:end])
-            np.maximum(moving[2], np.float32(1e-4), out=moving[2])
-            pixels = self._camera.project(np.moveaxis(moving, 0, -1))
-            along_normal = (pixels[:, :count] - pixels[:, count:]) * outline.normals[:, None]
-            found.append(np.asarray(along_normal.sum(axis=-1) / (2 * self.steps)))
-        return found
+        return outline_jacobians(self._renderer.body.instrument, self._camera, outlines, poses, joints)
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -254,14 +222,14 @@ class OutlineRefiner:
         `Camera.changed` and its shift, px of the image at the refiner's size. Priors are not included.
         """
         ((image, outline),) = self._render(pose[None], joints[None])
-        state = _State(pose, joints, image, outline, loss=self._loss(image, self._config.cauchy))
         of_pose = self._jacobians([outline], pose[None], joints[None])[0]
         from_centre = outline.pixels - [self._camera.cx, self._camera.cy]
         of_focal_length = (outline.normals * from_centre).sum(axis=1)
         jacobian = np.column_stack([of_pose, of_focal_length, outline.normals])
-        information, slope = self._normal_equations(state, jacobian, self._config.cauchy)
-        scale = self._scale(state.loss)
-        return scale * information, scale * slope
+        along = Profiles.sampled([image - self._target], self._weight, [outline], [jacobian], self._config.blur)
+        information, slope = along.normal_equations(np.zeros((1, jacobian.shape[1])), self._config.cauchy)
+        scale = self._scale(self._loss(image, self._config.cauchy))
+        return scale * information[0], scale * slope[0]
 
     def terms(
         self,
@@ -277,12 +245,15 @@ class OutlineRefiner:
             images = self._render_coverage(poses, joints)
             return [self._term(*each, width) for each in zip(poses, joints, images, strict=True)]
         drawn = self._render(poses, joints)
-        jacobians = self._jacobians([outline for _, outline in drawn], poses, joints)
-        found = []
-        for pose, joint, (image, outline), jacobian in zip(poses, joints, drawn, jacobians, strict=True):
-            state = _State(pose, joint, image, outline, loss=0.0)
-            found.append(self._term(pose, joint, image, width, self._normal_equations(state, jacobian, width)))
-        return found
+        outlines = [outline for _, outline in drawn]
+        jacobians = self._jacobians(outlines, poses, joints)
+        residuals = [image - self._target for image, _ in drawn]
+        along = Profiles.sampled(residuals, self._weight, outlines, jacobians, self._config.blur)
+        derived = along.normal_equations(np.zeros((len(poses), jacobians[0].shape[1])), width)
+        each = zip(poses, joints, drawn, *derived, strict=True)
+        return [
+            self._term(pose, joint, image, width, (matrix, slope)) for pose, joint, (image, _), matrix, slope in each
+        ]
 
     def _term(
         self,
@@ -313,70 +284,94 @@ class OutlineRefiner:
         return self.refine_all(pose[None], joints[None], iterations=0)[0]
 
     def refine_all(
-        self, poses: Float64, joints: Float64, *, iterations: int | None = None, cauchy: float | None = None
+        self,
+        poses: Float64,
+        joints: Float64,
+        *,
+        iterations: int | None = None,
+        cauchy: float | None = None,
+        share: float = 1.0,
+        least: int = 1,
     ) -> list[OutlineFit]:
-        """Refine poses (C, 4, 4) and their joints (C, J) independently; they are rendered together.
+        """Refine poses (C, 4, 4) and their joints (C, J); they are rendered together.
 
         ``iterations`` and ``cauchy`` replace those of the configuration for the refinement. Scores are always computed
-        with the configuration's ``cauchy``.
+        with the configuration's ``cauchy``. After each iteration only the best ``share`` of the poses continue, but not
+        fewer than ``least`` of them.
         """
         width = self._config.cauchy if cauchy is None else cauchy
         most = self._config.iterations if iterations is None else iterations
         starts = zip(poses, joints, self._render(poses, joints), strict=True)
-        states = [_State(pose, joint, *drawn, loss=self._loss(drawn[0], width)) for pose, joint, drawn in starts]
+        states = [
+            _State(pose, joint, *drawn, loss=self._loss(drawn[0], width), prior_cost=self.priors.cost(pose, joint))
+            for pose, joint, drawn in starts
+        ]
         self._linearise(states, width)
+        kept = float(len(states))
         for left in reversed(range(most)):
-            active = [state for state in states if not state.finished]
+            best = sorted(states, key=lambda state: self._outline_score(state.loss) + 0.5 * state.prior_cost)
+            active = [state for state in best[: max(round(kept), least)] if not state.finished]
             if not active:
                 break
-            trials = [self._step(state) for state in active]
-            at = np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials])
-            # The outline is only needed for a further iteration.
-            renderings = self._render(*at) if left else [(image, None) for image in self._render_coverage(*at)]
-            improved = []
-            for state, (pose, joint, step), (image, outline) in zip(active, trials, renderings, strict=True):
-                loss = self._loss(image, width)
-                cost = state.scale * loss + self.priors.cost(pose, joint)
-                gain = state.scale * state.loss + self.priors.cost(state.pose, state.joints) - cost
-                if gain <= 0:
-                    state.damping *= 8
-                    state.finished = state.damping > 1e4
-                    continue
-                small = step @ state.information @ step < self._tolerance**2 * len(step)
-                state.finished = bool(small or gain < 0.1 * self._tolerance)
-                state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
-                state.damping = max(state.damping / 8, 1e-4)
-                if outline is not None:
-                    state.outline = outline
-                    improved.append(state)
-            self._linearise(improved, width)
-        fits = []
-        for state in states:
-            loss = self._loss(state.image, self._config.cauchy)
-            alone = self._outline_score(loss)
-            if self._noise_loss is not None:
-                alone = 0.5 * self._scale(loss) * loss
-            score = alone + 0.5 * self.priors.cost(state.pose, state.joints)
-            fits.append(OutlineFit(state.pose, state.joints, score, alone, loss, state.information))
-        return fits
+            self._linearise([state for state in active if state.moved], width)
+            self._advance(active, width, last=left == 0)
+            kept *= share
+        return [self._fit(state) for state in states]
+
+    def _advance(self, states: list[_State], width: float, *, last: bool) -> None:
+        """Take one step from each state; it is kept if it lowers the loss. After the ``last`` no outline is needed."""
+        trials = self._steps(states, width)
+        at = np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials])
+        renderings = [(image, None) for image in self._render_coverage(*at)] if last else self._render(*at)
+        for state, (pose, joint, step), (image, outline) in zip(states, trials, renderings, strict=True):
+            loss, prior_cost = self._loss(image, width), self.priors.cost(pose, joint)
+            gain = state.scale * (state.loss - loss) + state.prior_cost - prior_cost
+            small = step @ state.information @ step < self._tolerance**2 * len(step)
+            if gain <= 0:
+                state.damping *= 8
+                state.finished = bool(small or state.damping > _LARGEST_DAMPING)
+                continue
+            state.finished = bool(small or gain < 0.1 * self._tolerance)
+            state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
+            state.prior_cost, state.moved = prior_cost, True
+            state.damping = max(state.damping / 8, 1e-4)
+            if outline is not None:
+                state.outline = outline
+
+    def _fit(self, state: _State) -> OutlineFit:
+        """Return the refined pose of a state, scored with the configuration's Cauchy loss."""
+        loss = self._loss(state.image, self._config.cauchy)
+        alone = self._outline_score(loss)
+        score = alone + 0.5 * state.prior_cost
+        return OutlineFit(state.pose, state.joints, score, alone, loss, state.information)
 
     def _linearise(self, states: list[_State], cauchy: float) -> None:
         """Compute the information and slope of states at their poses, from outline and priors."""
         if not states:
             return
         poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
-        jacobians = self._jacobians([state.outline for state in states], poses, joints)
-        for state, jacobian in zip(states, jacobians, strict=True):
-            outline, gradient = self._normal_equations(state, jacobian, cauchy)
+        outlines = [state.outline for state in states]
+        jacobians = self._jacobians(outlines, poses, joints)
+        residuals = [state.image - self._target for state in states]
+        together = Profiles.sampled(residuals, self._weight, outlines, jacobians, self._config.blur)
+        information, _ = together.normal_equations(np.zeros((len(states), len(self.steps))), cauchy)
+        for i, state in enumerate(states):
             state.scale = self._scale(state.loss)
-            state.information, state.slope = state.scale * outline, state.scale * gradient
-            self.priors.add(state.information, state.slope, state.pose, state.joints)
+            state.profiles = together.select([i])
+            state.prior, state.prior_slope = np.zeros_like(information[i]), np.zeros(len(self.steps))
+            self.priors.add(state.prior, state.prior_slope, state.pose, state.joints)
+            state.information, state.moved = state.scale * information[i] + state.prior, False
 
-    def _step(self, state: _State) -> tuple[Float64, Float64, Float64]:
-        """Compute a damped Gauss-Newton step; returns the next pose, the next joints and the step (6 + J,)."""
-        damped = state.information + state.damping * np.diag(np.diag(state.information) + 1e-9)
-        step = np.asarray(-np.linalg.solve(damped, state.slope), dtype=np.float64)
-        return moved(state.pose, step[:6]), state.joints + step[6:], step
+    def _steps(self, states: list[_State], cauchy: float) -> list[tuple[Float64, Float64, Float64]]:
+        """Compute the damped step of each state; returns the next pose, the next joints and the step (6 + J,)."""
+        terms = Quadratics(
+            np.array([s.scale for s in states]),
+            np.stack([s.prior for s in states]),
+            np.stack([s.prior_slope for s in states]),
+        )
+        damping = np.array([s.damping for s in states])
+        steps = minimise(Profiles.joined([s.profiles for s in states]), terms, cauchy, damping, self._inner_steps)
+        return [(moved(s.pose, step[:6]), s.joints + step[6:], step) for s, step in zip(states, steps, strict=True)]
 
 
 @dataclass(eq=False)
@@ -388,8 +383,12 @@ class _State:
     image: NDArray[np.float32]
     outline: OutlinePoints
     loss: float
+    prior_cost: float
     scale: float = 1.0
     information: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
-    slope: Float64 = field(default_factory=lambda: np.zeros(0))
+    prior: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    prior_slope: Float64 = field(default_factory=lambda: np.zeros(0))
+    profiles: Profiles = field(init=False)
     damping: float = 1e-2
+    moved: bool = False
     finished: bool = False
