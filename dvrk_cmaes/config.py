@@ -70,6 +70,20 @@ class SearchConfig:
 
 
 @dataclass(frozen=True)
+class SilhouetteConfig:
+    """Settings of the silhouettes in search, refinement and tracking.
+
+    Attributes
+    ----------
+    method
+        How it is decided what the instrument covers between neighbouring crossings of an image line with outline edges:
+        ``count`` counts the layers of faces along the line, ``rays`` traces one ray through the middle.
+    """
+
+    method: str = "count"
+
+
+@dataclass(frozen=True)
 class LookAtRange:
     """Limits of LookAt candidates.
 
@@ -400,7 +414,7 @@ class EstimateConfig:
 
     Attributes
     ----------
-    search, refine, weights, readings, lookat, trust, session, track
+    silhouette, search, refine, weights, readings, lookat, trust, session, track
         Settings of the single stages.
     distance_field
         Method of the distance field: ``fmm``, ``exact`` or ``chamfer``.
@@ -413,6 +427,7 @@ class EstimateConfig:
         Seed of all random numbers.
     """
 
+    silhouette: SilhouetteConfig = field(default_factory=SilhouetteConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     weights: LossWeights = field(default_factory=LossWeights)

@@ -27,7 +27,7 @@ from dvrk_cmaes.pose.seen_views import SeenView, seen_views
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.prepare import decimated_body, prepare
+from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
 
 
 def estimate(
@@ -93,6 +93,7 @@ def estimate(
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    body = body_by(body, settings.silhouette.method)
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, dict(joints or {})

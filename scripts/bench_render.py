@@ -25,6 +25,7 @@ Float64 = NDArray[np.float64]
 POPULATION: Final = 32
 PEER_POSES: Final = 4
 THREADS: Final = 2
+RAYS: Final = "ours, 1 thread(s), a ray for each span"
 POSE_SIGMA: Final = np.array([1e-3] * 3 + [3e-2] * 3)  # m and rad, of candidates about a golden pose
 JOINT_SIGMA: Final = 5e-2  # rad
 SIZES: Final = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
@@ -85,7 +86,10 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     few = poses[:PEER_POSES], joints[:PEER_POSES]
     masks = renderers[1].masks(*few)
     peers, left_out = all_peers(body, camera, THREADS)
-    agreement = []
+    different, far = _disagreement(masks, Renderer(replace(body, method="rays"), camera, threads=1).masks(*few))
+    agreement: list[dict[str, Any]] = [
+        {"peer": RAYS, "pixels that differ": different / PEER_POSES, "not beside an outline": far}
+    ]
     for peer in peers:
         different, far = _disagreement(masks, peer.masks(*few))
         if far:
@@ -100,20 +104,23 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     def theirs(peer: Peer) -> Callable[[], object]:
         return lambda: peer.sums(*few, flat)
 
+    by_rays = Renderer(replace(body, method="rays"), camera, threads=1)
     work = {f"ours, {n} thread(s)": ours(n, False) for n in renderers}
     work |= {f"ours, {n} thread(s), to the pixel": ours(n, True) for n in renderers}
+    work |= {RAYS: lambda: by_rays.sums(poses, joints, table)}
     candidates = dict.fromkeys(work, len(poses)) | {peer.name: PEER_POSES for peer in peers}
     seconds = median_seconds(work | {peer.name: theirs(peer) for peer in peers}, repeats)
     each = {name: 1e3 * value / candidates[name] for name, value in seconds.items()}
     best = min(each[f"ours, {n} thread(s)"] for n in renderers)
     threads = {f"ours, {n} thread(s){rest}": str(n) for n in renderers for rest in ("", ", to the pixel")}
-    threads |= {peer.name: peer.threads for peer in peers}
+    threads |= {RAYS: "1"} | {peer.name: peer.threads for peer in peers}
     rows = [{"way": k, "threads": threads[k], "ms a candidate": v, "times ours": v / best} for k, v in each.items()]
     one, two = (each[f"ours, {n} thread(s)"] for n in renderers)
     faces = sum(len(link.faces) for link in instrument.links)
     ratios = {
         "triangles": faces,
         "two threads are faster by": one / two,
+        "rays / count, one thread": each[RAYS] / one,
         "fastest peer / ours": min((each[p.name] for p in peers if "own" not in p.name), default=float("nan")) / best,
     }
     report: dict[str, Any] = {f"{camera.width} x {camera.height}": rows, "masks": agreement, "ratios": [ratios]}

@@ -30,7 +30,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.parallel import map_threaded
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.silhouette.prepare import body_by, prepare
 
 Float64 = NDArray[np.float64]
 T = TypeVar("T")
@@ -94,6 +94,7 @@ def calibrate_session(
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    body = body_by(body, settings.silhouette.method)
     started = time.perf_counter()
     if run is None:
         run = partial(_in_threads, body, settings)

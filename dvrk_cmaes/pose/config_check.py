@@ -12,11 +12,13 @@ from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.toml_file import leaves
 from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
+from dvrk_cmaes.silhouette import METHODS as SILHOUETTES
 
 _NAMES: dict[str, Collection[str]] = {
     "search.method": SEARCHES,
     "refine.method": REFINEMENTS,
     "distance_field": FIELDS,
+    "silhouette.method": SILHOUETTES,
 }
 _MAY_BE_ZERO = ("seed", "weights.", "trust.", "search.free_share", "refine.outline.noise_floor")
 _LARGEST = {

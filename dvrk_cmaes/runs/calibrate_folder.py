@@ -34,6 +34,7 @@ from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes, WorkerDied
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.synth.files import write_camera_info
 
 CAMERA = "camera.yaml"
@@ -161,7 +162,8 @@ def _run(processes: Processes, function: Callable[[Body, EstimateConfig, Any], A
 
 def _start(instrument: Instrument, config: EstimateConfig) -> None:
     """Build the instrument's scenes in a worker process."""
-    _of_this_process["body"], _of_this_process["config"] = Body.prepare(instrument), config
+    _of_this_process["body"] = body_by(Body.prepare(instrument), config.silhouette.method)
+    _of_this_process["config"] = config
 
 
 def _call(function: Callable[[Body, EstimateConfig, Any], Any], numbered: tuple[int, Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,24 +36,33 @@ class Crossings:
     """(N,) index of the segment of each crossing; None unless requested."""
 
     def span_ends(
-        self, position: NDArray[np.int32], payload: NDArray[np.int32], rows: int, positions: int
+        self,
+        position: NDArray[np.int32],
+        payload: NDArray[np.int32],
+        rows: int,
+        positions: int,
+        decide: Callable[[NDArray[np.int32], NDArray[np.int32]], NDArray[np.bool_]] | None = None,
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Find the crossings at which the S covered spans start and end: rows and payloads, (2 S,) each.
 
         They are sorted by row and position, so starts and ends alternate. ``position`` (N,) is the sort key of the
         crossings along their row, 0 to ``positions`` - 1; ``payload`` (N,) holds a value of at most ``PAYLOAD_BITS``
-        bits for each crossing, which is returned for those found.
+        bits for each crossing, which is returned for those found. ``decide``, if given, tells from rows and payloads of
+        all crossings, in order, whether each span from one to the next is covered; otherwise the layers count.
         """
         value = payload << _CODE_BITS
         value |= self.code
         start, value = ordered(self.row, position, value, rows, positions)
-        # Codes are changes plus _NO_CHANGE, so their running sum is the layer count plus _NO_CHANGE per crossing.
-        count = np.cumsum(value & ((1 << _CODE_BITS) - 1), dtype=np.int32)
-        covered = count > np.arange(_NO_CHANGE, _NO_CHANGE * (len(count) + 1), _NO_CHANGE, dtype=np.int32)
+        row = np.repeat(np.arange(rows, dtype=np.int32), np.diff(start))
+        if decide is not None:
+            covered = decide(row, value >> _CODE_BITS)
+        else:
+            # Codes are changes plus _NO_CHANGE, so their running sum is the layer count plus _NO_CHANGE per crossing.
+            count = np.cumsum(value & ((1 << _CODE_BITS) - 1), dtype=np.int32)
+            covered = count > np.arange(_NO_CHANGE, _NO_CHANGE * (len(count) + 1), _NO_CHANGE, dtype=np.int32)
         changed = covered.copy()
         changed[1:] ^= covered[:-1]
         at = np.flatnonzero(changed)
-        row = np.repeat(np.arange(rows, dtype=np.int32), np.diff(start))
         return row.take(at, mode="clip"), value.take(at, mode="clip") >> _CODE_BITS
 
 

@@ -15,7 +15,9 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.silhouette.grid import LineGrid, Projection
 from dvrk_cmaes.silhouette.near_plane import cut_link
 from dvrk_cmaes.silhouette.pose_batches import as_flags, as_words, batch_size_for, index_shift, matmul_in_blocks
+from dvrk_cmaes.silhouette.scenes import LinkScenes
 from dvrk_cmaes.silhouette.segments import Segments, subdivided
+from dvrk_cmaes.silhouette.span_rays import SpanRays
 from dvrk_cmaes.silhouette.topology import MeshTopology
 from dvrk_cmaes.silhouette.vertices import ProjectedVertices
 
@@ -44,9 +46,19 @@ def _front_facing(topology: MeshTopology, camera_from_link: NDArray[np.float64],
 
 
 class OutlineEdges:
-    """The outline edges of a batch of poses (C, L, 4, 4), at most ``POSES_PER_BATCH``, for any grid of lines."""
+    """The outline edges of a batch of poses (C, L, 4, 4), at most ``POSES_PER_BATCH``, for any grid of lines.
 
-    def __init__(self, topology: MeshTopology, camera: Camera, camera_from_link: NDArray[np.float64]) -> None:
+    ``scenes``, if given, are traced to decide what the instrument covers between the edges; otherwise layers count.
+    """
+
+    def __init__(
+        self,
+        topology: MeshTopology,
+        camera: Camera,
+        camera_from_link: NDArray[np.float64],
+        scenes: LinkScenes | None = None,
+    ) -> None:
+        self.rays = None if scenes is None else SpanRays(scenes, camera, camera_from_link)
         self.poses, self._batch_size = len(camera_from_link), batch_size_for(len(camera_from_link))
         self.camera_from_link = camera_from_link
         self._topology = topology

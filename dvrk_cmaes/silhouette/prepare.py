@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import lru_cache
 
 from dvrk_cmaes.instrument import Instrument, load_instrument
@@ -20,6 +21,17 @@ def _body(instrument: Instrument) -> Body:
 @lru_cache(maxsize=8)
 def _decimated_body(body: Body, cell: float) -> Body:
     return body.decimated(cell)
+
+
+@lru_cache(maxsize=8)
+def _body_by(body: Body, method: str) -> Body:
+    return replace(body, method=method)
+
+
+def body_by(body: Body, method: str) -> Body:
+    """Return the same body, rendered by a method of ``silhouette.METHODS``; cached."""
+    with _lock:
+        return body if body.method == method else _body_by(body, method)
 
 
 def decimated_body(body: Body, cell: float) -> Body:

@@ -39,6 +39,8 @@ class Body:
     scenes: LinkScenes
     error_m: float = 0.0
     """Upper bound of the distance of its surface from the instrument's, m."""
+    method: str = "count"
+    """How renderers decide what the instrument covers, one of ``METHODS``."""
 
     @staticmethod
     def prepare(instrument: Instrument) -> Body:
@@ -53,7 +55,7 @@ class Body:
     def decimated(self, cell: float) -> Body:
         """Return a body with fewer faces for images of low resolution, decimated on a grid with cells of ``cell`` m."""
         instrument, error = decimate(self.instrument, cell)
-        return Body(instrument, build_topology(instrument), LinkScenes(instrument), self.error_m + error)
+        return Body(instrument, build_topology(instrument), LinkScenes(instrument), self.error_m + error, self.method)
 
     def camera_from_links(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
@@ -110,7 +112,7 @@ class Renderer:
         self.camera = camera
         self.threads = threads
         self.rays = 0
-        """Number of rays traced by ``trace`` so far."""
+        """Number of rays traced so far."""
         self.poses = 0
         """Number of poses rendered so far."""
         self._counting = Lock()
@@ -131,7 +133,14 @@ class Renderer:
         batches = [links[part] for part in batch_slices(len(links))]
 
         def work(batch: NDArray[np.float64]) -> T:
-            return use(OutlineEdges(self.body.shortened.topology_for(self.camera, batch), self.camera, batch))
+            topology = self.body.shortened.topology_for(self.camera, batch)
+            scenes = self.body.scenes if self.body.method == "rays" else None
+            edges = OutlineEdges(topology, self.camera, batch, scenes)
+            done = use(edges)
+            if edges.rays is not None:
+                with self._counting:
+                    self.rays += edges.rays.count
+            return done
 
         if self.threads == 1 or len(batches) == 1:
             done = [work(batch) for batch in batches]

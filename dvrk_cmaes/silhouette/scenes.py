@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -60,17 +61,21 @@ class LinkScenes:
     ) -> NDArray[np.bool_]:
         """Return whether any link covers each viewing direction, (N,).
 
-        ``camera_from_link`` is (C, L, 4, 4); ``pose`` (N,) is the index of the pose of each ray; ``directions`` (N, 3)
-        are in the camera's frame with z = 1. A ray that has hit one link is not traced against the others.
+        ``camera_from_link`` is (C, L, 4, 4); ``pose`` (N,), ascending, is the index of the pose of each ray;
+        ``directions`` (N, 3) are in the camera's frame with z = 1. A ray that has hit one link is not traced against
+        the others.
         """
         result = np.zeros(len(directions), dtype=np.bool_)
+        rotation = camera_from_link[:, :, :3, :3].astype(np.float32)
+        centre = -np.einsum("clji,clj->cli", camera_from_link[:, :, :3, :3], camera_from_link[:, :, :3, 3])
+        rest, left = np.arange(len(directions)), np.asarray(directions, dtype=np.float32)
         for link in range(len(self)):
-            rest = np.flatnonzero(~result)
-            rotation = camera_from_link[:, link, :3, :3]
-            centre = -np.einsum("cji,cj->ci", rotation, camera_from_link[:, link, :3, 3])
-            turned = np.einsum("nji,nj->ni", rotation[pose[rest]], directions[rest])
-            origins = centre[pose[rest]] + NEAR * turned
-            result[rest] = self.hit(
-                link, np.ascontiguousarray(origins, dtype=np.float32), np.ascontiguousarray(turned, dtype=np.float32)
-            )
+            ends = np.searchsorted(pose[rest], np.arange(len(camera_from_link) + 1))
+            turned, origins = np.empty_like(left), np.empty_like(left)
+            for one, (begin, end) in enumerate(pairwise(ends)):
+                np.matmul(left[begin:end], rotation[one, link], out=turned[begin:end])
+                np.add(centre[one, link].astype(np.float32), NEAR * turned[begin:end], out=origins[begin:end])
+            hit = self.hit(link, origins, turned)
+            result[rest[hit]] = True
+            rest, left = rest[~hit], left[~hit]
         return result

@@ -2,10 +2,11 @@
 
 Along an image line the number of triangles over a point (the layer count) changes only where the line crosses an
 outline edge, and by a known amount (see ``topology``). With the crossings sorted along the line, the layer count is the
-cumulative sum of these changes, and the instrument covers the line where it is positive. No rays are traced. The
-changes on a line sum to zero, because edges that share a vertex assign it to the same line, and meshes cut by the near
-plane are closed (see ``near_plane``). The ends of the spans are accurate to a fraction of a pixel, and the cost is
-proportional to the length of the outline, not to the area of the image.
+cumulative sum of these changes, and the instrument covers the line where it is positive. No rays are traced, unless the
+outline edges have rays that decide instead (see ``span_rays``). The changes on a line sum to zero, because edges that
+share a vertex assign it to the same line, and meshes cut by the near plane are closed (see ``near_plane``). The ends of
+the spans are accurate to a fraction of a pixel, and the cost is proportional to the length of the outline, not to the
+area of the image.
 """
 
 from __future__ import annotations
@@ -63,7 +64,16 @@ def covered_spans(
     counted = min(bits, _SORTED_BITS)
     position, positions = fixed >> (bits - counted), (extent << counted) + 1
     payload = np.arange(len(fixed), dtype=np.int32) if detail else fixed
-    end_row, found = crossings.span_ends(position, payload, edges.poses * grid.lines, positions)
+    rays = edges.rays
+
+    def decide(row: NDArray[np.int32], payload: NDArray[np.int32]) -> NDArray[np.bool_]:
+        assert rays is not None
+        where = (fixed.take(payload, mode="clip") if detail else payload) / (1 << bits)
+        return rays.covered(row, where, grid, to_pixel=to_pixel, least=1.0 if to_pixel else CLOSE)
+
+    end_row, found = crossings.span_ends(
+        position, payload, edges.poses * grid.lines, positions, None if rays is None else decide
+    )
     row, ends = end_row.astype(np.int64), fixed.take(found, mode="clip") if detail else found
     if not to_pixel:
         # Crossings closer than CLOSE may be in the wrong order; the running maximum makes such spans empty.

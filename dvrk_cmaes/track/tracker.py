@@ -20,6 +20,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
 from dvrk_cmaes.track.describe import described, without_pose
@@ -78,6 +79,7 @@ class Tracker:
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
+        body = body_by(body, settings.silhouette.method)
         self._config = settings
         self._camera = camera
         self._calibration = calibration

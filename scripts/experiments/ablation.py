@@ -20,6 +20,7 @@ from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evaluate.pose_error import PoseError
 from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
+from dvrk_cmaes.silhouette import METHODS as SILHOUETTES
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LevelName
 
@@ -65,6 +66,10 @@ def variants(config: EstimateConfig) -> list[Variant]:
         ),
         Variant("readings: none given", config, readings=False),
     ]
+    for method in SILHOUETTES:
+        if method != config.silhouette.method:
+            silhouette = replace(config.silhouette, method=method)
+            found.append(Variant(f"silhouettes: {method}", replace(config, silhouette=silhouette)))
     for method in SEARCHES:
         if method != config.search.method:
             found.append(Variant(f"search: {method}", replace(config, search=replace(config.search, method=method))))
