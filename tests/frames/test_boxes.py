@@ -36,10 +36,10 @@ def test_boxes_and_points_are_read(tmp_path: Path) -> None:
     [
         ("frame,x0,y0\n", "header: expected frame,x0,y0,x1,y1 or frame,u,v or both, got frame, x0, y0"),
         ("frame,u,v,w\n", "header: expected frame,x0,y0,x1,y1 or frame,u,v or both, got frame, u, v, w"),
-        ("frame,u,v\na,1,x\n", "2: v: expected a finite number, got 'x'"),
-        ("frame,u,v\na,1,\n", "2: v: expected a finite number, got ''"),
-        ("frame,u,v\na,1,2\na,1,2\n", "3: frame: expected each frame once, got 'a' again"),
-        ("frame,x0,y0,x1,y1\na,5,2,3,4\n", "2: expected a box with x0 < x1 and y0 < y1, got 5.0, 2.0, 3.0, 4.0"),
+        ("frame,u,v\na,1,x\n", "line 2: v: expected a finite number, got 'x'"),
+        ("frame,u,v\na,1,\n", "line 2: v: expected a finite number, got ''"),
+        ("frame,u,v\na,1,2\na,1,2\n", "line 3: frame: expected each frame once, got 'a' again"),
+        ("frame,x0,y0,x1,y1\na,5,2,3,4\n", "line 2: expected a box with x0 < x1 and y0 < y1, got 5.0, 2.0, 3.0, 4.0"),
     ],
 )
 def test_wrong_table_is_refused(tmp_path: Path, text: str, expected: str) -> None:

@@ -99,6 +99,22 @@ def test_strips_of_text_are_cut_off_overlays(driver: WebDriver, tmp_path: Path) 
     assert "mask, off in a stretch" in card.find_element(By.CSS_SELECTOR, ".picture .legend").text
 
 
+def test_picture_is_enlarged_by_a_click(driver: WebDriver, tmp_path: Path) -> None:
+    page = session_page(tmp_path)
+    driver.get(page.as_uri())
+    emulate(driver, width=1280)
+    card = driver.find_element(By.ID, "frame-0000")
+    card.find_element(By.TAG_NAME, "summary").click()
+    picture = card.find_element(By.CSS_SELECTOR, ".picture .crop")
+    narrow = picture.rect["width"]
+    picture.click()
+    assert picture.rect["width"] > 1.7 * narrow
+    assert driver.execute_script(VIOLATIONS) == []
+    picture.click()
+    assert picture.rect["width"] == pytest.approx(narrow)
+    assert driver.current_url == page.as_uri()
+
+
 def test_page_without_its_folder_says_so_and_shows_small_pictures(driver: WebDriver, tmp_path: Path) -> None:
     moved = tmp_path / "elsewhere.html"
     session_page(tmp_path / "out").rename(moved)

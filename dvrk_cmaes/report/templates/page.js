@@ -142,6 +142,14 @@
   };
   addEventListener("resize", layAll);
 
+  // A click enlarges a picture to the width of its card, or reduces it again; with a modifier key it follows the link.
+  document.addEventListener("click", (event) => {
+    const link = event.target instanceof Element && event.target.closest(".picture .crop");
+    if (!link || event.ctrlKey || event.metaKey || event.shiftKey || event.altKey) return;
+    event.preventDefault();
+    link.closest(".body").classList.toggle("large");
+  });
+
   // A page that was moved without its folder has only the small pictures.
   document.addEventListener(
     "error",
