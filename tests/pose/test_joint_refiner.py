@@ -40,14 +40,16 @@ def joint(body: Body, *, believed: np.ndarray = RIGHT_FROM_LEFT) -> JointRefiner
     return JointRefiner(views, tolerance=OutlineConfig().tolerance, iterations=OutlineConfig().iterations)
 
 
-def test_one_view_is_refined_as_by_its_refiner(bundled_body: Body) -> None:
+def test_one_view_is_refined_to_the_optimum_of_its_refiner(bundled_body: Body) -> None:
     alone = refiner(bundled_body, np.eye(4), first=True)
     settings = OutlineConfig()
     together = JointRefiner([(alone, np.eye(4))], tolerance=settings.tolerance, iterations=settings.iterations)
     expected, found = (each.refine_all(START[None], JOINTS[None] + 0.05)[0] for each in (alone, together))
-    np.testing.assert_allclose(found.camera_from_root, expected.camera_from_root, atol=1e-9)
-    np.testing.assert_allclose(found.joints, expected.joints, atol=1e-9)
-    np.testing.assert_allclose(found.information, expected.information, rtol=1e-6)
+    assert np.linalg.norm(found.camera_from_root[:3, 3] - expected.camera_from_root[:3, 3]) < 5e-5
+    assert rotation_angle(found.camera_from_root, expected.camera_from_root) < np.deg2rad(0.2)
+    np.testing.assert_allclose(found.joints, expected.joints, atol=np.deg2rad(0.5))
+    at_one_pose = [each.assess(found.camera_from_root, found.joints) for each in (alone, together)]
+    np.testing.assert_allclose(at_one_pose[0].information, at_one_pose[1].information, rtol=1e-6)
 
 
 def test_two_views_converge_to_the_truth(bundled_body: Body) -> None:
