@@ -55,6 +55,7 @@ LEAST_FRAMES = 3
 _MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
 _EM_ITERATIONS = 3  # estimates of calibration and variance components between two fits of the frames
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
+_SETTLED = 0.05  # standard deviations per parameter; a frame whose fit would move by less is not fitted again
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
@@ -108,6 +109,7 @@ class Alternation:
         self._refine_camera = refine_camera
         self._change = np.zeros(3)
         self.of_camera: Float64
+        self.fits: list[FrameFit] = []
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
         self.untold: list[str] = []
@@ -230,8 +232,11 @@ class Alternation:
         for iteration, scale in enumerate(scales):
             self._progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
+            explored = iteration >= _ROLLED_ITERATIONS and not self._refine_camera
+            left = [i for i in range(len(self.frames)) if not explored or self.fits[i].step_to(expected[i]) > _SETTLED]
             tasks = []
-            for i, frame in enumerate(self.frames):
+            for i in left:
+                frame = self.frames[i]
                 prior, own_mode = expected[i], self._modes[i][0]
                 predicted = [(prior.camera_from_root, prior.joints)]
                 if iteration < _ROLLED_ITERATIONS:
@@ -247,7 +252,7 @@ class Alternation:
                         self._changed_camera(i) if self._refine_camera else None,
                     )
                 )
-            self.fits: list[FrameFit] = self._run(fit_task, tasks)
+            self._fit_again(left, tasks)
             starts = [((fit.camera_from_root, fit.joints),) for fit in self.fits]
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             keep_all = scale != 1.0
@@ -284,6 +289,15 @@ class Alternation:
             return calibration
         self.model = self.model.with_deviations(initial)
         return self._solve(fits, calibration)
+
+    def _fit_again(self, left: Sequence[int], tasks: Sequence[FitTask]) -> None:
+        """Fit the frames with indices ``left``; the others keep their fits."""
+        fits: list[FrameFit] = self._run(fit_task, tasks)
+        if len(fits) == len(self.frames):
+            self.fits = fits
+        else:
+            for i, fit in zip(left, fits, strict=True):
+                self.fits[i] = fit
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

@@ -44,6 +44,16 @@ class FrameFit:
     iou: float = 1.0
     own_iou: float = 0.0
 
+    def step_to(self, expected: PosePrior) -> float:
+        """Return how far the fit would move with another prior, in standard deviations per parameter.
+
+        The outline's terms are taken as quadratic.
+        """
+        information = self.information + expected.information
+        slope = self.slope + expected.information @ expected.deviation(self.camera_from_root, self.joints)
+        step = np.linalg.solve(information, slope)
+        return float(np.sqrt(max(float(step @ slope), 0.0) / len(step)))
+
     def without_outline(self) -> FrameFit:
         """Return the fit with zero information and slope, so that it does not influence the calibration."""
         return replace(self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope))
