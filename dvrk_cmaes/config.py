@@ -161,7 +161,7 @@ class OutlineConfig:
         Length of a step, in standard deviations per parameter, below which the refinement stops.
     """
 
-    iterations: int = 8
+    iterations: int = 20
     inner_steps: int = 6
     blur: float = 1.2
     lines_per_pixel: int = 2
@@ -192,8 +192,9 @@ class RefineConfig:
         Gauss-Newton iterations for all candidates, at the image size of the search.
     small_modes, small_steps
         Number of best modes that are kept after that, and largest number of further iterations at the same size.
-    first_share, small_share
-        Share of the poses, the best ones, that continue after each of these iterations.
+    first_share, small_share, last_share
+        Share of the poses, the best ones, that continue after each of these iterations; the last of them at half and
+        full image size, where at least one continues.
     half_size_modes
         Number of best modes that are refined at half the image size.
     modes
@@ -208,7 +209,8 @@ class RefineConfig:
     small_modes: int = 10
     small_steps: int = 8
     first_share: float = 0.5
-    small_share: float = 0.6
+    small_share: float = 0.8
+    last_share: float = 0.93
     half_size_modes: int = 3
     modes: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)

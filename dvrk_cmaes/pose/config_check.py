@@ -39,6 +39,7 @@ _SHARES = (
     "search.free_share",
     "refine.first_share",
     "refine.small_share",
+    "refine.last_share",
     "trust.least_iou",
     "trust.largest_bend_share",
     "trust.least_mode_probability",

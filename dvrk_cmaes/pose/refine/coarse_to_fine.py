@@ -147,7 +147,7 @@ class LocalSearch:
         modes = self._refine(coarse, modes, iterations=c.small_steps, share=c.small_share, least=least)
         modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
-            modes = self._refine(self._refiner(2), modes)
+            modes = self._refine(self._refiner(2), modes, share=c.last_share)
             modes = best_per_mode(modes)
         finest = self._refiner(1)
         final = self._finest(finest, modes[: c.modes])
@@ -201,14 +201,15 @@ class LocalSearch:
     def _last(self, refiner: Refiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""
         if self._config.refine.method == "gauss-newton":
-            return self._refine(refiner, modes, cauchy=self._config.refine.outline.last_cauchy)
+            config = self._config.refine
+            return self._refine(refiner, modes, cauchy=config.outline.last_cauchy, share=config.last_share)
         return [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
 
     def _finest(self, refiner: Refiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes at full image size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
-            return self._refine(refiner, modes)
+            return self._refine(refiner, modes, share=config.refine.last_share)
         objective = self._objective()
         scale = 0.3 * scale_of_change(self._readings)
         fits = []
