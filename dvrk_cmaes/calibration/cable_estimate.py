@@ -14,6 +14,7 @@ from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
 Float64 = NDArray[np.float64]
 
 _ROLL = 3  # index among the outer joints
+_MASK_SECONDS = 0.3  # over which masks err alike, so that their frames count as one
 
 
 class CableEstimate:
@@ -59,12 +60,14 @@ class CableEstimate:
 
         ``fits`` and ``solution`` are of the same frames as the model, ``lag`` has their times and readings.
         """
-        information, vector = observe_errors(model, fits, solution.calibration, solution.weights)
+        times = lag.seconds()
+        weights = solution.weights if times is None else solution.weights / _frames_alike(times)
+        information, vector = observe_errors(model, fits, solution.calibration, weights)
         readings = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1)
         session = CableSession(
             names=self.names,
             readings=readings,
-            times=lag.seconds(),
+            times=times,
             lags=lag.play(self.names, readings, self.prior.model.width),
             information=information,
             vector=vector,
@@ -74,3 +77,10 @@ class CableEstimate:
         )
         self.fit, self.alone = fit_cables(session, self.prior)
         return model.with_correction(self.fit.correction)
+
+
+def _frames_alike(times: Float64) -> Float64:
+    """Return the number of frames (N,), itself included, whose masks err like that of each frame; times (N,), s."""
+    sorted_times, half = np.sort(times), _MASK_SECONDS / 2
+    first = np.searchsorted(sorted_times, times - half, side="left")
+    return np.asarray(np.searchsorted(sorted_times, times + half, side="right") - first, dtype=np.float64)
