@@ -14,7 +14,7 @@ from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
 Float64 = NDArray[np.float64]
 
 _ROLL = 3  # index among the outer joints
-_MASK_SECONDS = 0.3  # over which masks err alike, so that their frames count as one
+_MASK_SECONDS = 1.0  # over which masks err alike, so that their frames count as one
 
 
 class CableEstimate:
