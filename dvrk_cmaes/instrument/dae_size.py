@@ -22,8 +22,8 @@ def check_dae_size(path: Path, root: Element) -> None:
     InputError
         It is above 10,000, or a node contains itself.
     """
-    nodes = {node.get("id"): node for node in root.iter("{*}node") if node.get("id")}
-    scenes = root.iter("{*}visual_scene")
+    nodes = {node.get("id"): node for node in root.findall(".//{*}node") if node.get("id")}
+    scenes = root.findall(".//{*}visual_scene")
     count = sum(_geometries(path, scene, nodes, {}, []) for scene in scenes)
     if count > _MOST_GEOMETRIES:
         raise InputError(f"{path}: expected a scene of at most {_MOST_GEOMETRIES} geometries, got more")
@@ -33,8 +33,8 @@ def _geometries(
     path: Path, element: Element, nodes: dict[str | None, Element], known: dict[str, int], inside: list[str]
 ) -> int:
     """Count the geometries that an element and the nodes instantiated in it have, at most one above the limit."""
-    count = sum(1 for _ in element.iter("{*}instance_geometry"))
-    for instance in element.iter("{*}instance_node"):
+    count = len(element.findall(".//{*}instance_geometry"))
+    for instance in element.findall(".//{*}instance_node"):
         name = (instance.get("url") or "").removeprefix("#")
         if name in inside:
             raise InputError(f"{path}: node {name[:60]!r}: expected an end, got a node that contains itself")

@@ -1,0 +1,226 @@
+"""Inputs at the ends of ranges, special files, messages of native libraries: one line each, nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK, QUICK_CONFIG, make_session
+from helpers.canned_results import canned, write_results
+from helpers.commands import run_command
+from helpers.damage import DEMO, IMAGE, frame
+
+from dvrk_cmaes import Camera, estimate
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_check import check_pose
+from dvrk_cmaes.evaluate.pose_error import Tolerance
+from dvrk_cmaes.frames.images import read_image, read_mask
+from dvrk_cmaes.frames.truth import FrameTruth
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument.meshes import read_mesh
+from dvrk_cmaes.runs.batch import run_batch
+from dvrk_cmaes.runs.merge import merge_shards
+from dvrk_cmaes.silhouette import Body
+
+SMALL = Camera(fx=260, fy=260, cx=80, cy=60, width=160, height=120, distortion=())
+MANY = "9" * 5000
+
+ROBOT = """<robot name="x"><link name="roll_link"><visual><geometry>{shape}</geometry></visual></link>
+<link name="tip"><visual><geometry><box size="0.01 0.01 0.01"/></geometry></visual></link>
+<joint name="wrist_pitch" type="revolute"><parent link="roll_link"/><child link="tip"/><axis xyz="0 1 0"/>
+<limit lower="{lower}" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def small_mask(kind: str) -> np.ndarray:
+    mask = np.zeros((120, 160), dtype=np.bool_)
+    mask[{"pixel": (60, 80), "row": (60,), "column": (slice(None), 80), "rest": ()}[kind]] = True
+    mask[0, 0] = mask[0, 0] and kind != "rest"
+    return mask
+
+
+@pytest.mark.parametrize("kind", ["pixel", "row", "column", "rest"])
+def test_mask_of_few_pixels_is_solved_or_refused(kind: str) -> None:
+    large = Camera(fx=1040, fy=1040, cx=320, cy=240, width=640, height=480, distortion=())
+    body = Body.prepare(load_instrument("lnd"))
+    for mask, camera in ((small_mask(kind), SMALL), (np.pad(small_mask(kind), ((360, 0), (480, 0))), large)):
+        try:
+            result = estimate(mask, camera, {}, body, config=QUICK_CONFIG)
+        except InputError as error:
+            told = str(error)
+        else:
+            told = json.dumps(result.to_dict(), allow_nan=False)
+        assert told.startswith(("{", "mask: expected an instrument and background that show in"))
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value"),
+    [
+        ("estimate", "--seed", str(2**80)),
+        ("estimate", "--seed", MANY),
+        ("estimate", "--threads", str(2**31)),
+        ("estimate", "--frame", MANY),
+        ("segment", "--threads", "1000000"),
+        ("batch", "--time-limit", "1e308"),
+        ("batch", "--time-limit", "inf"),
+        ("batch", "--time-limit", "1e10"),
+        ("batch", "--workers", "1000000"),
+        ("batch", "--scheduler", "garbage"),
+        ("batch", "--scheduler", ""),
+        ("batch", "--scheduler", "inproc://x"),
+        ("batch", "--scheduler", "tls://host:8786"),
+        ("batch", "--scheduler", "tcp://127.0.0.1:1"),
+        ("track", "--fps", "1e308"),
+    ],
+)
+def test_extreme_option_is_refused_at_once(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, command: str, option: str, value: str
+) -> None:
+    first = {"estimate": frame(), "segment": ["segment", IMAGE, "--out", tmp_path / "x"]}
+    words = first.get(command, [command, DEMO, "--out", tmp_path / "x"])
+    began = time.monotonic()
+    refusal = run_command(capfd, *words, option, value).refusal
+    assert time.monotonic() - began < 25
+    assert len(refusal) < 1000
+    assert option in refusal or value[:10] in refusal
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("shape", "lower", "told"),
+    [
+        ('<box size="0.01 0.01 0.3"/>', "-1e308", "limit: expected at most 1000"),
+        ('<box size="1e-300 0.01 0.3"/>', "-1", "box: 1e-300 m; expected at least 1e-07 m"),
+    ],
+)
+def test_extreme_number_in_urdf_is_refused(tmp_path: Path, shape: str, lower: str, told: str) -> None:
+    (tmp_path / "x.urdf").write_text(ROBOT.format(shape=shape, lower=lower))
+    with pytest.raises(InputError, match=told):
+        load_instrument(tmp_path / "x.urdf")
+
+
+DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="1"/></asset>
+<library_images><image id="i"><init_from>texture.png</init_from></image></library_images>
+<library_effects><effect id="e"><profile_COMMON><newparam sid="s"><surface type="2D"><init_from>i</init_from></surface>
+</newparam><newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam><technique sid="c"><phong><diffuse>
+<texture texture="t" texcoord="u"/></diffuse></phong></technique></profile_COMMON></effect></library_effects>
+<library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh><source id="s1"><float_array id="f" count="9">0 0 0 1 0 0 0 1 0</float_array>
+<technique_common><accessor source="#f" count="3" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s1"/></vertices><triangles count="1" material="m">
+<input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry></library_geometries>
+<library_nodes>{nodes}</library_nodes>
+<library_visual_scenes><visual_scene id="scene"><node><instance_node url="#n0"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#scene"/></scene></COLLADA>"""
+GEOMETRY = (
+    '<instance_geometry url="#g"><bind_material><technique_common><instance_material symbol="m" target="#m"/>'
+    "</technique_common></bind_material></instance_geometry>"
+)
+
+
+def test_texture_of_mesh_is_not_opened(tmp_path: Path) -> None:
+    (tmp_path / "x.dae").write_text(DAE.format(nodes=f'<node id="n0">{GEOMETRY}</node>'))
+    os.mkfifo(tmp_path / "texture.png")
+    _, faces = read_mesh(tmp_path / "x.dae")
+    assert len(faces) == 1
+
+
+@pytest.mark.parametrize(("levels", "told"), [(9, "at most 10000 geometries"), (1, "contains itself")])
+def test_nodes_that_multiply_are_refused(tmp_path: Path, levels: int, told: str) -> None:
+    last = GEOMETRY if levels > 1 else '<instance_node url="#n0"/>'
+    nodes = [f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * 10}</node>' for k in range(levels)]
+    (tmp_path / "x.dae").write_text(DAE.format(nodes="".join(nodes) + f'<node id="n{levels}">{last}</node>'))
+    with pytest.raises(InputError, match=told):
+        read_mesh(tmp_path / "x.dae")
+
+
+def test_package_manifest_that_is_no_file_is_passed_over(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "package.xml")
+    mesh = '<mesh filename="package://parts/x.stl"/>'
+    (tmp_path / "x.urdf").write_text(ROBOT.format(shape=mesh, lower="-1"))
+    with pytest.raises(InputError, match="no such file"):
+        load_instrument(tmp_path / "x.urdf")
+
+
+def test_golden_pose_without_joints_is_compared_with_another_instruments_result() -> None:
+    result = canned("a", joints={})
+    assert result.camera_from_root is not None
+    golden = FrameTruth(result.camera_from_root, {})
+    check = check_pose(result, golden, load_instrument("lnd"), Tolerance())
+    assert (check.right, check.no_pose) == (False, "no joint wrist_pitch in the result; is it another instrument's?")
+
+
+def test_mask_above_size_limit_is_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "m.png"), np.zeros((6001, 6000), np.uint8))
+    with pytest.raises(InputError, match="expected at most 36 megapixels, got 6000 x 6001"):
+        read_mask(tmp_path / "m.png")
+
+
+def test_jpeg_with_wrong_bits_is_refused_without_libjpegs_lines(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(IMAGE.read_bytes())
+    refused = []
+    for place in range(2000, len(data) - 100, 997):
+        damaged = bytearray(data)
+        damaged[place : place + 8] = b"\xff\x00\xff\x00\xff\x00\xff\x00"
+        (tmp_path / "x.jpg").write_bytes(damaged)
+        try:
+            read_image(tmp_path / "x.jpg")
+        except InputError as error:
+            refused.append(str(error))
+    assert set(refused) == {f"{tmp_path / 'x.jpg'}: expected an image (PNG or JPEG), got one that is damaged"}
+    assert capfd.readouterr().err == ""
+
+
+def test_inspect_says_what_is_wrong_on_stderr_beside_json(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.json").write_text("{")
+    ran = run_command(capfd, "inspect", tmp_path / "x.json", "--json")
+    assert ran.code == 2
+    assert json.loads(ran.out)[0]["error"] in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_refused_batch_leaves_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    session = make_session(tmp_path / "session", ["a"])
+    (tmp_path / "quick.toml").write_text(QUICK)
+    out = write_results(tmp_path / "out", canned("stranger"))
+    for run_json in (None, "{}", '{"frames": {}, "version": [], "session": "", "instrument": {}, "config": {}}'):
+        if run_json is not None:
+            (out / "run.json").write_text(run_json)
+        before = sorted(tmp_path.rglob("*"))
+        options = ["--config", tmp_path / "quick.toml", "--out"]
+        assert run_command(capfd, "batch", session, *options, out).refusal.startswith(str(out))
+        assert sorted(tmp_path.rglob("*")) == before
+    with pytest.raises(InputError):
+        merge_shards(out)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_batch_refuses_damaged_result_of_frame_it_leaves_before_it_starts(tmp_path: Path) -> None:
+    from dvrk_cmaes.frames.session_folder import read_session
+
+    session = read_session(make_session(tmp_path / "session", ["a", "b"]))
+    model = load_instrument("lnd")
+    with pytest.raises(InputError, match="none"):
+        run_batch(session, tmp_path / "out", model, config=QUICK_CONFIG, pattern="none*")
+    (tmp_path / "out" / "frames").mkdir(parents=True)
+    (tmp_path / "out" / "frames" / "b.json").write_text("{")
+    (tmp_path / "out" / "run.json").write_text("{}")
+    with pytest.raises(InputError):
+        run_batch(session, tmp_path / "out", model, config=QUICK_CONFIG, pattern="a")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frames", "run.json"]
+
+
+def test_results_of_other_programs_need_no_seconds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for number in range(4):
+        document = canned(f"{number}", number).to_dict()
+        kept = {name: document[name] for name in ("camera_from_root", "joints", "readings", "camera_from_base")}
+        (tmp_path / f"{number}.json").write_text(json.dumps(kept))
+    assert run_command(capfd, "consistency", tmp_path).code in (0, 3)
+    assert run_command(capfd, "export", tmp_path, "--to", "csv", "--out", tmp_path / "made").code == 0
