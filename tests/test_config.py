@@ -102,6 +102,21 @@ def test_defaults_are_valid() -> None:
         ({"readings": {"jaw_deg": 0}}, "readings.jaw_deg: expected a number above 0, got 0"),
         ({"seed": -1}, "seed: expected a number of at least 0, got -1"),
         ({"threads": 0}, "threads: expected a number above 0, got 0"),
+        (
+            {"refine": {"outline": {"translation_step": 1e-308}}},
+            "refine.outline.translation_step: expected a number from",
+        ),
+        (
+            {"refine": {"outline": {"cauchy": 1e308}}},
+            "refine.outline.cauchy: expected a number from 1e-09 to 1000000, got",
+        ),
+        (
+            {"refine": {"outline": {"blur": 1e308}}},
+            "refine.outline.blur: expected a number from 1e-09 to 100, got 1e+308",
+        ),
+        ({"refine": {"outline": {"lines_per_pixel": 2**63 - 1}}}, "refine.outline.lines_per_pixel: expected a number"),
+        ({"search": {"width_px": 1}}, "search.width_px: expected a number from 10 to 10000, got 1"),
+        ({"seed": 2**63 - 1}, "seed: expected a number from 1e-09 to 4294967295, got 9223372036854775807"),
         ({"lookat": {"tilt": 1.6}}, "lookat.tilt: expected less than pi/2"),
         ({"lookat": {"near": 0.3}}, "lookat.near: expected less than lookat.far"),
     ],
