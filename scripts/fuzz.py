@@ -6,7 +6,8 @@
 
 Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
 traceback or an internal error; anything but one line on stderr, or anything on stdout or written, with exit code 2; a
-wrong exit code; a file accepted that cannot be read at all; more than 30 s; and for processes more than 1.5 GB.
+wrong exit code; a file accepted that cannot be read at all; more than 30 s of processor time; and for processes more
+than 1.5 GB.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _JSON = ("inspect", "--json")  # which reports on stdout as well
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command line did: exit code, output, seconds and largest memory in MB, 0 where it is not measured."""
+    """What a command line did: exit code, output, seconds of processor time and largest memory in MB, 0 where it is not measured."""
 
     code: int
     out: str
@@ -171,7 +172,7 @@ def in_this_process(command: list[str]) -> Outcome:
     with tempfile.TemporaryFile() as native:
         stderr = os.dup(2)
         os.dup2(native.fileno(), 2)
-        began = time.monotonic()
+        began = time.process_time()
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 code = run_command_line(command)
@@ -180,13 +181,12 @@ def in_this_process(command: list[str]) -> Outcome:
             os.close(stderr)
         native.seek(0)
         printed = native.read().decode(errors="replace")
-    return Outcome(code, out.getvalue(), printed + err.getvalue(), time.monotonic() - began)
+    return Outcome(code, out.getvalue(), printed + err.getvalue(), time.process_time() - began)
 
 
 def in_a_process(command: list[str]) -> Outcome:
     """Run a command line in a process of its own, whose files are limited to 100 MB; it is killed after 60 s."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        began = time.monotonic()
         process = subprocess.Popen(
             [sys.executable, "-m", "dvrk_cmaes", *command],
             stdout=out,
@@ -201,9 +201,8 @@ def in_a_process(command: list[str]) -> Outcome:
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         err.seek(0)
-        return Outcome(
-            process.returncode, out.read(), err.read(), time.monotonic() - began, megabytes=used.ru_maxrss / 1e3
-        )
+        seconds = used.ru_utime + used.ru_stime
+        return Outcome(process.returncode, out.read(), err.read(), seconds, used.ru_maxrss / 1e3)
 
 
 @contextlib.contextmanager

@@ -12,14 +12,14 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration import SessionCalibration
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.results.folder import read_results
@@ -174,7 +174,7 @@ def write_material(folder: Path) -> None:
     golden = json.loads(bundled_path("demo", "golden.json").read_text(encoding="utf-8"))
     golden["frames"] = dict(list(golden["frames"].items())[:FRAMES])
     write_json(folder / "session" / "golden.json", golden)
-    cv2.imwrite(str(folder / "mask.jpg"), _image(folder / "session/masks/0000.png", cv2.IMREAD_GRAYSCALE))
+    write_image(folder / "mask.jpg", read_mask(folder / "session/masks/0000.png"))
     np.save(folder / "q.npy", np.array([0.1, 0.2, 0.1, 0.3, 0.8, -0.3]))
     (folder / "wrist.csv").write_text("frame,wrist_pitch\n0000,0.1\n")
     (folder / "tool.json").write_text(json.dumps(_TOOL))
@@ -196,16 +196,11 @@ def _write_session(folder: Path) -> None:
     header, *rows = (demo / "joints.csv").read_text(encoding="utf-8").splitlines()
     (folder / "joints.csv").write_text("\n".join([header, *rows[:FRAMES]]) + "\n")
     for number in range(FRAMES):
-        for path, flag in ((f"masks/{number:04d}.png", cv2.IMREAD_GRAYSCALE), (f"images/{number:04d}.jpg", 1)):
-            small = cv2.resize(_image(demo / path, flag), (160, 120), interpolation=cv2.INTER_AREA)
-            cv2.imwrite(str(folder / path), small)
-
-
-def _image(path: Path, flag: int) -> NDArray[np.uint8]:
-    """Read an image of the bundled session or a copy of it."""
-    pixels = cv2.imread(str(path), flag)
-    assert pixels is not None
-    return np.asarray(pixels, np.uint8)
+        mask = read_mask(demo / "masks" / f"{number:04d}.png").astype(np.uint8) * 255
+        image = read_image(demo / "images" / f"{number:04d}.jpg")
+        for path, pixels in ((f"masks/{number:04d}.png", mask), (f"images/{number:04d}.jpg", image)):
+            small = cv2.resize(pixels, (160, 120), interpolation=cv2.INTER_AREA)
+            write_image(folder / path, np.asarray(small, np.uint8))
 
 
 def _write_calibration(path: Path, results: Path) -> None:
