@@ -44,7 +44,7 @@ _JSON = ("inspect", "--json")  # which reports on stdout as well
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command line did: exit code, output, seconds of processor time and largest memory in MB, 0 where it is not measured."""
+    """Exit code and output of a command line, seconds of processor time, and largest memory in MB if it is measured."""
 
     code: int
     out: str

@@ -233,7 +233,7 @@ def test_command_prints_text_or_json(capsys: pytest.CaptureFixture[str], tmp_pat
     assert main(["inspect", "--json", str(DEMO / "camera.yaml"), str(missing)]) == 2
     printed = capsys.readouterr()
     first, second = (dict[str, Any](entry) for entry in json.loads(printed.out))
-    assert printed.err == ""
+    assert printed.err == f"dvrk-cmaes: {missing}: no such file; expected a file or folder to look at\n"
     assert (first["kind"], first["read"]["size"]) == ("camera", [640, 480])
     assert (second["kind"], second["path"]) == (None, str(missing))
     assert main(["inspect", str(DEMO / "camera.yaml")]) == 0

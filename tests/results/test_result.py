@@ -174,7 +174,7 @@ def test_other_than_json_object_is_refused(tmp_path: Path) -> None:
     )
     assert message(write(tmp_path / "d.json", "[" * 100_000)).startswith("expected a frame's result (JSON), got no")
     huge = json.dumps(LEAST).replace('"seconds": 0.7', '"seconds": 1' + "0" * 400)
-    assert message(write(tmp_path / "e.json", huge)).startswith("seconds: expected a finite number, got 1000")
+    assert message(write(tmp_path / "e.json", huge)).endswith("(a whole number of 401 digits is too large)")
 
 
 def test_results_are_read_in_order_of_names(tmp_path: Path) -> None:
