@@ -15,8 +15,8 @@ from helpers.places import ROOT, SCRIPTS
 
 PACKAGE = ROOT / "dvrk_cmaes"
 LAYERS = (
-    ("__main__",),
-    ("cli", "scripts"),
+    ("__main__", "scripts"),
+    ("cli",),
     ("runs", "live"),
     ("report", "__init__"),
     ("track",),
