@@ -12,6 +12,7 @@
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
+    python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
@@ -32,6 +33,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from accuracy_arms import arms_report
 from accuracy_bound import bound_report
 from accuracy_cables import cables_report
 from accuracy_calibration import calibration_report
@@ -278,6 +280,11 @@ def rig(arguments: argparse.Namespace) -> Report:
     )
 
 
+def arms(arguments: argparse.Namespace) -> Report:
+    """Report the errors of tools that cross, and of the same tools alone."""
+    return arms_report(arguments.sessions, arguments.instrument, _config(arguments), frames=arguments.frames)
+
+
 def camera(arguments: argparse.Namespace) -> Report:
     """Report how many sessions contradict their camera file, right and with a focal length that is 10 % off."""
     bases, cases = read_bases(arguments.sessions), _original(arguments)
@@ -299,6 +306,7 @@ COMMANDS: Final = {
     "track": track,
     "cables": cables,
     "rig": rig,
+    "arms": arms,
     "camera": camera,
 }
 

@@ -35,6 +35,7 @@ def synth(
     cables: Literal["independent", "measured"] | None = None,
     stereo: Flag = False,
     baseline: float = 0.0053,
+    arms: Literal[1, 2] = 1,
     seed: int = 0,
     images: bool = True,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -98,6 +99,9 @@ def synth(
         Two eyes: masks/left, masks/right and so on, left.yaml and right.yaml. The truth is in the left camera.
     baseline
         Distance of the two eyes, metres.
+    arms
+        2: two arms whose tools cross, up to 30 % of a tool hidden by the other: masks of labels, a session.toml,
+        joints_ARM.csv and golden_ARM.json of each arm, no images.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
@@ -120,6 +124,8 @@ def synth(
         raise InputError("--stereo: expected --motion rcm or free with it, got --motion video")
     if not _BASELINES[0] <= baseline <= _BASELINES[1]:
         raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
+    if arms > 1 and (stereo or motion != "rcm"):
+        raise InputError("--arms: expected --motion rcm and one eye with two arms")
     from dvrk_cmaes.frames.markers import read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
     from dvrk_cmaes.joints.lag import Lag
@@ -144,7 +150,14 @@ def synth(
         cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
         baseline=baseline if stereo else None,
     )
-    if motion == "video":
+    if arms > 1:
+        from dvrk_cmaes.synth.two_arms import write_two_arms
+
+        named = instrument.instrument or "lnd"
+        write_two_arms(
+            out, plan, str(Path(named).absolute()) if named.endswith(".urdf") else named, overwrite=overwrite
+        )
+    elif motion == "video":
         from dvrk_cmaes.synth.recording import write_recording
 
         write_recording(out, plan, overwrite=overwrite)

@@ -89,7 +89,7 @@ def _nothing(joints: Float64) -> tuple[Float64, Float64]:
 
 
 def contour_terms(
-    refiner: OutlineRefiner, pose: Float64, joints: Float64, reach: int = _REACH
+    refiner: OutlineRefiner, pose: Float64, joints: Float64, *, reach: int = _REACH
 ) -> tuple[Float64, Float64] | None:
     """Compute the outline's information (6 + J, 6 + J) and slope (6 + J,); None with fewer than 40 points in reach.
 

@@ -1,0 +1,140 @@
+"""Synthetic sessions of two arms whose tools cross in the image; the nearer tool hides the other.
+
+The folder has masks of labels, readings and the truth of each arm (joints_ARM.csv, golden_ARM.json), camera.yaml,
+session.toml and synth.json. ``alone/ARM`` has the masks that each tool would have without the other, with the same
+mistakes, for comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
+from dvrk_cmaes.synth.masks import simulate_segmentation
+from dvrk_cmaes.synth.occluders import outside_lens_circle
+from dvrk_cmaes.synth.readings import sample_readings
+from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, make_truths
+from dvrk_cmaes.synth.truth import Truth
+from dvrk_cmaes.synth.views import NOTHING, trace_links
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+ARMS: Final = ("PSM1", "PSM2")
+_CANDIDATES: Final = 4  # poses of the second arm for each frame, of which those that cross most are taken
+_MOST_HIDDEN: Final = 0.3  # share of a tool's pixels that the other may hide
+_SECOND: Final = 104_729  # added to the seed for the second arm
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """The truths of the two arms in each frame, and ``camera_from_base`` (4, 4) of each."""
+
+    bases: tuple[Float64, Float64]
+    truths: tuple[list[Truth], list[Truth]]
+
+
+def make_arms(plan: SessionPlan) -> Arms:
+    """Draw the poses of two arms, such that their tools cross in as many frames as possible; errors as `make_truths`.
+
+    At most 30 % of a tool are hidden by the other one.
+    """
+    first_base, first = make_truths(plan)
+    second_base, offered = make_truths(replace(plan, seed=plan.seed + _SECOND, frames=_CANDIDATES * plan.frames))
+    assert first_base is not None
+    assert second_base is not None
+    depths = [_depth(plan, truth) for truth in offered]
+    left = list(range(len(offered)))
+    second = []
+    for truth in first:
+        near = _depth(plan, truth)
+        shares = [max(hidden_shares(near, depths[k])) for k in left]
+        allowed = [share if share <= _MOST_HIDDEN else -share for share in shares]
+        second.append(offered[left.pop(int(np.argmax(allowed)))])
+    return Arms((first_base, second_base), (first, second))
+
+
+def hidden_shares(first: Float32, second: Float32) -> tuple[float, float]:
+    """Return the share of each tool's pixels that the other hides, from their depths (H, W), infinite where absent."""
+    there = np.isfinite(first), np.isfinite(second)
+    hidden = there[0] & (second < first), there[1] & (first < second)
+    counts = [(float(h.sum()), max(float(t.sum()), 1.0)) for h, t in zip(hidden, there, strict=True)]
+    return counts[0][0] / counts[0][1], counts[1][0] / counts[1][1]
+
+
+def write_two_arms(out: Path, plan: SessionPlan, instrument: str, *, overwrite: bool = False) -> None:
+    """Make a session of two arms and write it to a folder, completely or, after an error, not at all.
+
+    ``instrument`` is the name or path of the instrument for session.toml. Errors as `synth.session.write_session`.
+    """
+    with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
+        arms = make_arms(plan)
+        digits = max(4, len(str(plan.frames - 1)))
+        names = [f"{k:0{digits}d}" for k in range(plan.frames)]
+        for k, name in enumerate(names):
+            _write_frame(folder, plan, name, k, (arms.truths[0][k], arms.truths[1][k]))
+        for number, (arm, truths, base) in enumerate(zip(ARMS, arms.truths, arms.bases, strict=True)):
+            rng = np.random.default_rng([plan.seed, number, 1])
+            readings = sample_readings(truths, rng, plan.level, one_session=True)
+            columns = [*OUTER_JOINTS, *plan.body.instrument.joint_names]
+            write_joints(folder / f"joints_{arm}.csv", dict(zip(names, readings, strict=True)), columns)
+            frames = {
+                name: rounded_truth(truth, "T_camera_roll_link", "tips_camera_m")
+                for name, truth in zip(names, truths, strict=True)
+            }
+            write_json(folder / f"golden_{arm}.json", {"camera_from_base": rounded(base), "frames": frames})
+        write_camera_info(folder / "camera.yaml", plan.camera, "synth")
+        write_text(folder / "session.toml", _described(plan, instrument))
+        write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})
+
+
+def _write_frame(folder: Path, plan: SessionPlan, name: str, number: int, truths: Sequence[Truth]) -> None:
+    """Write the mask of labels of a frame, the ignored pixels, and the masks of each tool alone."""
+    depths = [_depth(plan, truth) for truth in truths]
+    edge = plan.level.lens_edge
+    outside = None if edge is None else outside_lens_circle(plan.camera, edge)
+    labels = np.zeros(depths[0].shape, np.uint8)
+    order = np.argsort([float(np.median(depth[np.isfinite(depth)])) for depth in depths])[::-1]
+    for tool in order:  # the nearer tool last: where two segmentations overlap, it has the pixels
+        there, other = np.isfinite(depths[tool]), depths[1 - tool] < depths[tool]
+        labels[_segmented(plan, there & ~other, number, int(tool), outside)] = tool + 1
+        alone = _segmented(plan, there, number, int(tool), outside)
+        write_image(folder / "alone" / ARMS[tool] / f"{name}.png", alone)
+    write_image(folder / "masks" / f"{name}.png", labels)
+    if outside is not None:
+        write_image(folder / "ignore" / f"{name}.png", outside)
+
+
+def _segmented(plan: SessionPlan, exact: Bool, number: int, tool: int, outside: Bool | None) -> Bool:
+    """Simulate the segmentation of a tool's exact mask (H, W); with the same mistakes for the same frame and tool."""
+    if plan.level.mistakes is None:
+        return exact if outside is None else exact & ~outside
+    rng = np.random.default_rng([plan.seed, number, tool, 2])
+    return simulate_segmentation(exact, rng, plan.level.mistakes, outside).mask
+
+
+def _depth(plan: SessionPlan, truth: Truth) -> Float32:
+    """Trace the depth (H, W) of a tool at each pixel, m; infinite where it is not seen."""
+    view = trace_links(plan.body.instrument, plan.camera, truth.camera_from_root, truth.values)
+    return np.where(view.link == NOTHING, np.float32(np.inf), view.depth).astype(np.float32)
+
+
+def _described(plan: SessionPlan, instrument: str) -> str:
+    """Return the text of session.toml."""
+    parts = ['[camera]\nfile = "camera.yaml"\n']
+    for label, arm in enumerate(ARMS, start=1):
+        parts.append(
+            f'[[tool]]\narm = "{arm}"\nkinematics = "{plan.arm}"\ninstrument = "{instrument}"\n'
+            f'label = {label}\njoints = "joints_{arm}.csv"\n'
+        )
+    return "\n".join(parts)
