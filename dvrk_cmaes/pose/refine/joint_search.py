@@ -65,7 +65,8 @@ class JointSearch(LocalSearch):
             refiner = OutlineRefiner(renderer, view.evidence, self._of_view[k], settings, shrink=own)
             refiners.append((refiner, view.view_from_camera))
         tolerance = outline.tolerance * (1 if shrink == 1 else 4)
-        return JointRefiner(refiners, tolerance=tolerance, iterations=outline.iterations)
+        iterations = 2 * outline.iterations  # each is one step, those of a single view are several
+        return JointRefiner(refiners, tolerance=tolerance, iterations=iterations)
 
     def _noises(self, mode: HasPose, places: Sequence[Float64] = ()) -> tuple[OutlineNoise, ...]:
         """Estimate the noise of each mask; ``places`` are other ``view_from_camera`` (4, 4) than the rig's."""
