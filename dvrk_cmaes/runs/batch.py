@@ -267,10 +267,10 @@ def _prepare(
         if old is None:
             continue
         check_same_settings(place, old, manifest)
-        if place == folder:
-            refuse_strange_results(folder, others, session)
         there = {name: s for name, s in complete_results(place).items() if not (retry_failed and s == "failed")}
         check_same_frames(place, old, digests, done=there, session=session)
+        if place == folder:
+            refuse_strange_results(folder, others, session)
         kept |= there
         if place == folder:
             manifest = with_frames(old, digests)
