@@ -45,7 +45,14 @@ def annotations_of(kind: type) -> Iterator[Callable[..., Any]]:
         yield kind.__init__
 
 
-@pytest.mark.parametrize("function", [*FUNCTIONS, *(f for kind in USED for f in annotations_of(kind))], ids=str)
+def qualified_name(function: Callable[..., Any]) -> str:
+    """Name a test by its function, which has the same name in every process."""
+    return function.__qualname__
+
+
+@pytest.mark.parametrize(
+    "function", [*FUNCTIONS, *(f for kind in USED for f in annotations_of(kind))], ids=qualified_name
+)
 def test_classes_of_signatures_are_public(function: Callable[..., Any]) -> None:
     met = {kind for hint in get_type_hints(function).values() for kind in classes_in(hint)}
     assert {kind.__name__ for kind in met} <= set(PUBLIC), function.__qualname__
