@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration import SessionCalibration, SessionFrame, SolvedSession, calibrate_session
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
     from dvrk_cmaes.calibration.lag import LagCurve
+    from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
     from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.config import (
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
         RefineConfig,
         SearchConfig,
         SessionConfig,
+        SilhouetteConfig,
         TrackConfig,
         TrustConfig,
     )
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.results.file import read_result
     from dvrk_cmaes.results.folder import ResultsFolder, read_results
     from dvrk_cmaes.results.links import LinkModel
-    from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result
+    from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result, ViewCheck
     from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
@@ -73,16 +75,19 @@ _HOMES = {
     "SearchConfig": "config",
     "Session": "frames.session_folder",
     "Rig": "camera",
+    "SessionCables": "calibration.session_cables",
     "SessionCalibration": "calibration",
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration",
     "Shaft": "instrument.model",
+    "SilhouetteConfig": "config",
     "SolvedSession": "calibration",
     "TrackConfig": "config",
     "TrackResult": "results.tracked",
     "Tracker": "track",
     "TrustConfig": "config",
+    "ViewCheck": "results.result",
     "calibrate_session": "calibration",
     "estimate": "estimation",
     "load_instrument": "instrument",
@@ -125,16 +130,19 @@ __all__ = [
     "Rig",
     "SearchConfig",
     "Session",
+    "SessionCables",
     "SessionCalibration",
     "SessionCamera",
     "SessionConfig",
     "SessionFrame",
     "Shaft",
+    "SilhouetteConfig",
     "SolvedSession",
     "TrackConfig",
     "TrackResult",
     "Tracker",
     "TrustConfig",
+    "ViewCheck",
     "__version__",
     "calibrate_session",
     "estimate",

@@ -207,9 +207,9 @@ class RefineConfig:
     evaluations: int = 400
     first_steps: int = 3
     small_modes: int = 10
-    small_steps: int = 8
-    first_share: float = 0.5
-    small_share: float = 0.8
+    small_steps: int = 12
+    first_share: float = 1.0
+    small_share: float = 0.9
     last_share: float = 0.93
     half_size_modes: int = 3
     modes: int = 2

