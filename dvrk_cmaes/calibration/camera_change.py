@@ -33,6 +33,7 @@ Float64 = NDArray[np.float64]
 WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 """Standard deviations of the prior with which the change is estimated from the frames: relative, and px."""
 
+_LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 _SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
 _EM_ITERATIONS = 3  # estimates of the calibration and the variance components for each linearisation
@@ -177,14 +178,20 @@ def estimate_camera(
             calibration, change, information = _solve(model, terms, calibration, change, prior)
             weights = _Linearised.at(model, terms, calibration, change).weights
             model = estimate_variances(model, terms.fits_at(change), calibration, weights, config)
-        covariance = np.asarray(np.linalg.inv(information + weak)[-3:, -3:], dtype=np.float64)
+        covariance = _inverse(information + weak)[-3:, -3:]
         frames = marginalise(model, terms.fits_at(change), calibration)
         poses, joints = moved(poses, frames.step[:, :6]), joints + frames.step[:, 6:]
         if (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
-    information += weak
-    sensitivity = np.asarray(-np.linalg.solve(information[:-3, :-3], information[:-3, -3:]), dtype=np.float64)
+    sensitivity = -_inverse((information + weak)[:-3, :-3]) @ information[:-3, -3:]
     return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints)
+
+
+def _inverse(information: Float64) -> Float64:
+    """Invert an information matrix (K, K), which rounding may have left with negative eigenvalues."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    return np.asarray((vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale))
 
 
 def _solve(
