@@ -252,7 +252,8 @@ class Alternation:
                         self._changed_camera(i) if self._refine_camera else None,
                     )
                 )
-            self._fit_again(left, tasks)
+            again: dict[int, FrameFit] = dict(zip(left, self._run(fit_task, tasks), strict=True))
+            self.fits = [again[i] if i in again else self.fits[i] for i in range(len(self.frames))]
             starts = [((fit.camera_from_root, fit.joints),) for fit in self.fits]
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             keep_all = scale != 1.0
@@ -289,15 +290,6 @@ class Alternation:
             return calibration
         self.model = self.model.with_deviations(initial)
         return self._solve(fits, calibration)
-
-    def _fit_again(self, left: Sequence[int], tasks: Sequence[FitTask]) -> None:
-        """Fit the frames with indices ``left``; the others keep their fits."""
-        fits: list[FrameFit] = self._run(fit_task, tasks)
-        if len(fits) == len(self.frames):
-            self.fits = fits
-        else:
-            for i, fit in zip(left, fits, strict=True):
-                self.fits[i] = fit
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

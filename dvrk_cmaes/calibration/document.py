@@ -192,11 +192,11 @@ class SessionCalibration:
         parts = convert_document(where, fields, _Parts)
         axes = (*BASE_AXES, *parts.offsets)
         covariance = read_covariance(where, fields.get("covariance"), axes)
-        given_camera = {"axes": [*axes], "matrix": fields["covariance"].get("given_camera", covariance.tolist())}
+        given_camera = "given_camera" if "given_camera" in fields["covariance"] else "matrix"
         fields |= {
             "axes": axes,
             "covariance": covariance,
-            "covariance_given_camera": read_covariance(where, given_camera, axes),
+            "covariance_given_camera": read_covariance(where, fields["covariance"], axes, given_camera),
             "left_out": {one.frame: one.reason for one in parts.left_out},
             "leave_one_out": {name: (one.iou, one.contour_px) for name, one in parts.leave_one_out.items()},
             "iou": parts.quality.iou,

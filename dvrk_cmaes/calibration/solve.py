@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,7 @@ class Solution:
     frame_information: Float64
     frame_slopes: Float64
 
-    @property
+    @cached_property
     def covariance(self) -> Float64:
         """Covariance (K, K) of the calibration, in the order of `SessionModel.axes`.
 

@@ -108,8 +108,8 @@ def check_schema(where: str, fields: Mapping[str, Any], known: int) -> None:
         raise refused(where, "schema", f"{known}, the only one known to this version", schema)
 
 
-def read_covariance(where: str, entry: object, axes: tuple[str, ...]) -> Float64:
-    """Read the matrix (K, K) of the object ``covariance`` of a document, which must state the given K ``axes``.
+def read_covariance(where: str, entry: object, axes: tuple[str, ...], field: str = "matrix") -> Float64:
+    """Read a matrix (K, K) of the object ``covariance`` of a document, which must state the given K ``axes``.
 
     Raises
     ------
@@ -120,10 +120,10 @@ def read_covariance(where: str, entry: object, axes: tuple[str, ...]) -> Float64
         raise refused(where, "covariance", "an object", entry)
     if entry.get("axes") != [*axes]:
         raise refused(where, "covariance.axes", ", ".join(axes), entry.get("axes"))
-    matrix = _finite_array(entry.get("matrix"), (len(axes), len(axes)))
+    matrix = _finite_array(entry.get(field), (len(axes), len(axes)))
     if matrix is None or (np.diag(matrix) < 0).any():
         expected = f"{len(axes)} rows of {len(axes)} finite numbers, no negative variance"
-        raise refused(where, "covariance.matrix", expected, entry.get("matrix"))
+        raise refused(where, f"covariance.{field}", expected, entry.get(field))
     return matrix
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose, alternatives_of
@@ -39,7 +40,7 @@ def find_pose_in_views(
     searched = clearest_view(views)
     coarse = Renderer(decimated, searched.evidence.camera, threads=config.threads)
     candidates, objective = find_candidates(coarse, searched.evidence, readings, config)
-    camera_from_view = np.linalg.inv(searched.view_from_camera)
+    camera_from_view = inverse(searched.view_from_camera)
     seen = [Candidate(camera_from_view @ each.camera_from_root, each.joints, each.score) for each in candidates]
     local = JointSearch(views, decimated, readings, config)
     modes = local.refine(seen)

@@ -19,7 +19,7 @@ from dvrk_cmaes.track.update import Fit, OutlineUpdate
 Float64 = NDArray[np.float64]
 
 _SEEN_MOTION = (5e-4, 1e-2, 5e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
-_KEPT_POINTS = 0.02  # rad, rotation of the root or of a joint up to which the last image's outline is the first one
+_KEPT_FROM_LAST = 0.02  # rad, rotation of the root or of a joint up to which the last image's outline is the first one
 _SIGMA_SHARE = 0.05  # of an image's standard deviation in the running one
 
 
@@ -75,12 +75,7 @@ class Follower:
 
     def corrected(self, one: Hypothesis, evidence: OutlineEvidence) -> tuple[Hypothesis, Fit] | None:
         """Correct a predicted hypothesis by an image; None if that is impossible, as in `OutlineUpdate`."""
-        pose, joints = self.motion.pose(one.state, one.anchor)
-        rim = (
-            one.rim
-            if one.rim is not None and one.rim.turned(pose, joints) < _KEPT_POINTS
-            else self.model.draw(pose, joints)
-        )
+        rim = self.model.draw_anew(one.rim, *self.motion.pose(one.state, one.anchor), _KEPT_FROM_LAST)
         if rim is None:
             return None
         updated = self._update(one.state, one.anchor, evidence, one.sigma, rim)

@@ -86,6 +86,12 @@ class OutlineModel:
             joints,
         )
 
+    def draw_anew(self, last: Rim | None, pose: Float64, joints: Float64, tolerance: float) -> Rim | None:
+        """Return the last outline if root and joints have turned by at most ``tolerance`` rad since; else draw it."""
+        if last is not None and last.turned(pose, joints) <= tolerance:
+            return last
+        return self.draw(pose, joints)
+
     def place(self, rim: Rim, pose: Float64, joints: Float64) -> Float64 | None:
         """Project a rim's points at a pose (4, 4) and joints (J,), (N, 2); None if one is behind the camera."""
         seen = apply(pose, self._in_root(rim, joints[None])[0])

@@ -16,7 +16,7 @@ from dvrk_cmaes.track.state import FilterState
 
 Float64 = NDArray[np.float64]
 
-_KEPT_POINTS = 0.01  # rad, rotation of the root or of a joint up to which an outline is not drawn again
+_KEPT_WITHIN_IMAGE = 0.01  # rad, rotation of the root or of a joint up to which an outline is not drawn again
 _FARTHEST_BEYOND = 4.0  # standard deviations of a joint's limit
 
 
@@ -80,9 +80,8 @@ class OutlineUpdate:
         state, spread_of = prior, prior.covariance
         off: Float64 = np.zeros(prior.layout.size)
         for draw in range(c.draws):
-            pose, joints = self._motion.pose(state, anchor)
-            if draw and rim.turned(pose, joints) > _KEPT_POINTS:
-                drawn = self._model.draw(pose, joints)
+            if draw:
+                drawn = self._model.draw_anew(rim, *self._motion.pose(state, anchor), _KEPT_WITHIN_IMAGE)
                 if drawn is None:
                     return None
                 rim = drawn

@@ -75,6 +75,7 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
     assert {**after.to_dict(), "std": None} == {**before.to_dict(), "std": None}
     np.testing.assert_allclose(after.camera_from_base, before.camera_from_base, atol=1e-8)
     np.testing.assert_allclose(after.covariance, before.covariance, rtol=1e-5)
+    np.testing.assert_allclose(after.covariance_given_camera, before.covariance_given_camera, rtol=1e-5)
     for name in (
         "instrument",
         "axes",
@@ -160,6 +161,10 @@ def put(*path: str, value: object) -> Damage:
         (
             put("covariance", "matrix", value=[[1.0]]),
             "covariance.matrix: expected 11 rows of 11 finite numbers, no negative variance, got [[1.0]]",
+        ),
+        (
+            put("covariance", "given_camera", value=[[1.0]]),
+            "covariance.given_camera: expected 11 rows of 11 finite numbers, no negative variance, got [[1.0]]",
         ),
         (
             put("covariance", "matrix", value=None),
