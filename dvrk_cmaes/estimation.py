@@ -106,7 +106,7 @@ def estimate(
     main = views[0]
     predicted = None
     if session is not None and main.name == rig.names[0]:
-        predicted = fit_session_pose(session, main.renderer, main.evidence, readings, given, settings)
+        predicted = fit_session_pose(session, views, readings, given, settings)
     source: Source
     if session is not None and isinstance(predicted, FoundPose):
         found, source, arm = predicted, "session", session.arm

@@ -222,6 +222,8 @@ class Alternation:
         session = self._config.session
         self._progress("gathering evidence", len(self.frames))
         self._stored = self._run(gather_task, self.frames)
+        if self._refine_camera and any(len(stored.views) > 1 for stored in self._stored):
+            raise InputError("--refine-camera: expected frames of one camera, got those of a stereo pair")
         scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
         if self._refine_camera:
             scales.append(1.0)  # with the camera that all rounds before have found
@@ -332,14 +334,16 @@ class Alternation:
 
     def _changed_camera(self, i: int) -> Camera:
         """Return the camera of a frame with the current change."""
-        return changed(self._stored[i].evidence.camera, self._change)
+        return changed(self._stored[i].camera, self._change)
 
     def _outlines(self) -> SessionOutlines:
         """Return the outlines of all frames, as functions of poses, joints and camera."""
         own = tuple((modes[0].camera_from_root, modes[0].joints) for modes in self._modes)
         readings = tuple(frame.result.readings for frame in self.frames)
-        used = np.array([_explains(fit) for fit in self.fits])
-        return SessionOutlines(tuple(self._stored), readings, own, used, self._run)
+        pairs = zip(self.fits, self._stored, strict=True)
+        used = np.array([_explains(fit) and stored.in_reference for fit, stored in pairs])
+        stored = tuple(one.reference for one in self._stored)
+        return SessionOutlines(stored, readings, own, used, self._run)
 
     def report(self) -> tuple[list[FrameReport], dict[str, str]]:
         """Return the reports of the frames in use, and by name the reason for each frame that is left out.

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import PoseAndJoints
-from dvrk_cmaes.calibration.frame_task import CameraTask, Run, StoredEvidence, camera_task
+from dvrk_cmaes.calibration.frame_task import CameraTask, Run, camera_task
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise, robust_weights
+from dvrk_cmaes.calibration.stored_frame import StoredEvidence
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import SessionConfig
@@ -71,7 +72,7 @@ class CameraTerms:
 
 @dataclass(frozen=True, eq=False)
 class SessionOutlines:
-    """The outlines of N frames as functions of poses, joints and a change of the camera.
+    """The outlines of N frames in the reference camera, as functions of poses, joints and a change of that camera.
 
     ``stored`` are the frames' evidence, ``readings`` theirs by joint name, ``own_estimates`` their poses and joints
     with the unchanged camera. Frames for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a

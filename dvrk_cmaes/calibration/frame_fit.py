@@ -13,8 +13,11 @@ from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import measure_noise
+from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.pose.refine.priors import PosePrior
+from dvrk_cmaes.pose.search.modes import HasPose, Posed
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
@@ -60,8 +63,7 @@ class FrameFit:
 
 
 def fit_frame(
-    renderer: Renderer,
-    evidence: Evidence,
+    views: Sequence[FrameView],
     readings: Readings,
     config: EstimateConfig,
     expected: PosePrior,
@@ -73,39 +75,61 @@ def fit_frame(
 
     Parameters
     ----------
-    renderer, evidence, config
-        The renderer at full detail, the frame's evidence and all settings.
+    views
+        The views that show the instrument, with the frame's evidence and renderers at full detail.
     readings
         The instrument's joints; only their limits are used, since ``expected`` contains the readings.
+    config
+        All settings.
     expected
         The session's prediction, which is the prior.
     starts
         Starting poses and joints, at least one.
     own_estimate
-        The frame's pose and joints estimated without the session. The noise of the outline is measured from its
+        The frame's pose and joints estimated without the session. The noise of the outlines is measured from its
         residuals, to which the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_camera
-        The camera of ``own_estimate``, for images of the same size, where it is not the evidence's.
+        The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
     """
-    limits = _limits(renderer, readings)
-    own_renderer = renderer if own_camera is None else Renderer(renderer.body, own_camera, threads=renderer.threads)
-    outline = _outline_config(own_renderer, evidence, config, own_estimate)
-    shrinks = (2, 1) if len(starts) > 1 and evidence.camera.width >= 320 else (1,)
+    main = views[0]
+    limits = _limits(main.renderer, readings)
+    own_views = views
+    if own_camera is not None:
+        threads = main.renderer.threads
+        own_views = [replace(main, renderer=Renderer(main.renderer.body, own_camera, threads=threads))]
+    settings = [_outline_config(own, config, own_estimate) for own in own_views]
+    shrinks = (2, 1) if len(starts) > 1 and main.evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
     count = 0
     for shrink in shrinks:
-        refiner = OutlineRefiner(renderer, evidence, limits, outline, shrink=shrink, expected=expected)
-        if own_estimate is not None:
-            refiner.set_noise_at(*own_estimate, camera=own_camera)
+        refiner: OutlineRefiner | JointRefiner
+        if len(views) == 1 and np.array_equal(main.view_from_camera, np.eye(4)):
+            refiner = OutlineRefiner(
+                main.renderer, main.evidence, limits, settings[0], shrink=shrink, expected=expected
+            )
+            if own_estimate is not None:
+                refiner.set_noise_at(*own_estimate, camera=own_camera)
+        else:
+            refiner = JointRefiner.of_views(
+                views,
+                [view.renderer for view in views],
+                limits,
+                settings,
+                shrinks=[shrink] * len(views),
+                expected=expected,
+            )
+            if own_estimate is not None:
+                refiner.set_noise_at(*own_estimate)
         fits = sorted(refiner.refine_all(poses, joints), key=lambda fit: fit.score)[:_KEPT]
         poses, joints = np.stack([fit.camera_from_root for fit in fits]), np.stack([fit.joints for fit in fits])
         count += refiner.silhouettes
     best = fits[0]
+    of_priors = refiner if isinstance(refiner, OutlineRefiner) else refiner.views[0][0]
     prior_information, prior_slope = np.zeros_like(best.information), np.zeros(len(best.information))
-    refiner.priors.add(prior_information, prior_slope, best.camera_from_root, best.joints)
-    overlaps = [_intersection_over_union(renderer, evidence, (best.camera_from_root, best.joints))]
+    of_priors.priors.add(prior_information, prior_slope, main.view_from_camera @ best.camera_from_root, best.joints)
+    overlaps = [_overlap(views, Posed(best.camera_from_root, best.joints))]
     if own_estimate is not None:
-        overlaps.append(_intersection_over_union(own_renderer, evidence, own_estimate))
+        overlaps.append(_overlap(own_views, Posed(*own_estimate)))
     # At the optimum, the slopes of outline and priors add up to zero.
     information = best.information - prior_information
     return FrameFit(best.camera_from_root, best.joints, information, -prior_slope, best.score, count, *overlaps)
@@ -125,7 +149,7 @@ def camera_terms(
     ``fitted`` are pose and joints with the camera ``camera``, whose image has the evidence's size. The other arguments
     are as in `fit_frame`, with the evidence's own camera; values as in `OutlineRefiner.terms_with_camera`.
     """
-    outline = _outline_config(renderer, evidence, config, own_estimate)
+    outline = _outline_config(FrameView("", evidence, renderer, np.eye(4)), config, own_estimate)
     seen = replace(evidence, camera=camera)
     refiner = OutlineRefiner(renderer, seen, _limits(renderer, readings), outline)
     refiner.set_noise_at(*own_estimate, camera=evidence.camera)
@@ -137,23 +161,27 @@ def _limits(renderer: Renderer, readings: Readings) -> Readings:
     return replace(readings, values=np.full(len(renderer.body.instrument.joint_names), np.nan))
 
 
-def _outline_config(
-    renderer: Renderer, evidence: Evidence, config: EstimateConfig, own_estimate: PoseAndJoints | None
-) -> OutlineConfig:
+def _outline_config(view: FrameView, config: EstimateConfig, own_estimate: PoseAndJoints | None) -> OutlineConfig:
     """Return the settings of the refinement, with the correlation length of the residuals at the own estimate."""
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
     if own_estimate is None:
         return outline
-    return replace(outline, correlation=measure_noise(evidence.contour, _silhouette(renderer, own_estimate)).length)
+    silhouette = _silhouette(view, Posed(*own_estimate))
+    return replace(outline, correlation=measure_noise(view.evidence.contour, silhouette).length)
 
 
-def _intersection_over_union(renderer: Renderer, evidence: Evidence, estimate: PoseAndJoints) -> float:
-    """Compute the intersection over union of an estimate's silhouette and the mask, without ignored pixels."""
-    silhouette = _silhouette(renderer, estimate)
-    both, either = (((a * evidence.weight).sum()) for a in (silhouette & evidence.mask, silhouette | evidence.mask))
-    return float(both / max(either, 1))
+def _overlap(views: Sequence[FrameView], fit: HasPose) -> float:
+    """Return the mean intersection over union of a pose's silhouettes and the masks, without ignored pixels."""
+    found = []
+    for view in views:
+        evidence, silhouette = view.evidence, _silhouette(view, fit)
+        parts = silhouette & evidence.mask, silhouette | evidence.mask
+        both, either = (((part * evidence.weight).sum()) for part in parts)
+        found.append(float(both / max(either, 1)))
+    return float(np.mean(found))
 
 
-def _silhouette(renderer: Renderer, estimate: PoseAndJoints) -> NDArray[np.bool_]:
-    """Render the silhouette (H, W) of an estimate."""
-    return np.asarray(renderer.masks(estimate[0][None], estimate[1][None])[0])
+def _silhouette(view: FrameView, fit: HasPose) -> NDArray[np.bool_]:
+    """Render the silhouette (H, W) of a pose in a view."""
+    seen = view.sees(fit)
+    return np.asarray(view.renderer.masks(seen.camera_from_root[None], seen.joints[None])[0])

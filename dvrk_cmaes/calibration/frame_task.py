@@ -11,19 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints, camera_terms, fit_frame
+from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.pose.covariance import rough_covariance
-from dvrk_cmaes.pose.doubts import doubts_of_fit
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
-from dvrk_cmaes.pose.quality import measure_quality
+from dvrk_cmaes.pose.find_in_views import measure_views, pooled_quality
 from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.pose.search.modes import HasPose, are_distinct
+from dvrk_cmaes.pose.search.modes import Posed, are_distinct
+from dvrk_cmaes.pose.view_doubts import doubts_in_views
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -64,44 +65,13 @@ class DataOfCamera:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredEvidence:
-    """Evidence of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
-
-    ``evidence`` has all parts but the images ``mask`` and ``weight``, which are (0, 0); ``mask`` and ``counts`` are
-    those images (H, W) as packed bits. ``counts`` tells which pixels have weight 1, None where all have.
-    """
-
-    evidence: Evidence
-    mask: NDArray[np.uint8]
-    counts: NDArray[np.uint8] | None
-
-    @classmethod
-    def of(cls, evidence: Evidence) -> StoredEvidence:
-        """Pack evidence whose weights are 0 or 1."""
-        counts = None if evidence.weight.all() else np.packbits(evidence.weight > 0)
-        empty = np.empty((0, 0), np.float32)
-        return cls(replace(evidence, mask=empty > 0, weight=empty), np.packbits(evidence.mask), counts)
-
-    def restored(self) -> Evidence:
-        """Return the evidence with its images."""
-        camera = self.evidence.camera
-        shape = camera.height, camera.width
-        mask = np.unpackbits(self.mask, count=shape[0] * shape[1]).reshape(shape)
-        if self.counts is None:
-            weight = np.ones(shape, np.float32)
-        else:
-            weight = np.unpackbits(self.counts, count=mask.size).reshape(shape).astype(np.float32)
-        return replace(self.evidence, mask=mask.astype(np.bool_), weight=weight)
-
-
-@dataclass(frozen=True, eq=False)
 class FitTask:
     """Arguments of `fit_task`: the frame's stored evidence and readings by name; the others as in `fit_frame`.
 
     ``camera`` is that of the fit, where it is not that of the evidence and of the own estimate.
     """
 
-    stored: StoredEvidence
+    stored: StoredFrame
     readings: Mapping[str, float]
     expected: PosePrior
     starts: tuple[PoseAndJoints, ...]
@@ -131,7 +101,7 @@ class ReportTask:
     frame's new result is the fit, otherwise its own result. ``config`` is stored with the result.
     """
 
-    stored: StoredEvidence
+    stored: StoredFrame
     result: Result
     fit: FrameFit
     covariance: Float64
@@ -167,129 +137,119 @@ class FrameReport:
     leave_one_out: LeaveOneOutPrediction
 
 
-def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredEvidence:
+def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
     """Read a frame and gather its evidence."""
     data = frame.data if isinstance(frame.data, FrameData) else frame.data()
-    evidence = gather_evidence(
-        data.mask, data.camera, body.instrument, ignore=data.ignore, keypoints=frame.keypoints, seed=config.seed
-    )
-    return StoredEvidence.of(evidence)
+    return StoredFrame.of(data, body, config, frame.keypoints)
 
 
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """A frame's renderer and evidence, and the readings and limits of the instrument's joints."""
+def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:
+    """Restore the evidence of a frame's views, and make their renderers; ``camera`` replaces that of a single view."""
+    views = [view.restored(body) for view in stored.views]
+    if camera is None:
+        return views
+    (view,) = views
+    evidence = replace(view.evidence, camera=camera)
+    return [replace(view, evidence=evidence, renderer=Renderer(body, camera, threads=1))]
 
-    renderer: Renderer
-    evidence: Evidence
-    readings: Readings
 
-
-def _scene(
-    body: Body,
-    config: EstimateConfig,
-    stored: StoredEvidence,
-    readings: Mapping[str, float],
-    camera: Camera | None = None,
-) -> _Scene:
-    """Restore a frame's evidence, with another camera if one is given, and make its renderer."""
-    evidence = stored.restored()
-    if camera is not None:
-        evidence = replace(evidence, camera=camera)
-    of_instrument, _, _ = split_readings(body.instrument, readings, config)
-    return _Scene(Renderer(body, evidence.camera, threads=1), evidence, of_instrument)
+def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, float]) -> Readings:
+    """Return the readings and limits of the instrument's joints."""
+    return split_readings(body.instrument, readings, config)[0]
 
 
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
-    scene = _scene(body, config, task.stored, task.readings, task.camera)
     return fit_frame(
-        scene.renderer,
-        scene.evidence,
-        scene.readings,
+        _restored(body, task.stored, task.camera),
+        _of_instrument(body, config, task.readings),
         config,
         task.expected,
         task.starts,
         task.own_estimate,
-        own_camera=None if task.camera is None else task.stored.evidence.camera,
+        own_camera=None if task.camera is None else task.stored.reference.evidence.camera,
     )
 
 
 def camera_task(body: Body, config: EstimateConfig, task: CameraTask) -> tuple[Float64, Float64]:
     """Compute the outline's information and slope about a frame's pose and about the camera, as `camera_terms`."""
-    scene = _scene(body, config, task.stored, task.readings)
+    evidence = task.stored.restored()
     return camera_terms(
-        scene.renderer, scene.evidence, scene.readings, config, task.fitted, task.own_estimate, task.camera
+        Renderer(body, evidence.camera, threads=1),
+        evidence,
+        _of_instrument(body, config, task.readings),
+        config,
+        task.fitted,
+        task.own_estimate,
+        task.camera,
     )
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
     """Make a frame's result, and measure the quality of its leave-one-out prediction."""
     started = time.perf_counter()
-    scene = _scene(body, config, task.stored, task.result.readings)
-    poses: list[HasPose] = [_Posed(*task.predicted), task.fit]
-    qualities, rays = measure_quality(
-        scene.renderer,
-        scene.evidence,
-        scene.readings,
-        poses,
-        config.weights,
-        decay=config.decay_px,
-        field=config.distance_field,
-    )
+    views = _restored(body, task.stored)
+    readings = _of_instrument(body, config, task.result.readings)
+    of_views, rays = measure_views(views, readings, [Posed(*task.predicted), task.fit], config)
+    predicted = pooled_quality([qualities[0] for qualities in of_views])
     own_result = task.result
     if task.agree:
-        result = _result_of_fit(body, config, task, scene, qualities[1])
+        result = _result_of_fit(body, config, task, views, readings, [qualities[1] for qualities in of_views])
         result = replace(
             result,
-            evaluations=own_result.evaluations + scene.renderer.poses,
+            evaluations=own_result.evaluations + sum(view.renderer.poses for view in views),
             rays=own_result.rays + rays,
             seconds=own_result.seconds + time.perf_counter() - started,
         )
     else:
         result = replace(own_result, status="doubtful", reasons=(*own_result.reasons, *task.doubts))
     leave_one_out = LeaveOneOutPrediction(
-        *task.predicted, task.predicted_std, qualities[0].iou, qualities[0].contour_px_median
+        *task.predicted, task.predicted_std, predicted.iou, predicted.contour_px_median
     )
     return FrameReport(result, leave_one_out)
 
 
-def _result_of_fit(body: Body, config: EstimateConfig, task: ReportTask, scene: _Scene, quality: Quality) -> Result:
-    """Return the result of a frame that agrees with the session; ``quality`` is that of its fit."""
-    own_result = task.result
-    silhouette = scene.renderer.masks(task.fit.camera_from_root[None], task.fit.joints[None])[0]
-    covariance = rough_covariance(task.covariance, measure_noise(scene.evidence.contour, silhouette), quality)
-    error = expected_error(body.instrument, task.fit.camera_from_root, task.fit.joints, covariance)
-    tips, tips_px = locate_tips(body.instrument, scene.evidence.camera, task.fit.camera_from_root, task.fit.joints)
-    doubts = doubts_of_fit(task.fit, quality, error, scene.evidence, body.instrument, config.trust) + list(task.doubts)
+def _result_of_fit(
+    body: Body,
+    config: EstimateConfig,
+    task: ReportTask,
+    views: Sequence[FrameView],
+    readings: Readings,
+    qualities: Sequence[Quality],
+) -> Result:
+    """Return the result of a frame that agrees with the session; ``qualities`` are those of its fit in each view."""
+    own_result, fit, main = task.result, task.fit, views[0]
+    quality, seen = pooled_quality(qualities), main.sees(fit)
+    silhouette = main.renderer.masks(seen.camera_from_root[None], seen.joints[None])[0]
+    covariance = rough_covariance(task.covariance, measure_noise(main.evidence.contour, silhouette), quality)
+    error = expected_error(body.instrument, fit.camera_from_root, fit.joints, covariance)
+    tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.camera_from_root, fit.joints)
+    doubts, remarks = doubts_in_views(fit, views, qualities, error, body.instrument, config.trust)
+    doubts += task.doubts
     names = body.instrument.joint_names
+    of_view = dict(zip([view.name for view in views], qualities, strict=True))
     return replace(
         own_result,
         status="doubtful" if doubts else "ok",
         reasons=tuple(doubts),
-        camera_from_root=task.fit.camera_from_root,
-        joints=dict(zip(names, task.fit.joints.tolist(), strict=True)),
+        warnings=(*own_result.warnings, *remarks),
+        camera_from_root=fit.camera_from_root,
+        joints=dict(zip(names, fit.joints.tolist(), strict=True)),
         camera_from_base=task.base,
         source="session",
-        change=_change(own_result, task.fit, names),
+        change=_change(own_result, fit, names),
         quality=quality,
         tips=tips,
         tips_px=tips_px,
         covariance=covariance,
         expected_error=error,
         mode_probability=None,
-        alternatives=_alternatives(own_result, task.fit, names, scene.readings),
+        alternatives=_alternatives(own_result, fit, names, readings),
+        view_fits=tuple(
+            replace(check, quality=of_view.get(check.name, check.quality)) for check in own_result.view_fits
+        ),
         config=dict(task.config),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Posed:
-    """A pose and joints without a score, as `HasPose`."""
-
-    camera_from_root: Float64
-    joints: Float64
-    score: float = 0.0
 
 
 def _change(own_result: Result, fit: FrameFit, names: tuple[str, ...]) -> dict[str, Any] | None:
@@ -321,7 +281,7 @@ def _alternatives(
         mode
         for mode in modes
         if are_distinct(
-            _Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
+            Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
             fit,
             np.deg2rad(15),
             np.deg2rad(25),

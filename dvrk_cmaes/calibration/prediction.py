@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,15 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.pose.doubts import doubts_of_fit
 from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.find_in_views import measure_views, pooled_quality
 from dvrk_cmaes.pose.find_pose import FoundPose
-from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.pose.view_doubts import doubts_in_views
+from dvrk_cmaes.pose.views import FrameView
 
 Float64 = NDArray[np.float64]
 
@@ -31,24 +30,25 @@ _CONTOUR_FACTOR = 1.5  # on the session's median of contour_px_95, beyond which 
 
 def fit_session_pose(
     session: SessionCalibration,
-    renderer: Renderer,
-    evidence: Evidence,
+    views: Sequence[FrameView],
     readings: Readings,
     given: Mapping[str, float],
     config: EstimateConfig,
 ) -> FoundPose | str:
-    """Refine the pose that a session's calibration predicts for a frame to fit the frame's mask.
+    """Refine the pose that a session's calibration predicts for a frame to fit the frame's mask, or those of its views.
 
     Parameters
     ----------
     session
         The calibration.
-    renderer, evidence, config
-        The renderer at full detail, the frame's evidence and all settings.
+    views
+        The views that show the instrument, of which the first is the reference.
     readings
         Readings and limits of the instrument's joints.
     given
         All readings of the frame by joint name, rad and m.
+    config
+        All settings.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def fit_session_pose(
     InputError
         The session is of an instrument with other joints.
     """
-    instrument = renderer.body.instrument
+    instrument = views[0].renderer.body.instrument
     outer = outer_readings([given])
     model, calibration = session.model(outer, readings.values[None], instrument.joint_names)
     missing = [name for name, value in zip(OUTER_JOINTS, outer[0], strict=True) if np.isnan(value)]
@@ -72,12 +72,12 @@ def fit_session_pose(
     covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
     expected = PosePrior(poses[0], joints[0], np.asarray(np.linalg.inv(covariance), dtype=np.float64))
     start = (poses[0], joints[0])
-    first = fit_frame(renderer, evidence, readings, config, expected, (start,), None)
+    first = fit_frame(views, readings, config, expected, (start,), None)
     first_estimate = (first.camera_from_root, first.joints)
-    fit = fit_frame(renderer, evidence, readings, config, expected, (first_estimate,), first_estimate)
-    (quality,), rays = measure_quality(
-        renderer, evidence, readings, [fit], config.weights, decay=config.decay_px, field=config.distance_field
-    )
+    fit = fit_frame(views, readings, config, expected, (first_estimate,), first_estimate)
+    of_views, rays = measure_views(views, readings, [fit], config)
+    qualities = [of_view[0] for of_view in of_views]
+    quality = pooled_quality(qualities)
     deviation = expected.deviation(fit.camera_from_root, fit.joints)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
     largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
@@ -90,7 +90,7 @@ def fit_session_pose(
         return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     error = expected_error(instrument, fit.camera_from_root, fit.joints, fitted)
-    doubts = doubts_of_fit(fit, quality, error, evidence, instrument, config.trust)
+    doubts, remarks = doubts_in_views(fit, views, qualities, error, instrument, config.trust)
     base_from_root = model.base_from_root(calibration.offsets)[0]
     return FoundPose(
         camera_from_root=fit.camera_from_root,
@@ -99,7 +99,8 @@ def fit_session_pose(
         expected_error=error,
         quality=quality,
         reasons=tuple(doubts),
-        evaluations=first.evaluations + fit.evaluations + renderer.poses,
-        rays=rays + renderer.rays,
+        evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
+        rays=rays + sum(view.renderer.rays for view in views),
         camera_from_base=np.asarray(fit.camera_from_root @ inverse(base_from_root)),
+        notes=tuple(remarks),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,8 @@ from dvrk_cmaes.pose.find_pose import FoundPose, alternatives_of
 from dvrk_cmaes.pose.mode_probability import mode_probability
 from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.joint_search import JointSearch
-from dvrk_cmaes.pose.refine.outline import OutlineFit
 from dvrk_cmaes.pose.search.global_search import Candidate, find_candidates
+from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.view_doubts import judge_views
 from dvrk_cmaes.pose.views import FrameView, clearest_view
 from dvrk_cmaes.results.result import Quality, ViewCheck
@@ -45,7 +45,7 @@ def find_pose_in_views(
     local = JointSearch(views, decimated, readings, config)
     modes = local.refine(seen)
     best = modes[0]
-    of_views, confirming = _qualities(views, readings, modes, config)
+    of_views, confirming = measure_views(views, readings, modes, config)
     qualities = [pooled_quality(of_mode) for of_mode in zip(*of_views, strict=True)]
     covariance = pose_covariance(modes, qualities[0])
     expected = expected_error(instrument, best.camera_from_root, best.joints, covariance)
@@ -81,8 +81,8 @@ def pooled_quality(qualities: Sequence[Quality]) -> Quality:
     return Quality(**{**asdict(qualities[0]), **means, **largest, "terms": terms, "distal_px": distal})
 
 
-def _qualities(
-    views: Sequence[FrameView], readings: Readings, modes: Sequence[OutlineFit], config: EstimateConfig
+def measure_views(
+    views: Sequence[FrameView], readings: Readings, modes: Sequence[HasPose], config: EstimateConfig
 ) -> tuple[list[list[Quality]], int]:
     """Measure the quality of each mode in each view; returns a list of the modes' for each view, and the rays traced.
 
@@ -90,7 +90,7 @@ def _qualities(
     """
     found, rays = [], 0
     for view in views:
-        seen = [replace(mode, camera_from_root=view.view_from_camera @ mode.camera_from_root) for mode in modes]
+        seen = [view.sees(mode) for mode in modes]
         qualities, traced = measure_quality(
             view.renderer,
             view.evidence,

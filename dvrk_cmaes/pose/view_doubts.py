@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,8 +11,9 @@ from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import doubts_of_fit, doubts_of_modes
 from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.results.result import ExpectedError, ViewCheck
+from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
 
 def judge_views(
@@ -31,10 +31,29 @@ def judge_views(
     What one view shows well is not in doubt because another view is occluded, cut or has the tips outside: a reason
     that does not hold in every view is a remark that names the view. ``checks`` are those of the views, in their order.
     """
+    reasons, remarks = doubts_in_views(
+        modes[0], views, [check.quality for check in checks], expected, instrument, trust
+    )
+    reasons += [text for check in checks[1:] if (text := _disagreement(check, views[0].name, trust)) is not None]
+    evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
+    return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust), remarks
+
+
+def doubts_in_views(
+    fit: HasPose,
+    views: Sequence[FrameView],
+    qualities: Sequence[Quality],
+    expected: ExpectedError,
+    instrument: Instrument,
+    trust: TrustConfig,
+) -> tuple[list[str], list[str]]:
+    """List the reasons for which a fit is doubtful that hold in every view, and remarks for those that do not.
+
+    ``qualities`` are those of the fit in each view, in their order.
+    """
     of_views = []
-    for view, check in zip(views, checks, strict=True):
-        seen = replace(modes[0], camera_from_root=view.view_from_camera @ modes[0].camera_from_root)
-        of_views.append(doubts_of_fit(seen, check.quality, expected, view.evidence, instrument, trust))
+    for view, quality in zip(views, qualities, strict=True):
+        of_views.append(doubts_of_fit(view.sees(fit), quality, expected, view.evidence, instrument, trust))
     kinds = [{_kind(reason) for reason in reasons} for reasons in of_views]
     everywhere = set.intersection(*kinds)
     reasons = [reason for reason in of_views[0] if _kind(reason) in everywhere]
@@ -44,9 +63,7 @@ def judge_views(
         for reason in own
         if _kind(reason) not in everywhere
     ]
-    reasons += [text for check in checks[1:] if (text := _disagreement(check, views[0].name, trust)) is not None]
-    evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
-    return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust), remarks
+    return reasons, remarks
 
 
 def _kind(reason: str) -> str:

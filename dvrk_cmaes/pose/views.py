@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.pose.search.modes import HasPose, Posed
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
@@ -23,6 +24,10 @@ class FrameView:
     evidence: Evidence
     renderer: Renderer
     view_from_camera: Float64
+
+    def sees(self, fit: HasPose) -> Posed:
+        """Return a pose of the reference camera in this view's camera."""
+        return Posed(self.view_from_camera @ fit.camera_from_root, fit.joints, fit.score)
 
 
 def without_readings(readings: Readings) -> Readings:

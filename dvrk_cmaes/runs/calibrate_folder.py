@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -29,7 +31,7 @@ from dvrk_cmaes.results.paths import check_output, left_out_path, mask_path, ove
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.digests import frame_digests
-from dvrk_cmaes.runs.frame import draw_frame
+from dvrk_cmaes.runs.frame import draw_frame, read_masked_frame, seen_in
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes, WorkerDied
 from dvrk_cmaes.runs.worker import BatchSetup
@@ -47,12 +49,12 @@ _of_this_process: dict[str, Any] = {}
 class DrawTask:
     """Draw a frame's result and what the session's other frames predict for it; ``files`` has a mask.
 
-    ``camera`` is that of the camera file, ``calibrated`` the one with which the session was solved.
+    ``camera`` is that of the camera file or the rig, ``calibrated`` the one with which the session was solved.
     """
 
     files: FrameFiles
-    camera: Camera
-    calibrated: Camera
+    camera: Camera | Rig
+    calibrated: Camera | Rig
     result: Result
     left_out: LeaveOneOutPrediction
 
@@ -67,14 +69,17 @@ class Pictures:
 
 def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
     """Draw one frame."""
-    data = read_frame(task.files, task.calibrated)
+    data = read_masked_frame(task.files, task.calibrated)
     # a frame that is left out keeps its own result
-    drawn = data if task.result.source == "session" else read_frame(task.files, task.camera)
+    drawn = data if task.result.source == "session" else read_masked_frame(task.files, task.camera)
     overlay = draw_frame(task.result, task.files, drawn, body)
-    predicted = Renderer(body, data.camera, threads=1).masks(
-        task.left_out.camera_from_root[None], task.left_out.joints[None]
-    )[0]
-    second = draw_left_out(data.mask, predicted, task.left_out.iou, task.left_out.contour_px, image=data.image)
+    left_out = task.left_out
+    shown = []
+    for view in seen_in(data):
+        renderer, pose = Renderer(body, view.camera, threads=1), view.view_from_camera @ left_out.camera_from_root
+        predicted = renderer.masks(pose[None], left_out.joints[None])[0]
+        shown.append(draw_left_out(view.mask, predicted, left_out.iou, left_out.contour_px, image=view.image))
+    second = np.concatenate(shown, axis=1)
     return Pictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second))
 
 
@@ -115,7 +120,7 @@ def calibrate_folder(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
         # The image is only needed for the overlay.
-        reader = functools.partial(_read_without_image, one, session.camera)
+        reader = functools.partial(_read_without_image, one, session.cameras)
         frames.append(SessionFrame(name, reader, result, one.keypoints))
     with _workers(workers, instrument, config) as run:
         solved = calibrate_session(
@@ -131,9 +136,9 @@ def calibrate_folder(
         progress("drawing", len(solved.leave_one_out))
         for name in (SESSION, CAMERA):
             (out / name).unlink(missing_ok=True)
-        camera = solved.calibration.corrected(session.camera)
+        camera = solved.calibration.corrected(session.camera) if session.rig is None else session.rig
         tasks = [
-            DrawTask(files[name], session.camera, camera, solved.results[name], left_out)
+            DrawTask(files[name], session.cameras, camera, solved.results[name], left_out)
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
@@ -178,8 +183,9 @@ def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
     return replace(files, mask=mask if mask.exists() else None)
 
 
-def _read_without_image(files: FrameFiles, camera: Camera) -> FrameData:
-    return read_frame(files if files.mask is None else replace(files, image=None), camera)
+def _read_without_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
+    others = {name: replace(one, image=None) for name, one in files.others.items()}
+    return read_masked_frame(replace(files, image=None, others=others), camera)
 
 
 def _write(
@@ -206,7 +212,7 @@ def _write(
     if calibration.camera is not None and calibration.camera.applied:
         write_camera_info(out / CAMERA, calibration.corrected(session.camera), "refined")
     write_json(out / SESSION, calibration.to_dict())
-    setup = BatchSetup(instrument, session.camera, config, arm, session.folder)
+    setup = BatchSetup(instrument, session.camera, config, arm, session.folder, rig=session.rig)
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
     finish(out)

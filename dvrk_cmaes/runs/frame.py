@@ -58,6 +58,14 @@ def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData | Frame
     return read_frame(files, camera)
 
 
+def read_masked_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
+    """Read a frame that has a mask, of a rig in at least one view; errors as `read_any_frame`."""
+    frame = read_any_frame(files, camera)
+    if isinstance(frame, FrameImage):
+        raise InputError(f"frame {files.name}: expected a mask, got {frame.path}")
+    return frame
+
+
 def run_frame(
     files: FrameFiles,
     frame: FrameData | FrameImage,
@@ -196,18 +204,22 @@ def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -
     The views of a rig are drawn side by side.
     """
     if data.rig is not None:
-        of_views = {data.rig.names[0]: data, **data.others}
-        seen = [
-            DrawnView(
-                view.name, of_views[view.name].mask, view.camera, view.view_from_camera, of_views[view.name].image
-            )
-            for view in data.rig.views
-            if view.name in of_views and of_views[view.name].mask.any()
-        ]
-        return draw_views(result, seen, body)
+        return draw_views(result, seen_in(data), body)
     return draw_overlay(
         result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
     )
+
+
+def seen_in(data: FrameData) -> list[DrawnView]:
+    """Return the views of a frame that have a mask, to be drawn; the only view of a frame without a rig."""
+    if data.rig is None:
+        return [DrawnView("", data.mask, data.camera, np.eye(4), data.image, data.ignore)]
+    of_views = {data.rig.names[0]: data, **data.others}
+    return [
+        DrawnView(view.name, of_views[view.name].mask, view.camera, view.view_from_camera, of_views[view.name].image)
+        for view in data.rig.views
+        if view.name in of_views and of_views[view.name].mask.any()
+    ]
 
 
 def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | None:

@@ -10,10 +10,10 @@ from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_i
 
 from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
-from dvrk_cmaes.calibration.frame_task import StoredEvidence
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera
 from dvrk_cmaes.calibration.solve import Solution, solve
+from dvrk_cmaes.calibration.stored_frame import StoredEvidence
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.evidence.gather import gather_evidence

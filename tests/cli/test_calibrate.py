@@ -19,9 +19,9 @@ from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.files import write_camera_info
 
 Command = Callable[..., Ran]
@@ -256,3 +256,29 @@ def test_camera_is_not_refined_from_few_frames(command: Command) -> None:
     ran = command("calibrate", "session", "--results", "results", "--out", "few", "--refine-camera", *QUICKLY)
     assert ran.code == 2
     assert ran.refusal.endswith("--refine-camera: camera: 5 frames; at least 10 are needed to test its focal length")
+
+
+def test_both_eyes_are_calibrated_and_drawn_beside_each_other(
+    command: Command, bundled_body: Body, tmp_path: Path
+) -> None:
+    folder, baseline = tmp_path / "session", 0.0053
+    _, truths, frames = make_frames_in_memory(bundled_body, 4, level="clean")
+    write_folder(folder, frames)
+    for side, name in (("left", "left.yaml"), ("right", "right.yaml")):
+        write_camera_info(folder / name, SMALL, side, baseline=baseline if side == "right" else 0.0)
+    (folder / "camera.yaml").unlink()
+    (folder / "masks").rename(folder / "masks_")
+    (folder / "masks").mkdir()
+    (folder / "masks_").rename(folder / "masks" / "left")
+    (folder / "masks" / "right").mkdir()
+    renderer = Renderer(bundled_body, SMALL, threads=1)
+    for frame, truth in zip(frames[1:], truths[1:], strict=True):  # the first frame is seen by the left eye alone
+        pose = transform(np.eye(3), [-baseline, 0, 0]) @ truth.camera_from_root
+        seen = renderer.masks(pose[None], truth.values[None])[0].astype(np.uint8) * 255
+        (folder / "masks" / "right" / f"{frame.name}.png").write_bytes(cv2.imencode(".png", seen)[1].tobytes())
+    ran = command("calibrate", folder, "--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY)
+    assert ran.code in (0, 3), ran.err
+    assert read_calibration(tmp_path / "out" / "session.json").left_out == {}
+    for folder_of in ("overlays", "overlays_left_out"):
+        alone, both = (cv2.imread(str(tmp_path / "out" / folder_of / f"000{k}.jpg")) for k in (0, 1))
+        assert both.shape[1] == 2 * alone.shape[1]

@@ -84,3 +84,21 @@ def test_views_that_agree_need_no_rotation(bundled_body: Body) -> None:
     fit = both.refine_all(TRUTH[None], JOINTS[None])[0]
     ((found, _),) = rig_rotations(both, fit, [fit.information / 2, fit.information / 2])
     assert np.degrees(np.abs(found)).max() < 0.03
+
+
+def test_jaw_outside_of_both_images_does_not_hinder(bundled_body: Body) -> None:
+    # Only the shaft is in the images, whose contours tell nothing of the joints.
+    shaft_only = Camera(320, 240, 480, 480, 310, -50)
+    views = []
+    for place in (np.eye(4), RIGHT_FROM_LEFT):
+        renderer = Renderer(bundled_body, shaft_only)
+        mask = renderer.masks((place @ TRUTH)[None], JOINTS[None])[0]
+        evidence = gather_evidence(mask, shaft_only, bundled_body.instrument)
+        unknown = without_readings(Readings(JOINTS, np.ones(3), -np.ones(3), np.ones(3)))
+        views.append((OutlineRefiner(renderer, evidence, unknown, OutlineConfig()), place))
+    both = JointRefiner(views, tolerance=0.05, iterations=0)
+    fit = both.refine_all(TRUTH[None], JOINTS[None])[0]
+    assert not fit.information[8].any()
+    ((found, covariance),) = rig_rotations(both, fit, [fit.information / 2, fit.information / 2])
+    assert np.isfinite(found).all()
+    assert np.isfinite(covariance).all()

@@ -9,13 +9,18 @@ have nearly all the weight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner, OutlineTerms
+from dvrk_cmaes.pose.refine.priors import PosePrior
+from dvrk_cmaes.pose.views import FrameView, without_readings
+from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
@@ -52,6 +57,42 @@ class JointRefiner:
         self.views = tuple(views)
         self._tolerance = tolerance
         self._iterations = iterations
+        self._noise: float | None = None
+
+    @staticmethod
+    def of_views(
+        views: Sequence[FrameView],
+        renderers: Sequence[Renderer],
+        readings: Readings,
+        settings: Sequence[OutlineConfig],
+        *,
+        shrinks: Sequence[int],
+        expected: PosePrior | None = None,
+    ) -> JointRefiner:
+        """Make the refiner of views that are drawn at 1 / ``shrinks`` of their sizes by ``renderers``.
+
+        ``readings`` and the prior ``expected`` of the pose, which is in the reference camera, count once. ``settings``
+        are those of each view; of the first are the tolerance and the number of iterations.
+        """
+        refiners = []
+        for k, (view, renderer, shrink) in enumerate(zip(views, renderers, shrinks, strict=True)):
+            own = readings if k == 0 else without_readings(readings)
+            prior = None
+            if k == 0 and expected is not None:
+                prior = replace(expected, camera_from_root=view.view_from_camera @ expected.camera_from_root)
+            refiner = OutlineRefiner(renderer, view.evidence, own, settings[k], shrink=shrink, expected=prior)
+            refiners.append((refiner, view.view_from_camera))
+        tolerance = settings[0].tolerance * (1 if shrinks[0] == 1 else 4)
+        iterations = 2 * settings[0].iterations  # each is one step, those of a single view are several
+        return JointRefiner(refiners, tolerance=tolerance, iterations=iterations)
+
+    def set_noise_at(self, pose: Float64, joints: Float64) -> None:
+        """Estimate the contours' errors from the residuals at a pose (4, 4) and joints (J,), for all following fits.
+
+        Otherwise they are estimated from the residuals of each fit, to which a prior of the pose contributes.
+        """
+        (terms,) = self._terms(pose[None], joints[None], None, derivatives=False)
+        self._noise = _mean_residual([term.residual for term in terms], terms)
 
     def with_views(self, views: Sequence[tuple[OutlineRefiner, Float64]]) -> JointRefiner:
         """Return a refiner of other views with the same settings."""
@@ -84,10 +125,10 @@ class JointRefiner:
         """Refine poses (C, 4, 4) and their joints (C, J); arguments as in `OutlineRefiner`."""
         most = self._iterations if iterations is None else iterations
         starts = zip(poses, joints, self._terms(poses, joints, cauchy), strict=True)
-        states = [_State(pose, joint, terms, *_summed(terms)) for pose, joint, terms in starts]
+        states = [_State(pose, joint, terms, *self._summed(terms)) for pose, joint, terms in starts]
         kept = float(len(states))
         for left in reversed(range(most)):
-            best = sorted(states, key=lambda state: _score(state.terms, [term.loss for term in state.terms]))
+            best = sorted(states, key=lambda state: self._score(state.terms, [term.loss for term in state.terms]))
             active = [state for state in best[: max(round(kept), least)] if not state.finished]
             if not active:
                 break
@@ -97,7 +138,7 @@ class JointRefiner:
             trials = self._terms(at[0], at[1] + steps[:, 6:], cauchy, derivatives=left > 0)
             for state, pose, step, terms in zip(active, at[0], steps, trials, strict=True):
                 self._accept(state, pose, state.joints + step[6:], step, terms, derivatives=left > 0)
-        return [_fit(state) for state in states]
+        return [self._fit(state) for state in states]
 
     def _terms(
         self, poses: Float64, joints: Float64, cauchy: float | None, *, derivatives: bool = True
@@ -120,7 +161,7 @@ class JointRefiner:
         derivatives: bool,
     ) -> None:
         """Move a state to a trial pose if that lowers the cost; otherwise increase its damping."""
-        scales = _scales(state.terms)
+        scales = self._scales(state.terms)
         triples = zip(scales, state.terms, terms, strict=True)
         gain = sum(scale * (old.loss - new.loss) + old.prior - new.prior for scale, old, new in triples)
         if gain <= 0:
@@ -132,36 +173,36 @@ class JointRefiner:
         state.pose, state.joints, state.terms = pose, joints, terms
         state.damping = max(state.damping / 8, _DAMPING[0])
         if derivatives:
-            state.information, state.slope = _summed(terms)
+            state.information, state.slope = self._summed(terms)
+
+    def _scales(self, terms: Sequence[OutlineTerms]) -> list[float]:
+        """Return the factor of each view from sums of squares of coverage to sums of squares in standard deviations."""
+        mean = _mean_residual([term.loss for term in terms], terms) if self._noise is None else self._noise
+        return [term.count / (term.length * mean) for term in terms]
+
+    def _summed(self, terms: Sequence[OutlineTerms]) -> tuple[Float64, Float64]:
+        """Sum the information and the slope of the outlines and priors of all views."""
+        pairs = list(zip(self._scales(terms), terms, strict=True))
+        information = np.sum([scale * term.outline[0] + term.priors[0] for scale, term in pairs], axis=0)
+        slope = np.sum([scale * term.outline[1] + term.priors[1] for scale, term in pairs], axis=0)
+        return information, slope
+
+    def _score(self, terms: Sequence[OutlineTerms], residuals: Sequence[float]) -> float:
+        """Return the negative log-likelihood of all views and of the priors, up to a constant."""
+        prior = 0.5 * sum(term.prior for term in terms)
+        if self._noise is not None:
+            pairs = zip(self._scales(terms), residuals, strict=True)
+            return 0.5 * sum(scale * residual for scale, residual in pairs) + prior
+        count = sum(term.count for term in terms)
+        return 0.5 * count * float(np.log(_mean_residual(residuals, terms))) + prior
+
+    def _fit(self, state: _State) -> OutlineFit:
+        """Return the fit of a state, scored with the configuration's Cauchy loss."""
+        residuals = [term.residual for term in state.terms]
+        score, prior = self._score(state.terms, residuals), 0.5 * sum(term.prior for term in state.terms)
+        return OutlineFit(state.pose, state.joints, score, score - prior, sum(residuals), state.information)
 
 
 def _mean_residual(residuals: Sequence[float], terms: Sequence[OutlineTerms]) -> float:
     """Return the sum of squares per px of contour, over all views, at least that of exact masks."""
     return max(sum(residuals), sum(term.least for term in terms)) / sum(term.length for term in terms)
-
-
-def _scales(terms: Sequence[OutlineTerms]) -> list[float]:
-    """Return the factor of each view from sums of squares of coverage to sums of squares in standard deviations."""
-    mean = _mean_residual([term.loss for term in terms], terms)
-    return [term.count / (term.length * mean) for term in terms]
-
-
-def _summed(terms: Sequence[OutlineTerms]) -> tuple[Float64, Float64]:
-    """Sum the information and the slope of the outlines and priors of all views."""
-    pairs = list(zip(_scales(terms), terms, strict=True))
-    information = np.sum([scale * term.outline[0] + term.priors[0] for scale, term in pairs], axis=0)
-    slope = np.sum([scale * term.outline[1] + term.priors[1] for scale, term in pairs], axis=0)
-    return information, slope
-
-
-def _fit(state: _State) -> OutlineFit:
-    """Return the fit of a state; its score has the variance of the contours' errors estimated from the residuals."""
-    residuals = [term.residual for term in state.terms]
-    score, prior = _score(state.terms, residuals), 0.5 * sum(term.prior for term in state.terms)
-    return OutlineFit(state.pose, state.joints, score, score - prior, sum(residuals), state.information)
-
-
-def _score(terms: Sequence[OutlineTerms], residuals: Sequence[float]) -> float:
-    """Return the negative log-likelihood of all views and of the priors, up to a constant."""
-    count = sum(term.count for term in terms)
-    return 0.5 * count * float(np.log(_mean_residual(residuals, terms))) + 0.5 * sum(term.prior for term in terms)

@@ -16,7 +16,7 @@ from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, Refiner
 from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
 from dvrk_cmaes.pose.refine.information import joint_information
 from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
-from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
+from dvrk_cmaes.pose.refine.outline import OutlineFit
 from dvrk_cmaes.pose.refine.rig_rotation import rig_rotations
 from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.search.objective import Objective
@@ -56,17 +56,15 @@ class JointSearch(LocalSearch):
         outline = self._config.refine.outline
         if shrink > 1:
             outline = replace(outline, cauchy=outline.small_cauchy)
-        refiners = []
         width = self._evidence.camera.width
-        for k, (view, correlation) in enumerate(zip(self._views, correlations, strict=True)):
-            own = max(1, round(shrink * view.evidence.camera.width / width)) if shrink > 1 else 1
-            renderer = self._coarse_renderers[k] if own > 2 else view.renderer
-            settings = outline if correlation is None else replace(outline, correlation=correlation)
-            refiner = OutlineRefiner(renderer, view.evidence, self._of_view[k], settings, shrink=own)
-            refiners.append((refiner, view.view_from_camera))
-        tolerance = outline.tolerance * (1 if shrink == 1 else 4)
-        iterations = 2 * outline.iterations  # each is one step, those of a single view are several
-        return JointRefiner(refiners, tolerance=tolerance, iterations=iterations)
+        widths = [view.evidence.camera.width for view in self._views]
+        shrinks = [max(1, round(shrink * own / width)) if shrink > 1 else 1 for own in widths]
+        renderers = [
+            coarse if own > 2 else view.renderer
+            for view, coarse, own in zip(self._views, self._coarse_renderers, shrinks, strict=True)
+        ]
+        settings = [outline if one is None else replace(outline, correlation=one) for one in correlations]
+        return JointRefiner.of_views(self._views, renderers, self._readings, settings, shrinks=shrinks)
 
     def _noises(self, mode: HasPose, places: Sequence[Float64] = ()) -> tuple[OutlineNoise, ...]:
         """Estimate the noise of each mask; ``places`` are other ``view_from_camera`` (4, 4) than the rig's."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -27,6 +28,15 @@ class HasPose(Protocol):
     @property
     def score(self) -> float:
         """Loss or negative log-likelihood: lower is better."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A pose (4, 4), joints (J,) and, where they have one, a score, as `HasPose`."""
+
+    camera_from_root: Float64
+    joints: Float64
+    score: float = 0.0
 
 
 P = TypeVar("P", bound=HasPose)

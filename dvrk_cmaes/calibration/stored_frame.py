@@ -1,0 +1,107 @@
+"""Evidence of a session's frames, small enough to be stored for all of them and sent to processes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredEvidence:
+    """Evidence of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
+
+    ``evidence`` has all parts but the images ``mask`` and ``weight``, which are (0, 0); ``mask`` and ``counts`` are
+    those images (H, W) as packed bits. ``counts`` tells which pixels have weight 1, None where all have.
+    """
+
+    evidence: Evidence
+    mask: NDArray[np.uint8]
+    counts: NDArray[np.uint8] | None
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> StoredEvidence:
+        """Pack evidence whose weights are 0 or 1."""
+        counts = None if evidence.weight.all() else np.packbits(evidence.weight > 0)
+        empty = np.empty((0, 0), np.float32)
+        return cls(replace(evidence, mask=empty > 0, weight=empty), np.packbits(evidence.mask), counts)
+
+    def restored(self) -> Evidence:
+        """Return the evidence with its images."""
+        camera = self.evidence.camera
+        shape = camera.height, camera.width
+        mask = np.unpackbits(self.mask, count=shape[0] * shape[1]).reshape(shape)
+        if self.counts is None:
+            weight = np.ones(shape, np.float32)
+        else:
+            weight = np.unpackbits(self.counts, count=mask.size).reshape(shape).astype(np.float32)
+        return replace(self.evidence, mask=mask.astype(np.bool_), weight=weight)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredView:
+    """One view of a frame: its name, evidence, and ``view_from_camera`` (4, 4), m."""
+
+    name: str
+    stored: StoredEvidence
+    view_from_camera: Float64
+
+    def restored(self, body: Body) -> FrameView:
+        """Return the view with the images of its evidence and a renderer."""
+        evidence = self.stored.restored()
+        renderer = Renderer(body, evidence.camera, threads=1)
+        return FrameView(self.name, evidence, renderer, self.view_from_camera)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredFrame:
+    """A frame's views that show the instrument, in the order of the rig; ``camera`` is the reference camera."""
+
+    views: tuple[StoredView, ...]
+    camera: Camera
+
+    @classmethod
+    def of(cls, data: FrameData, body: Body, config: EstimateConfig, keypoints: Float64 | None = None) -> StoredFrame:
+        """Gather the evidence of a frame's views; ``keypoints`` (2, 2) px are the jaw tips in the first one.
+
+        Raises
+        ------
+        InputError
+            As `gather_evidence`: no view shows the instrument.
+        """
+        places = {} if data.rig is None else {view.name: view.view_from_camera for view in data.rig.views}
+        first = "left" if data.rig is None else data.rig.names[0]
+        shown = {name: one for name, one in {first: data, **data.others}.items() if _shows(one)} or {first: data}
+        views = []
+        for name, one in shown.items():
+            tips = keypoints if name == first else None
+            evidence = gather_evidence(
+                one.mask, one.camera, body.instrument, ignore=one.ignore, keypoints=tips, seed=config.seed
+            )
+            views.append(StoredView(name, StoredEvidence.of(evidence), places.get(name, np.eye(4))))
+        return cls(tuple(views), data.camera)
+
+    @property
+    def reference(self) -> StoredEvidence:
+        """Evidence of the reference camera, or of the first view that shows the instrument."""
+        return self.views[0].stored
+
+    @property
+    def in_reference(self) -> bool:
+        """Whether the reference camera shows the instrument."""
+        return bool(np.array_equal(self.views[0].view_from_camera, np.eye(4)))
+
+
+def _shows(data: FrameData) -> bool:
+    """Whether the mask of a view shows the instrument."""
+    return bool((data.mask if data.ignore is None else data.mask & ~data.ignore).any())

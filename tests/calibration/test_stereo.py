@@ -1,0 +1,99 @@
+"""Calibration of a session that both eyes of an endoscope saw, and estimates with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.session_worlds import SMALL, make_frames_in_memory
+
+from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.synth.truth import Truth
+
+RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
+RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)
+SETTINGS = EstimateConfig(session=SessionConfig(rounds=2))
+
+
+def seen_by_both(body: Body, frame: SessionFrame, truth: Truth, *, left: bool = True) -> SessionFrame:
+    """Return a frame with the right eye's mask beside that of the left eye, which is empty if ``left`` is false."""
+    assert isinstance(frame.data, FrameData)
+    there = Renderer(body, SMALL).masks((RIGHT_FROM_LEFT @ truth.camera_from_root)[None], truth.values[None])[0]
+    mask = frame.data.mask if left else np.zeros_like(frame.data.mask)
+    data = replace(frame.data, mask=mask, rig=RIG, others={"right": FrameData(there, SMALL, None, None, ())})
+    return replace(frame, data=data)
+
+
+@pytest.fixture(scope="module")
+def one_eye(bundled_body: Body) -> tuple[np.ndarray, list[Truth], list[SessionFrame]]:
+    return make_frames_in_memory(bundled_body, 5, level="clean")
+
+
+@pytest.fixture(scope="module")
+def both_eyes(
+    bundled_body: Body, one_eye: tuple[np.ndarray, list[Truth], list[SessionFrame]]
+) -> tuple[list[SessionFrame], SolvedSession]:
+    _, truths, frames = one_eye
+    made = [
+        seen_by_both(bundled_body, frame, truth, left=k != 2)
+        for k, (frame, truth) in enumerate(zip(frames, truths, strict=True))
+    ]
+    return made, calibrate_session(made, bundled_body, config=SETTINGS)
+
+
+def test_poses_are_those_of_the_left_camera(
+    one_eye: tuple[np.ndarray, list[Truth], list[SessionFrame]], both_eyes: tuple[list[SessionFrame], SolvedSession]
+) -> None:
+    solved = both_eyes[1]
+    assert solved.calibration.left_out == {}
+    for truth, result in zip(one_eye[1], solved.results.values(), strict=True):
+        assert result.source == "session"
+        assert result.camera_from_root is not None
+        assert 1e3 * np.linalg.norm(result.camera_from_root[:3, 3] - truth.camera_from_root[:3, 3]) < 0.7
+        assert result.quality is not None
+        assert result.quality.iou > 0.95
+
+
+def test_second_eye_makes_the_fit_more_certain(
+    bundled_body: Body,
+    one_eye: tuple[np.ndarray, list[Truth], list[SessionFrame]],
+    both_eyes: tuple[list[SessionFrame], SolvedSession],
+) -> None:
+    alone = calibrate_session(one_eye[2], bundled_body, config=SETTINGS).results
+    for name, together in both_eyes[1].results.items():
+        errors = [result.expected_error for result in (alone[name], together)]
+        assert None not in errors
+        if name != one_eye[2][2].name:  # which only the right eye sees
+            assert errors[1].tip_mm["mean"] < errors[0].tip_mm["mean"]  # type: ignore[union-attr]
+
+
+def test_new_frame_is_predicted_and_fitted_in_both_eyes(
+    bundled_body: Body, both_eyes: tuple[list[SessionFrame], SolvedSession]
+) -> None:
+    frames, solved = both_eyes
+    data = frames[0].data
+    assert isinstance(data, FrameData)
+    masks = {"left": data.mask, "right": data.others["right"].mask}
+    found = estimate(masks, RIG, frames[0].result.readings, bundled_body, session=solved.calibration, config=SETTINGS)
+    assert found.source == "session"
+    together = solved.results[frames[0].name].camera_from_root
+    assert found.camera_from_root is not None
+    assert together is not None
+    assert 1e3 * np.linalg.norm(found.camera_from_root[:3, 3] - together[:3, 3]) < 0.3
+
+
+def test_camera_of_a_stereo_pair_is_not_refined(
+    bundled_body: Body,
+) -> None:
+    _, truths, frames = make_frames_in_memory(bundled_body, 10, level="clean")
+    made = [seen_by_both(bundled_body, frame, truth) for frame, truth in zip(frames, truths, strict=True)]
+    with pytest.raises(InputError, match="--refine-camera: expected frames of one camera, got those of a stereo pair"):
+        calibrate_session(made, bundled_body, config=SETTINGS, refine_camera=True)
