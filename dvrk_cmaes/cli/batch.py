@@ -128,8 +128,8 @@ def batch(
         readings of that much earlier. With auto it is found from up to 60 frames, which are estimated first. By default
         it is that of --session, otherwise none.
     calibration
-        A session.json written by `calibrate`: start each frame from the pose that it predicts, and search globally only
-        if that pose does not explain the mask.
+        A session.json written by `calibrate`, or the folder it wrote, which has one for each of several arms: start
+        each frame from the pose that it predicts, and search globally only if that does not explain the mask.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -163,8 +163,7 @@ def batch(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.calibration.document import read_calibration
-    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool
+    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool, read_calibration_of
     from dvrk_cmaes.frames.session_toml import read_session_toml
 
     part = None if shard is None else Shard.parse(shard)
@@ -172,6 +171,8 @@ def batch(
     tools = chosen_tools(entries, only, session)
     several = entries is not None and len(entries.tools) > 1
     results = session / "results" if out is None else out
+    if len(tools) > 1 and calibration is not None and not calibration.is_dir():
+        raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
     finished = {}
     for tool in tools:
         done = _run(
@@ -194,7 +195,7 @@ def batch(
             workers=workers,
             time_limit=time_limit,
             lag=lag,
-            calibration=None if calibration is None else read_calibration(calibration),
+            calibration=read_calibration_of(calibration, None if tool is None else tool.arm),
         )
         finished["" if tool is None else tool.arm] = done
         if done.interrupted:

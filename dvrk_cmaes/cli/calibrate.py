@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -21,15 +21,19 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import single_tool
+from dvrk_cmaes.cli.session_tools import SessionTool
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration import SolvedSession
+    from dvrk_cmaes.calibration import SessionCalibration, SolvedSession
+    from dvrk_cmaes.config import EstimateConfig
 
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
+
+ARMS = "arms.json"
+"""File of where the arms' bases are relative to each other."""
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
@@ -42,7 +46,7 @@ def calibrate(
     results: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    only: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     camera: CameraOptions = DEFAULT_CAMERA,
@@ -77,7 +81,8 @@ def calibrate(
     joints
         File of readings to use instead of the session's own. May be given several times.
     only
-        Arm of a session.toml with several tools that is calibrated.
+        Arm of a session.toml with several tools: calibrate this one only; by default all of them, each in OUT/ARM, and
+        the poses of their bases relative to the first one's in OUT/arms.json. May be given several times.
     refine_camera
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml. Needs at least 10 frames and 5 mm of insertion.
@@ -94,20 +99,68 @@ def calibrate(
     """
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool
+    from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
+
+    entries = read_session_toml(session)
+    tools = chosen_tools(entries, only, session)
+    several = entries is not None and len(entries.tools) > 1
+    target = session / "calibration" if out is None else out
+    solved: dict[str, SolvedSession] = {}
+    for tool in tools:
+        arm = tool.arm if several and tool is not None else ""
+        one = _calibrate_tool(
+            session,
+            SessionTool(instrument if tool is None else of_tool(instrument, tool), entries, tool),
+            target / arm,
+            None if results is None else results / arm,
+            joints=joints,
+            refine_camera=refine_camera,
+            workers=workers,
+            camera=camera,
+            settings=method.resolve(),
+        )
+        if one is None:
+            return _INTERRUPTED
+        solved[arm] = one
+    for arm, one in solved.items():
+        for text in one.calibration.warnings:
+            warn(f"{arm}: {text}" if arm else text)
+    documents: dict[str, Any] = {arm: one.calibration.to_dict() for arm, one in solved.items()}
+    if json:
+        print(json_text(documents if several else documents[""]), end="")
+    else:
+        for arm, one in solved.items():
+            show([*([Line(arm, "bold")] if arm else []), *_lines(one, target / arm)])
+    if len(solved) > 1:
+        _write_arms({arm: one.calibration for arm, one in solved.items()}, target, quiet=json)
+    return _DOUBTFUL if any(_is_doubtful(one) for one in solved.values()) else 0
+
+
+def _calibrate_tool(
+    folder: Path,
+    chosen: SessionTool,
+    target: Path,
+    results: Path | None,
+    *,
+    joints: tuple[Path, ...],
+    refine_camera: bool,
+    workers: int | None,
+    camera: CameraOptions,
+    settings: EstimateConfig,
+) -> SolvedSession | None:
+    """Calibrate the session of one tool, from its results, or after estimating them; None if interrupted."""
+    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.batch import run_batch, usable_cores
     from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
 
-    target = session / "calibration" if out is None else out
     if results is not None and results.resolve() == target.resolve():
         raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
-    settings = method.resolve()
-    chosen = single_tool(session, instrument, only)
     instrument = chosen.options
     model = instrument.load().instrument
-    found = chosen.read(session, camera, known=model.joint_names, joints=joints)
+    found = chosen.read(folder, camera, known=model.joint_names, joints=joints)
     if results is None:
         results = target / ALONE
         with stopping_on_interrupt() as stop, progress() as reporter:
@@ -122,8 +175,8 @@ def calibrate(
                 progress=reporter,
             )
         if done.interrupted:
-            return _INTERRUPTED
-    solved = calibrate_folder(
+            return None
+    return calibrate_folder(
         found,
         read_results(results).frames,
         model,
@@ -135,15 +188,27 @@ def calibrate(
         workers=workers or usable_cores(),
         progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
     )
-    calibration = solved.calibration
-    for text in calibration.warnings:
-        warn(text)
-    if json:
-        print(json_text(calibration.to_dict()), end="")
-    else:
-        show(_lines(solved, target))
+
+
+def _is_doubtful(solved: SolvedSession) -> bool:
+    """Return whether a frame is doubtful or left out, or there is a warning about the session as a whole."""
     doubtful = any(result.status != "ok" for result in solved.results.values())
-    return _DOUBTFUL if doubtful or calibration.left_out or calibration.warnings else 0
+    return doubtful or bool(solved.calibration.left_out or solved.calibration.warnings)
+
+
+def _write_arms(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
+    """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
+    from dvrk_cmaes.calibration.relative_base import RelativeBase, describe_arms
+    from dvrk_cmaes.io.atomic import write_json
+
+    write_json(out / ARMS, describe_arms(calibrations))
+    first, *others = calibrations
+    if not quiet:
+        show(
+            Line(f"base of {arm} from that of {first}: {RelativeBase.between(calibrations[first], one).describe()}")
+            for arm, one in calibrations.items()
+            if arm in others
+        )
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

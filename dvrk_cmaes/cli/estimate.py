@@ -139,7 +139,7 @@ def estimate(
         raise InputError("--label, --pick: expected a mask with them (--mask FILE), got none")
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
-    from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.frames.frame import FrameFiles, frame_size
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.io.atomic import json_text
@@ -162,7 +162,7 @@ def estimate(
         cameras = camera_file.rig
     data = read_any_frame(files, cameras)
     body = instrument.load()
-    known = None if calibration is None else read_calibration(calibration)
+    known = read_calibration_of(calibration)
     lag = None if known is None else known.applied_lag
     found = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
     files = replace(files, readings=found.readings)

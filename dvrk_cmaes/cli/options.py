@@ -167,6 +167,20 @@ class InstrumentOptions:
             arm=self.arm or tool.kinematics,
         )
 
+    def as_tool(self, arm: str) -> ToolEntry:
+        """Return the tool of these options that an arm holds, with absolute paths, for a session.toml."""
+        from dvrk_cmaes.frames.session_toml import ToolEntry
+
+        named = self.instrument or "lnd"
+        return ToolEntry(
+            arm,
+            self.kinematics,
+            str(Path(named).absolute()) if Path(named).is_file() else named,
+            {name: Path(folder).absolute() for name, folder in split_packages(self.package_path).items()},
+            self.root_link,
+            None if self.tool is None else self.tool.absolute(),
+        )
+
     def load(self) -> Body:
         """Load the instrument, from the instrument cache if it is there, and prepare it for rendering."""
         from dvrk_cmaes.instrument import load_instrument

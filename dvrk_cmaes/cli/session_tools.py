@@ -11,6 +11,7 @@ from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration import SessionCalibration
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
@@ -33,9 +34,18 @@ def chosen_tools(entries: SessionEntries | None, only: Sequence[str], folder: Pa
 
 def of_tool(options: InstrumentOptions, tool: ToolEntry) -> InstrumentOptions:
     """Return the options of the instrument with what the session says of a tool; the command line wins, and warns."""
-    if None not in (options.instrument, tool.instrument) and options.instrument != tool.instrument:
+    if (
+        options.instrument is not None
+        and tool.instrument is not None
+        and not _same(options.instrument, tool.instrument)
+    ):
         warn(f"{tool.arm}: session.toml names {tool.instrument}, but --instrument {options.instrument} is used")
     return options.of_tool(tool)
+
+
+def _same(instrument: str, other: str) -> bool:
+    """Whether two names or paths are those of one instrument."""
+    return instrument == other or Path(instrument).resolve() == Path(other).resolve()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,3 +80,24 @@ def single_tool(folder: Path, options: InstrumentOptions, arm: str | None = None
         raise InputError(f"{entries.path}: tool: expected one, or the choice of an arm (--only ARM), got {named}")
     tool = tools[0]
     return SessionTool(options if tool is None else of_tool(options, tool), entries, tool)
+
+
+def read_calibration_of(path: Path | None, arm: str | None = None) -> SessionCalibration | None:
+    """Read the calibration that ``--session`` names: a session.json, or the folder that `calibrate` wrote.
+
+    ``arm`` is one of a session with several: its own is in the folder's subfolder of that name. None for no option.
+
+    Raises
+    ------
+    InputError
+        There is no session.json, or it is not valid.
+    """
+    from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.results.folder import SESSION
+
+    if path is None:
+        return None
+    if path.is_dir():
+        own = path / arm / SESSION if arm is not None else path / SESSION
+        return read_calibration(own if arm is None or own.exists() else path / SESSION)
+    return read_calibration(path)

@@ -149,14 +149,12 @@ def synth(
         lag=None if lag is None else FRAMES_A_SECOND * Lag.parse("--lag", lag).in_seconds(FRAMES_A_SECOND),
         cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
         baseline=baseline if stereo else None,
+        tool=(tool := instrument.as_tool("PSM1")),
     )
     if arms > 1:
         from dvrk_cmaes.synth.two_arms import write_two_arms
 
-        named = instrument.instrument or "lnd"
-        write_two_arms(
-            out, plan, str(Path(named).absolute()) if named.endswith(".urdf") else named, overwrite=overwrite
-        )
+        write_two_arms(out, plan, tool, overwrite=overwrite)
     elif motion == "video":
         from dvrk_cmaes.synth.recording import write_recording
 

@@ -24,7 +24,7 @@ from dvrk_cmaes.cli.options import (
     SessionOption,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import single_tool
+from dvrk_cmaes.cli.session_tools import read_calibration_of, single_tool
 from dvrk_cmaes.cli.terminal import Line, frames_text, show
 from dvrk_cmaes.errors import InputError
 
@@ -111,7 +111,6 @@ def track(
     if not (math.isfinite(fps) and fps > 0):
         raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
     check_range("--fps", fps, 1e-3, 1e6, "frames a second")
-    from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
@@ -128,7 +127,7 @@ def track(
     settings = TrackSettings(
         method.resolve(),
         instrument.kinematics,
-        None if calibration is None else read_calibration(calibration),
+        read_calibration_of(calibration, None if chosen.tool is None else chosen.tool.arm),
         seconds,
         every,
         joints != "none",

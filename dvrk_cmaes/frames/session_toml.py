@@ -1,4 +1,4 @@
-"""Reader of session.toml: what is in a session folder, and which tools are in its frames.
+"""Reader and writer of session.toml: what is in a session folder, and which tools are in its frames.
 
 Example::
 
@@ -20,8 +20,10 @@ Paths are relative to the folder of the file. All keys but ``arm`` may be missin
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -132,6 +134,31 @@ def read_session_toml(folder: str | Path) -> SessionEntries | None:
     tools = tuple(_tool(root, tool) for tool in read.tool)
     _check_tools(path, tools)
     return SessionEntries(path, camera, tools)
+
+
+def session_toml(camera: CameraEntry, tools: Sequence[ToolEntry]) -> str:
+    """Return the text of a session.toml; relative paths are relative to the session's folder."""
+    tables: list[tuple[str, CameraEntry | ToolEntry]] = [("[camera]", camera), *(("[[tool]]", tool) for tool in tools)]
+    return "\n".join("\n".join([title, *_entries(table), ""]) for title, table in tables)
+
+
+def _entries(table: CameraEntry | ToolEntry) -> Iterator[str]:
+    """Yield the lines of a table, without the entries that have no value."""
+    for name, value in vars(table).items():
+        if isinstance(value, dict) and value:
+            inside = ", ".join(f"{key} = {_quoted(folder)}" for key, folder in value.items())
+            yield f"{name} = {{{inside}}}"
+        elif isinstance(value, bool) and value:
+            yield f"{name} = true"
+        elif isinstance(value, int) and not isinstance(value, bool):
+            yield f"{name} = {value}"
+        elif isinstance(value, str | Path):
+            yield f"{name} = {_quoted(value)}"
+
+
+def _quoted(value: str | Path) -> str:
+    """Return a text as a basic string of TOML, whose escapes are those of JSON."""
+    return json.dumps(str(value), ensure_ascii=False)
 
 
 def _check_keys(path: Path, document: dict[str, object]) -> None:

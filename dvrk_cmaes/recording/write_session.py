@@ -1,4 +1,4 @@
-"""Writing of a recording as a session folder: camera.yaml, images/, images.csv and joints.csv.
+"""Writing of a recording as a session folder: camera.yaml, session.toml, images/, images.csv and joints.csv.
 
 images.csv has the columns frame and time, joints.csv the columns frame, time and one for each joint. A cell of
 joints.csv is blank if no reading was near enough in time. The folder is written completely or not at all.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -20,12 +21,14 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.io.atomic import write_bytes, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
 _DIGITS = 6  # number of digits of a frame's name
+_ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 
 
 @dataclass(frozen=True)
@@ -141,12 +144,21 @@ def write_session(
         write_bytes(folder / "camera.yaml", recording.camera)
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
+        arm = _arm_of(recording.readings)
+        tools = [] if arm is None else [ToolEntry(arm)]
+        write_text(folder / SESSION_FILE, session_toml(CameraEntry(file=Path("camera.yaml")), tools))
         write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, time_cells, strict=True)))
         rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
         write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))
         read_session(folder)  # raises InputError if the written folder is not a valid session
     notes = (*recording.notes, f"readings of {lag:g} s before each image") if lag else recording.notes
     return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, notes, lag)
+
+
+def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
+    """Return the name of the arm that the sources of all readings name, such as PSM1; None if there is not one."""
+    arms = {found for source in readings for found in _ARM.findall(source.source)}
+    return arms.pop() if len(arms) == 1 else None
 
 
 class _ImageCounter:

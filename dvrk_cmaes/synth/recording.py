@@ -17,7 +17,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.synth.cable_motion import draw_cables
-from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info
+from dvrk_cmaes.synth.files import rounded, rounded_truth
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.masks import simulate_segmentation, tissue_region
 from dvrk_cmaes.synth.moving_arm import (
@@ -29,7 +29,7 @@ from dvrk_cmaes.synth.moving_arm import (
     level_offsets,
     read_moving,
 )
-from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan
+from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, write_cameras
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 from dvrk_cmaes.synth.views import trace_links
 
@@ -101,7 +101,7 @@ def write_recording(out: Path, plan: SessionPlan, *, overwrite: bool = False) ->
             rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
             truth = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
             golden[name] = truth | {"visible": round(frame.visible, 3)}
-        write_camera_info(folder / "camera.yaml", plan.camera, "synth")
+        write_cameras(folder, plan)
         write_text(folder / "joints.csv", "\n".join(rows) + "\n")
         write_json(folder / "golden.json", {"camera_from_base": rounded(base), "frames": golden})
         write_json(folder / PLAN_FILE, plan.describe() | {"motion_level": _described(level), "cables": plan.cables})

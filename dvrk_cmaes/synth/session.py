@@ -19,6 +19,7 @@ from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import Marker, place_markers
+from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
@@ -85,6 +86,7 @@ class SessionPlan:
     cables : of a video, ``measured`` for readings that err as those of a real arm, ``independent`` for errors of each
         joint by itself.
     baseline : distance of the right eye from the left, m; None for one view. Both eyes have the same camera.
+    tool : what session.toml says of the instrument; without it, none is written.
     """
 
     body: Body
@@ -98,6 +100,7 @@ class SessionPlan:
     lag: float | None = None
     cables: Cables = "independent"
     baseline: float | None = None
+    tool: ToolEntry | None = None
 
     @property
     def right_from_left(self) -> Float64:
@@ -190,11 +193,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             tips.append(",".join([frame.name, *pixels]))
             markers += [f"{frame.name},{name},{u:.2f},{v:.2f}" for name, (u, v) in frame.markers.items()]
             golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
-        if plan.baseline is None:
-            write_camera_info(folder / "camera.yaml", plan.camera, "synth")
-        else:
-            write_camera_info(folder / "left.yaml", plan.camera, "synth_left")
-            write_camera_info(folder / "right.yaml", plan.camera, "synth_right", baseline=plan.baseline)
+        write_cameras(folder, plan)
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
         write_joints(folder / "joints.csv", readings, columns)
         if plan.body.instrument.jaw_tips:
@@ -204,6 +203,19 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
         base = None if camera_from_base is None else rounded(camera_from_base)
         write_json(folder / "golden.json", {"camera_from_base": base, "frames": golden})
         write_json(folder / PLAN_FILE, plan.describe())
+
+
+def write_cameras(folder: Path, plan: SessionPlan) -> None:
+    """Write the camera files and, where the plan says what the tool is, session.toml."""
+    if plan.baseline is None:
+        write_camera_info(folder / "camera.yaml", plan.camera, "synth")
+        entry = CameraEntry(file=Path("camera.yaml"))
+    else:
+        write_camera_info(folder / "left.yaml", plan.camera, "synth_left")
+        write_camera_info(folder / "right.yaml", plan.camera, "synth_right", baseline=plan.baseline)
+        entry = CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"))
+    if plan.tool is not None:
+        write_text(folder / SESSION_FILE, session_toml(entry, [plan.tool]))
 
 
 def _write_view(folder: Path, plan: SessionPlan, view: str, frame: SyntheticFrame, *, images: bool) -> None:

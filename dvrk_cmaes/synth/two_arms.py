@@ -15,14 +15,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
-from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
+from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import outside_lens_circle
 from dvrk_cmaes.synth.readings import sample_readings
-from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, make_truths
+from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, make_truths, write_cameras
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.views import NOTHING, trace_links
 
@@ -72,10 +73,10 @@ def hidden_shares(first: Float32, second: Float32) -> tuple[float, float]:
     return counts[0][0] / counts[0][1], counts[1][0] / counts[1][1]
 
 
-def write_two_arms(out: Path, plan: SessionPlan, instrument: str, *, overwrite: bool = False) -> None:
+def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: bool = False) -> None:
     """Make a session of two arms and write it to a folder, completely or, after an error, not at all.
 
-    ``instrument`` is the name or path of the instrument for session.toml. Errors as `synth.session.write_session`.
+    ``tool`` is what session.toml says of the instrument of both arms. Errors as `synth.session.write_session`.
     """
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
         arms = make_arms(plan)
@@ -93,8 +94,8 @@ def write_two_arms(out: Path, plan: SessionPlan, instrument: str, *, overwrite: 
                 for name, truth in zip(names, truths, strict=True)
             }
             write_json(folder / f"golden_{arm}.json", {"camera_from_base": rounded(base), "frames": frames})
-        write_camera_info(folder / "camera.yaml", plan.camera, "synth")
-        write_text(folder / "session.toml", _described(plan, instrument))
+        write_cameras(folder, replace(plan, tool=None))
+        write_text(folder / SESSION_FILE, session_toml(CameraEntry(file=Path("camera.yaml")), _of_arms(tool)))
         write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})
 
 
@@ -129,12 +130,8 @@ def _depth(plan: SessionPlan, truth: Truth) -> Float32:
     return np.where(view.link == NOTHING, np.float32(np.inf), view.depth).astype(np.float32)
 
 
-def _described(plan: SessionPlan, instrument: str) -> str:
-    """Return the text of session.toml."""
-    parts = ['[camera]\nfile = "camera.yaml"\n']
-    for label, arm in enumerate(ARMS, start=1):
-        parts.append(
-            f'[[tool]]\narm = "{arm}"\nkinematics = "{plan.arm}"\ninstrument = "{instrument}"\n'
-            f'label = {label}\njoints = "joints_{arm}.csv"\n'
-        )
-    return "\n".join(parts)
+def _of_arms(tool: ToolEntry) -> list[ToolEntry]:
+    """Return the entries of the tools of both arms, with their labels and files of readings."""
+    return [
+        replace(tool, arm=arm, label=label, joints=Path(f"joints_{arm}.csv")) for label, arm in enumerate(ARMS, start=1)
+    ]

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
-from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
-from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -26,22 +24,7 @@ from dvrk_cmaes.synth.files import write_camera_info
 
 Command = Callable[..., Ran]
 
-COLUMNS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw")
 SETTINGS = QUICK + "[session]\nrounds = 1\n"
-
-
-def write_folder(folder: Path, frames: list[SessionFrame]) -> None:
-    """Write frames as a session folder, and their results as a batch does, into ``results`` beside it."""
-    (folder / "masks").mkdir(parents=True)
-    lines = [",".join(("frame", *COLUMNS))]
-    for one in frames:
-        assert isinstance(one.data, FrameData)
-        image = one.data.mask.astype(np.uint8) * 255
-        (folder / "masks" / f"{one.name}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
-        lines.append(",".join((one.name, *(f"{one.result.readings[name]:.6f}" for name in COLUMNS))))
-        write_json(folder.parent / "results" / "frames" / f"{one.name}.json", one.result.to_dict())
-    write_camera_info(folder / "camera.yaml", SMALL, "synth")
-    (folder / "joints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

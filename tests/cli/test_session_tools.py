@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
+from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.stereo_sessions import POSES, SECOND_POSES, make_session_of_two_tools
 
-from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.geometry import change_between, transform
+from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body
 
 SHIFTS = {"PSM1": transform(np.eye(3), [-0.012, 0, 0]), "PSM2": transform(np.eye(3), [0.012, 0, 0])}
@@ -53,7 +57,7 @@ def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.Capture
 
 
 def test_command_for_one_tool_asks_which(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    refusal = run_command(capsys, "calibrate", folder, "--out", folder.parent / "out").refusal
+    refusal = run_command(capsys, "track", folder, "--out", folder.parent / "out").refusal
     assert refusal.endswith("session.toml: tool: expected one, or the choice of an arm (--only ARM), got PSM1, PSM2")
 
 
@@ -73,3 +77,61 @@ def test_other_instrument_than_the_session_names_is_warned_about(
     ran = run_command(capsys, *arguments, "--instrument", "lnd", "--only", "PSM1", "--frames", "0000")
     assert "PSM1: session.toml names" in ran.err
     assert "but --instrument lnd is used" in ran.err
+
+
+def test_path_of_the_instrument_that_the_session_names_is_no_other_one(
+    folder: Path, quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder.parent)
+    urdf = bundled_path("instruments", "lnd", "lnd.urdf")
+    text = (folder / "session.toml").read_text(encoding="utf-8")
+    (folder / "session.toml").write_text(text.replace('"lnd"', json.dumps(str(urdf))), encoding="utf-8")
+    relative = os.path.relpath(urdf, folder.parent)
+    arguments = ("batch", folder, "--out", "out", "--config", quick, "--workers", 1, "--frames", "0000")
+    assert "session.toml names" not in run_command(capsys, *arguments, "--instrument", relative, "--only", "PSM1").err
+
+
+@pytest.fixture(scope="module")
+def two_arms(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a session of two arms that have one base, each seen in four frames, and the results of their frames."""
+    place = tmp_path_factory.mktemp("two_arms")
+    frames = make_frames_in_memory(bundled_body, 8, level="clean")[2]
+    lines = ['[camera]\nfile = "camera.yaml"']
+    for arm, own in (("PSM1", frames[:4]), ("PSM2", frames[4:])):
+        write_folder(place / arm / "session", own)
+        written = place / arm / "session"
+        (place / "session").mkdir(exist_ok=True)
+        (place / "results").mkdir(exist_ok=True)
+        (written / "masks").rename(place / "session" / f"masks_{arm}")
+        (written / "joints.csv").rename(place / "session" / f"joints_{arm}.csv")
+        (written / "camera.yaml").rename(place / "session" / "camera.yaml")
+        (place / arm / "results").rename(place / "results" / arm)
+        lines.append(f'[[tool]]\narm = "{arm}"\nmasks = "masks_{arm}"\njoints = "joints_{arm}.csv"')
+    (place / "session" / "session.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (place / "settings.toml").write_text(QUICK + "[session]\nrounds = 1\n", encoding="utf-8")
+    return place
+
+
+def test_all_arms_are_calibrated_and_their_bases_related(
+    two_arms: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    arguments = ("--results", two_arms / "results", "--config", two_arms / "settings.toml", "--workers", 1)
+    ran = run_command(capsys, "calibrate", two_arms / "session", "--out", tmp_path, *arguments)
+    assert ran.code in (0, 3), ran.err
+    assert "base of PSM2 from that of PSM1: " in ran.out
+    document = json.loads((tmp_path / "arms.json").read_text(encoding="utf-8"))
+    assert document["reference"] == "PSM1"
+    relative = np.array(document["arms"]["PSM2"]["reference_from_base"])
+    std = np.sqrt(np.diag(document["arms"]["PSM2"]["covariance"]))
+    off = change_between(np.eye(4), relative)  # in truth, both arms have one base
+    assert (np.abs(off) < 4 * std).all()
+    assert np.linalg.norm(off[:3]) < 4e-3
+    for arm, number in (("PSM1", 0), ("PSM2", 4)):
+        assert read_calibration(tmp_path / arm / "session.json").frames == tuple(f"{number + k:04d}" for k in range(4))
+    again = ("batch", two_arms / "session", "--config", two_arms / "settings.toml", "--workers", 1, "--json")
+    ran = run_command(capsys, *again, "--session", tmp_path, "--out", tmp_path / "out", "--frames", "000[04]")
+    for arm, name in (("PSM1", "0000"), ("PSM2", "0004")):
+        result = json.loads((tmp_path / "out" / arm / "frames" / f"{name}.json").read_text(encoding="utf-8"))
+        assert result["source"] == "session"
+    refused = run_command(capsys, *again, "--session", tmp_path / "PSM1" / "session.json")
+    assert refused.refusal.startswith("--session: expected the folder that calibrate wrote for all arms, got ")

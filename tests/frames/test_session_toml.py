@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ from helpers.batch_sessions import make_session
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import OtherTool, read_frame
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.session_toml import SessionEntries, read_session_toml
+from dvrk_cmaes.frames.session_toml import CameraEntry, SessionEntries, ToolEntry, read_session_toml, session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 
 TWO_TOOLS = """
@@ -54,6 +55,17 @@ def test_paths_are_relative_to_the_session(tmp_path: Path) -> None:
     assert second.packages == {"dvrk_model": tmp_path / "../model"}
     assert (second.kinematics, second.joints) == ("si", None)
     assert entries.tool("PSM2") is second
+
+
+def test_written_entries_are_read_back(tmp_path: Path) -> None:
+    camera = CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"), rectified=True)
+    tool = ToolEntry("PSM1", "si", 'a "b".urdf', {"dvrk_model": Path("/x y")}, "wrist", Path("t.json"), 3)
+    text = session_toml(camera, [tool, replace(tool, arm="PSM2", label=None, masks=Path("m"), joints=Path("j.csv"))])
+    entries = described(tmp_path, text)
+    assert (entries.camera.left, entries.camera.rectified) == (tmp_path / "left.yaml", True)
+    first, second = entries.tools
+    assert first == replace(tool, instrument=str(tmp_path / 'a "b".urdf'), tool=tmp_path / "t.json")
+    assert (second.masks, second.joints, second.label) == (tmp_path / "m", tmp_path / "j.csv", None)
 
 
 @pytest.mark.parametrize(

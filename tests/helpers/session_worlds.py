@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
@@ -18,8 +20,10 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.files import write_camera_info
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
 from dvrk_cmaes.synth.truth import Truth
@@ -38,6 +42,8 @@ SEEN = np.array([2e-4, 2e-4, 6e-4, *np.deg2rad([0.3, 0.3, 3.0]), *np.deg2rad([2.
 
 FITTED = 0.15 * SEEN
 """Standard deviations of results on exact masks."""
+
+_COLUMNS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw")
 
 SMALL = Camera(320, 240, 513, 513, 161, 119)
 """The synthetic sessions' camera at a reduced resolution."""
@@ -183,3 +189,17 @@ def true_calibration(
         contour_px_95=2.0,
         roll_offset=body.instrument.roll_offset,
     )
+
+
+def write_folder(folder: Path, frames: list[SessionFrame]) -> None:
+    """Write frames as a session folder, and their results as a batch does, into ``results`` beside it."""
+    (folder / "masks").mkdir(parents=True)
+    lines = [",".join(("frame", *_COLUMNS))]
+    for one in frames:
+        assert isinstance(one.data, FrameData)
+        image = one.data.mask.astype(np.uint8) * 255
+        (folder / "masks" / f"{one.name}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        lines.append(",".join((one.name, *(f"{one.result.readings[name]:.6f}" for name in _COLUMNS))))
+        write_json(folder.parent / "results" / "frames" / f"{one.name}.json", one.result.to_dict())
+    write_camera_info(folder / "camera.yaml", SMALL, "synth")
+    (folder / "joints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

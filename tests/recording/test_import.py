@@ -36,11 +36,12 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import Selection, write_session
 
 CAMERA = Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (-0.21, 0.1, 1e-05, -2e-05, 0.0))
-WRITTEN = ["camera.yaml", "images", "images.csv", "joints.csv"]
+WRITTEN = ["camera.yaml", "images", "images.csv", "joints.csv", "session.toml"]
 
 Import = Callable[..., dict[str, Any]]
 
@@ -92,6 +93,10 @@ def test_recording_is_imported_as_session(imported: Import, tmp_path: Path, kind
     assert own["joints"] == ["jaw"]
     assert arm["farthest_s"] == pytest.approx(0.013)
     assert "times: those of the headers" in summary["notes"]
+    entries = read_session_toml("session")
+    assert entries is not None
+    assert entries.camera.file == Path("session/camera.yaml")
+    assert [tool.arm for tool in entries.tools] == ["PSM1"]  # as the topics say
 
 
 def test_summary_lists_topics_and_reading_distances(

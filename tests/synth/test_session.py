@@ -19,6 +19,7 @@ from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.markers import read_detections, read_marker_table
 from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.arm import Arm, base_from_root
 from dvrk_cmaes.io.bundled import bundled_path
@@ -252,6 +253,9 @@ def test_command_writes_session_and_prints_plan(tmp_path: Path, capsys: pytest.C
     line = ["synth", str(out), "--level", "easy", "--frames", "1", "--seed", "3", "--no-images"]
     assert main(line) == 0
     assert capsys.readouterr().out == f"1 frames, level easy, motion rcm, seed 3; written: {out}\n"
+    entries = read_session_toml(out)
+    assert entries is not None
+    assert [(tool.arm, tool.instrument, tool.kinematics) for tool in entries.tools] == [("PSM1", "lnd", "classic")]
     document = json.loads((out / "synth.json").read_text())
     assert (document["level"]["wrist_deg"], document["seed"], document["instrument"]) == (2.0, 3, "lnd")
     assert main(line) == 2

@@ -11,7 +11,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -25,7 +25,7 @@ def folder(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Path
     camera = Camera(320, 240, 513.0, 513.0, 161.0, 119.0)
     plan = SessionPlan(bundled_body, camera, LEVELS["easy"], "rcm", 2, 3, {})
     out = tmp_path_factory.mktemp("arms") / "session"
-    write_two_arms(out, plan, "lnd")
+    write_two_arms(out, plan, ToolEntry("PSM1", "classic", "lnd"))
     return out
 
 

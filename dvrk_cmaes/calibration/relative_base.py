@@ -1,0 +1,63 @@
+"""Where the bases of a session's arms are relative to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
+from dvrk_cmaes.io.rounding import rounded_matrix
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeBase:
+    """Pose of an arm's base in the base of a reference arm.
+
+    ``reference_from_base`` is (4, 4), m; ``covariance`` (6, 6) that of its small changes [t, r] in the arm's own base's
+    axes, m and rad.
+    """
+
+    reference_from_base: Float64
+    covariance: Float64
+
+    @classmethod
+    def between(cls, reference: SessionCalibration, other: SessionCalibration) -> RelativeBase:
+        """Compute the pose of an arm's base in a reference arm's from the calibrations of both with one camera.
+
+        The errors of both bases are taken for independent. Those that an error of the camera file causes have the same
+        direction in both, so that the true covariance is rather smaller.
+        """
+        found = inverse(reference.camera_from_base) @ other.camera_from_base
+        of_reference = adjoint(inverse(found))
+        covariance = other.covariance[:6, :6] + of_reference @ reference.covariance[:6, :6] @ of_reference.T
+        return cls(np.asarray(found), np.asarray(covariance))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the values in the documented schema, ready for JSON."""
+        return {
+            "reference_from_base": rounded_matrix(self.reference_from_base),
+            "covariance": rounded_matrix(self.covariance),
+        }
+
+    def describe(self) -> str:
+        """Describe distance and angle in words, with standard deviations."""
+        away, std = self.reference_from_base[:3, 3], np.sqrt(np.diag(self.covariance))
+        angle = np.linalg.norm(log_rotation(self.reference_from_base[:3, :3]))
+        return (
+            f"{1e3 * np.linalg.norm(away):.1f} mm away, turned by {np.degrees(angle):.2f} deg (std per axis "
+            f"{1e3 * std[:3].mean():.1f} mm, {np.degrees(std[3:].mean()):.2f} deg)"
+        )
+
+
+def describe_arms(calibrations: Mapping[str, SessionCalibration]) -> dict[str, Any]:
+    """Return the document of a session's arms: the first one is the reference, in whose base the others' are given."""
+    reference, *others = calibrations
+    bases = {arm: RelativeBase.between(calibrations[reference], calibrations[arm]) for arm in others}
+    return {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}}
