@@ -38,6 +38,7 @@ def synth(
     arms: Literal[1, 2] = 1,
     seed: int = 0,
     images: bool = True,
+    mp4: Flag = False,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -54,7 +55,9 @@ def synth(
     With --motion video the frames are consecutive, 30 a second, of an arm that moves smoothly. Readings have the errors
     of cables, see --cables; a shadow is taken for the instrument for about a second at a time; images are late at the
     levels medium (1.5 frames) and hard (2.6), where another shaft and tissue pass before the instrument, too; at the
-    level hard it leaves the view and comes back. Masks, readings and the truth are written.
+    level hard it leaves the view and comes back. Masks, images, readings and the truth are written. Images show
+    the shadow on moving tissue that a mask takes for the instrument, and what passes before it; from easy to hard the
+    tissue moves more, noise, motion blur and compression grow, and blood and smoke are added.
 
     Without --camera, the camera has 640 x 480 pixels and a focal length of 1026 px.
 
@@ -105,7 +108,9 @@ def synth(
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
-        Write images as well; a video has none.
+        Write images as well.
+    mp4
+        Write the images of --motion video as video.mp4, not as files in images/.
     overwrite
         Replace an existing synthetic session.
     camera
@@ -120,6 +125,8 @@ def synth(
         raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
     if cables is not None and motion != "video":
         raise InputError(f"--cables: expected it with --motion video only, got --motion {motion}")
+    if mp4 and (motion != "video" or not images):
+        raise InputError("--mp4: expected it with --motion video and --images only")
     if stereo and motion == "video":
         raise InputError("--stereo: expected --motion rcm or free with it, got --motion video")
     if not _BASELINES[0] <= baseline <= _BASELINES[1]:
@@ -156,9 +163,10 @@ def synth(
 
         write_two_arms(out, plan, tool, overwrite=overwrite)
     elif motion == "video":
-        from dvrk_cmaes.synth.recording import write_recording
+        from dvrk_cmaes.synth.recording import Pictures, write_recording
 
-        write_recording(out, plan, overwrite=overwrite)
+        pictures: Pictures = "none" if not images else "video" if mp4 else "files"
+        write_recording(out, plan, pictures=pictures, overwrite=overwrite)
     else:
         write_session(out, plan, images=images, overwrite=overwrite)
     show([Line(f"{frames} frames, level {level}, motion {motion}, seed {seed}; written: {out}")])

@@ -76,12 +76,14 @@ def write_json(path: str | Path, obj: Any) -> None:
     write_text(path, json_text(obj))
 
 
-def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> None:
+def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_], *, quality: int | None = None) -> None:
     """Write an image in the format of its extension; images and errors as in ``encoded_image`` and ``write_bytes``."""
-    write_bytes(path, encoded_image(path, image))
+    write_bytes(path, encoded_image(path, image, quality=quality))
 
 
-def encoded_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]) -> bytes:
+def encoded_image(
+    path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_], *, quality: int | None = None
+) -> bytes:
     """Encode an image in the format of a path's extension.
 
     Parameters
@@ -90,6 +92,8 @@ def encoded_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]
         Path whose extension is .png, .jpg or .jpeg.
     image
         (H, W) grey, (H, W, 3) BGR, or a bool mask (H, W), which is encoded as 0 and 255.
+    quality
+        Quality of a JPEG, 0 to 100; by default that of OpenCV, 95.
 
     Raises
     ------
@@ -102,7 +106,8 @@ def encoded_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_]
     if extension not in (".png", ".jpg", ".jpeg"):
         raise InputError(f"{path}: expected an image's name to end in .png, .jpg or .jpeg, got {extension!r}")
     pixels = np.asarray(image, np.uint8) * (255 if image.dtype == np.bool_ else 1)
-    encoded, data = cv2.imencode(extension, pixels)
+    parameters = [] if quality is None or extension == ".png" else [cv2.IMWRITE_JPEG_QUALITY, quality]
+    encoded, data = cv2.imencode(extension, pixels, parameters)
     if not encoded:
         raise DvrkCmaesError(f"{path}: the image could not be encoded")
     return data.tobytes()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import uuid
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +11,8 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.track_overlay import draw_track
-from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
-from dvrk_cmaes.io.atomic import not_written
+from dvrk_cmaes.io.video_file import whole_video
 from dvrk_cmaes.silhouette import Body, Renderer
 
 
@@ -42,7 +37,7 @@ def write_video(
     renderer = Renderer(body, camera, threads=1)
     names = body.instrument.joint_names
     size = (camera.width, camera.height)
-    with _video(path, size, frames_a_second) as video:
+    with whole_video(path, size, frames_a_second) as video:
         for files, row in zip(frames, rows, strict=True):
             image = mask = silhouette = None
             if files.mask is not None:
@@ -66,24 +61,3 @@ def write_video(
                     size=size,
                 )
             )
-
-
-@contextmanager
-def _video(path: Path, size: tuple[int, int], frames_a_second: float) -> Iterator[Any]:
-    """Open a video that is written beside its place and renamed when it is complete."""
-    beside = path.with_name(f".{uuid.uuid4().hex}.mp4")
-    try:
-        video = cv2.VideoWriter(str(beside), cv2.VideoWriter.fourcc(*"mp4v"), frames_a_second, size)
-        if not video.isOpened():
-            raise DvrkCmaesError(f"{path}: OpenCV cannot write an mp4 video there")
-        try:
-            yield video
-        finally:
-            video.release()
-        try:
-            os.replace(beside, path)
-        except OSError as error:
-            raise not_written(path, error, "a video") from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink()

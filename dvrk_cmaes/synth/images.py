@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
 from dvrk_cmaes.synth.truth import Truth
-from dvrk_cmaes.synth.views import NOTHING, trace_links
+from dvrk_cmaes.synth.views import NOTHING, LinkView, trace_links
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -53,7 +53,7 @@ def draw_image(
         (H, W), pixels outside the lens's circular field of view, which are black.
     """
     shape = (camera.height, camera.width)
-    tissue = _tissue(shape, rng)
+    tissue = draw_tissue(shape, rng)
     tool, alpha = _tool(camera, truth)
     shadow = cv2.GaussianBlur(np.roll(alpha, (9, 5), (0, 1)), (0, 0), 9)
     image = tissue * (1 - 0.55 * shadow[..., None])
@@ -62,8 +62,8 @@ def draw_image(
         glare = cv2.GaussianBlur(holes.astype(np.float32), (0, 0), 1.6)[..., None]
         image = image * (1 - glare) + glare
     if occluder is not None:
-        image = _over(image, _lump(occluder, rng), occluder)
-    image *= _vignette(camera)[..., None]
+        image = blend_over(image, draw_lump(occluder, rng), occluder)
+    image *= vignette(camera)[..., None]
     if outside_lens is not None:
         image *= cv2.GaussianBlur(1 - outside_lens.astype(np.float32), (0, 0), 2.0)[..., None]
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + 0.004 * rng.standard_normal(image.shape).astype(np.float32)
@@ -75,7 +75,16 @@ def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
     fine = camera.scaled(camera.width * SAMPLES, camera.height * SAMPLES)
     view = trace_links(truth.instrument, fine, truth.camera_from_root, truth.values)
     seen = (view.link != NOTHING).astype(np.float32)
-    facing = np.abs((view.normal * view.direction).sum(axis=2))  # the light is at the lens
+    size = (camera.width, camera.height)
+    shaded = cv2.resize(shaded_links(truth, view), size, interpolation=cv2.INTER_AREA)
+    alpha = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(shaded, np.float32), np.asarray(alpha, np.float32)
+
+
+def shaded_links(truth: Truth, view: LinkView) -> Float32:
+    """Return the colour (..., 3) of what is seen along rays, lit from the lens; 0 where no link is seen."""
+    seen = (view.link != NOTHING).astype(np.float32)
+    facing = np.abs((view.normal * view.direction).sum(axis=-1))  # the light is at the lens
     steel = (view.link > 0) | (_along_shaft(truth, view.direction, view.depth) > _distal_end(truth))
     albedo = np.where(steel[..., None], STEEL, SHAFT)
     # polished steel reflects a bright surrounding above and a dark one below
@@ -83,15 +92,11 @@ def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
     diffuse = albedo * (0.25 + 0.75 * facing[..., None]) * np.where(steel[..., None], 0.55 + 0.75 * mirrored, 1.0)
     gloss = np.where(steel, 0.75 * facing**24, 0.10 * facing**8)[..., None]
     nearer = np.minimum(0.11 / np.maximum(view.depth, 0.04), 1.25)
-    colour = np.clip((diffuse + gloss) * nearer[..., None], 0, 1) * seen[..., None]
-    size = (camera.width, camera.height)
-    shaded = cv2.resize(colour.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    alpha = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(shaded, np.float32), np.asarray(alpha, np.float32)
+    return np.asarray(np.clip((diffuse + gloss) * nearer[..., None], 0, 1) * seen[..., None], np.float32)
 
 
 def _along_shaft(truth: Truth, direction: Float32, depth: Float32) -> Float32:
-    """Return the coordinate along the shaft of the point seen at each pixel (H, W), m from the root's origin."""
+    """Return the coordinate along the shaft of the points seen along rays (...), m from the root's origin."""
     points = direction / direction[..., 2:] * depth[..., None] - truth.camera_from_root[:3, 3]
     return np.asarray(points @ truth.camera_from_root[:3, 2], np.float32)
 
@@ -102,7 +107,7 @@ def _distal_end(truth: Truth) -> float:
     return -np.inf if shaft is None else shaft.distal_end
 
 
-def _tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
+def draw_tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
     """Draw tissue with folds, grain and moist highlights, (H, W, 3)."""
     folds = (
         0.75 * smooth_noise(shape, rng, 260) + 0.35 * smooth_noise(shape, rng, 90) + 0.12 * smooth_noise(shape, rng, 24)
@@ -115,20 +120,20 @@ def _tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
     return np.asarray(np.clip(0.62 * colour * np.clip(light, 0.6, 1.5) + 0.55 * moist, 0, 1), np.float32)
 
 
-def _lump(region: Bool, rng: np.random.Generator) -> Float32:
+def draw_lump(region: Bool, rng: np.random.Generator) -> Float32:
     """Draw rounded tissue in a region (H, W): an image (H, W, 3)."""
     height = np.sqrt(np.clip(signed_distance(region), 0, 40) / 40)
     grain = 1 + 0.10 * smooth_noise(region.shape, rng, 12)
     return np.asarray(OCCLUDER_TISSUE * (0.35 + 0.45 * height * grain)[..., None], np.float32)
 
 
-def _over(below: Float32, above: Float32, region: Bool) -> Float32:
+def blend_over(below: Float32, above: Float32, region: Bool) -> Float32:
     """Blend image ``above`` over image ``below`` within a region (H, W) with a soft edge."""
     alpha = cv2.GaussianBlur(region.astype(np.float32), (0, 0), 0.8)[..., None]
     return np.asarray(below * (1 - alpha) + above * alpha, np.float32)
 
 
-def _vignette(camera: Camera) -> Float32:
+def vignette(camera: Camera) -> Float32:
     """Return the factor (H, W) by which the brightness falls towards the corners."""
     v, u = np.mgrid[: camera.height, : camera.width]
     radius = np.hypot(u - camera.cx, v - camera.cy) / (0.5 * camera.width)

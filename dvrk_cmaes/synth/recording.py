@@ -1,11 +1,12 @@
-"""Synthetic recordings: consecutive masks of a moving arm with the mistakes of a segmenter, readings and truth."""
+"""Synthetic recordings: masks of a moving arm with a segmenter's mistakes, images, readings and truth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import numpy as np
@@ -14,42 +15,51 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.video_file import whole_video
 from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.files import rounded, rounded_truth
 from dvrk_cmaes.synth.levels import LEVELS
-from dvrk_cmaes.synth.masks import simulate_segmentation, tissue_region
+from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.moving_arm import (
     FRAMES_A_SECOND,
     MOTION_LEVELS,
-    MotionLevel,
     arm_with_cables,
     cable_joints,
     level_offsets,
     read_moving,
 )
+from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, RecordingImages
+from dvrk_cmaes.synth.passing import Occluder, passing_occluder
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, write_cameras
-from dvrk_cmaes.synth.truth import Truth, exact_mask
+from dvrk_cmaes.synth.truth import Truth, exact_coverage
 from dvrk_cmaes.synth.views import trace_links
 
 Bool = NDArray[np.bool_]
+Pictures = Literal["none", "files", "video"]
 
-_SHAFT_PASSES: Final = (0.3, 0.42)  # shares of the recording between which another shaft passes
-_TISSUE_COVERS: Final = (0.78, 0.86)  # between which tissue covers the tips
-_SHAFT_WIDTH: Final = 0.044  # of the image's width, half that of the other shaft
-_TISSUE: Final = 34.0  # px at 640 x 480, radius
+VIDEO: Final = "video.mp4"
+
 _SHADOW: Final = (7.0, 70.0)  # px at 640 x 480, shift of the shadow, and radius about the wrist in which it counts
 _VISIBLE_SHRINK: Final = 4  # factor on the size of the image in which the visible share of the jaws is counted
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """A frame of a synthetic recording: its truth, its mask (H, W), and the share of its jaws that can be seen."""
+    """A frame of a synthetic recording.
+
+    truth : true pose and joints. mask : (H, W), with a segmenter's mistakes. visible : share of the jaws that can be
+    seen. coverage : (H, W), share of each pixel that the instrument covers. occluder : what is before it. shadow :
+    direction in the image, rad, of a shadow that is taken for it.
+    """
 
     truth: Truth
     mask: Bool
     visible: float
+    coverage: NDArray[np.float32]
+    occluder: Occluder | None
+    shadow: float | None
 
 
 def recorded_frames(plan: SessionPlan, truths: list[Truth], rng: np.random.Generator) -> Iterator[RecordedFrame]:
@@ -57,8 +67,10 @@ def recorded_frames(plan: SessionPlan, truths: list[Truth], rng: np.random.Gener
     level, scale = MOTION_LEVELS[plan.level.name], plan.camera.width / 640
     shadow: float | None = None
     for k, truth in enumerate(truths):
-        hidden = _occluder(plan.camera, truth, k / len(truths), rng) if level.occluders else None
-        mask = exact_mask(plan.body, plan.camera, truth)
+        occluder = passing_occluder(plan.camera, truth, k / len(truths), rng) if level.occluders else None
+        hidden = None if occluder is None else occluder.region
+        coverage = exact_coverage(plan.body, plan.camera, truth)
+        mask = np.asarray(coverage > 0.5)
         if rng.random() < 1 / FRAMES_A_SECOND:  # a shadow comes and goes about once in a second
             shadow = rng.uniform(0, 2 * np.pi) if rng.random() < level.shadow else None
         if shadow is not None:
@@ -68,11 +80,13 @@ def recorded_frames(plan: SessionPlan, truths: list[Truth], rng: np.random.Gener
             mask = simulate_segmentation(mask, rng, replace(plan.level.mistakes, holes=0), hidden).mask
         elif hidden is not None:
             mask = mask & ~hidden
-        yield RecordedFrame(truth, mask, visible)
+        yield RecordedFrame(truth, mask, visible, coverage, occluder, shadow)
 
 
-def write_recording(out: Path, plan: SessionPlan, *, overwrite: bool = False) -> None:
+def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none", overwrite: bool = False) -> None:
     """Make a recording and write it to the folder ``out``, completely or, after an error, not at all.
+
+    ``pictures`` says whether images are drawn, and written as ``images/FRAME.jpg`` or as one ``video.mp4``.
 
     Raises
     ------
@@ -94,38 +108,47 @@ def write_recording(out: Path, plan: SessionPlan, *, overwrite: bool = False) ->
         digits = max(4, len(str(plan.frames - 1)))
         columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
         rows, golden = [",".join(["frame", "time", *columns])], {}
-        for k, frame in enumerate(recorded_frames(plan, truths, rng)):
-            name = f"{k:0{digits}d}"
-            write_image(folder / "masks" / f"{name}.png", frame.mask)
-            cells = [f"{readings[joint][k]:.6f}" for joint in columns]
-            rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
-            truth = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
-            golden[name] = truth | {"visible": round(frame.visible, 3)}
+        with _picture_writer(folder, plan, truths, pictures) as draw:
+            for k, frame in enumerate(recorded_frames(plan, truths, rng)):
+                name = f"{k:0{digits}d}"
+                write_image(folder / "masks" / f"{name}.png", frame.mask)
+                draw(k, name, frame)
+                cells = [f"{readings[joint][k]:.6f}" for joint in columns]
+                rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
+                truth = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
+                golden[name] = truth | {"visible": round(frame.visible, 3)}
         write_cameras(folder, plan)
         write_text(folder / "joints.csv", "\n".join(rows) + "\n")
         write_json(folder / "golden.json", {"camera_from_base": rounded(base), "frames": golden})
-        write_json(folder / PLAN_FILE, plan.describe() | {"motion_level": _described(level), "cables": plan.cables})
+        drawn = {} if pictures == "none" else {"image_level": asdict(IMAGE_LEVELS[plan.level.name])}
+        described = plan.describe() | {"motion_level": asdict(level), "cables": plan.cables} | drawn
+        write_json(folder / PLAN_FILE, described)
 
 
-def _described(level: MotionLevel) -> dict[str, float | bool]:
-    """Return the parameters of a level by name."""
-    return dict(vars(level))
+@contextmanager
+def _picture_writer(
+    folder: Path, plan: SessionPlan, truths: list[Truth], pictures: Pictures
+) -> Iterator[Callable[[int, str, RecordedFrame], None]]:
+    """Give a function that draws and writes the image of a frame, from its number, its name, and the frame."""
+    if pictures == "none":
+        yield lambda number, name, frame: None
+        return
+    level = IMAGE_LEVELS[plan.level.name]
+    seed = (plan.seed, list(LEVELS).index(plan.level.name), 5)
+    images = RecordingImages(plan.camera, truths, level, seed, 1 / FRAMES_A_SECOND)
+    size = (plan.camera.width, plan.camera.height)
+    with whole_video(folder / VIDEO, size, FRAMES_A_SECOND) if pictures == "video" else nullcontext() as video:
 
+        def write(number: int, name: str, frame: RecordedFrame) -> None:
+            path = folder / "images" / f"{name}.jpg"
+            image = images.draw(number, frame.coverage, frame.occluder, frame.shadow)
+            if video is None:
+                write_image(path, image, quality=level.quality)
+            else:
+                encoded = np.frombuffer(encoded_image(path, image, quality=level.quality), np.uint8)
+                video.write(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
 
-def _occluder(camera: Camera, truth: Truth, share: float, rng: np.random.Generator) -> Bool | None:
-    """Draw what passes before the instrument at a share of the recording, (H, W); None if nothing does."""
-    shape = (camera.height, camera.width)
-    begin, end = _SHAFT_PASSES
-    if begin < share < end:
-        v, u = np.mgrid[: shape[0], : shape[1]]
-        along = (u - shape[1] / 2) * np.cos(0.5) + (v - shape[0] / 2) * np.sin(0.5)
-        place = ((share - begin) / (end - begin) - 0.5) * 1.4 * shape[1]
-        return np.asarray(np.abs(along - place) < _SHAFT_WIDTH * shape[1])
-    begin, end = _TISSUE_COVERS
-    if begin < share < end and (truth.tips[:, 2] > 0).all():
-        centre = camera.project(truth.tips).mean(axis=0)
-        return tissue_region(shape, rng, centre, _TISSUE * shape[1] / 640)
-    return None
+        yield write
 
 
 def _with_shadow(camera: Camera, truth: Truth, mask: Bool, direction: float, scale: float) -> Bool:

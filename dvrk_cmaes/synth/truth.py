@@ -58,10 +58,15 @@ class Truth:
 
 def exact_mask(body: Body, camera: Camera, truth: Truth) -> NDArray[np.bool_]:
     """Render the mask (H, W) of the pixels that the instrument covers by more than half."""
+    return np.asarray(exact_coverage(body, camera, truth) > 0.5)
+
+
+def exact_coverage(body: Body, camera: Camera, truth: Truth) -> NDArray[np.float32]:
+    """Render the share (H, W) of each pixel that the instrument covers, 0 to 1."""
     coverage = Renderer(body, camera, threads=1).coverage(
         truth.camera_from_root[None], truth.values[None], lines_per_pixel=4
     )
-    return np.asarray(coverage[0] > 0.5)
+    return np.asarray(coverage[0], dtype=np.float32)
 
 
 def pose_from_view(

@@ -24,55 +24,84 @@ NOTHING = -1
 
 @dataclass(frozen=True, eq=False)
 class LinkView:
-    """Links seen by the pixels (H, W); depth and normal are zero where no link is seen."""
+    """Links seen along rays (...), such as those of an image's pixels (H, W).
+
+    Depth and normal are zero where no link is seen.
+    """
 
     link: NDArray[np.int32]
     """Index of the link, or ``NOTHING``."""
     depth: NDArray[np.float32]
     """z in the camera's frame, m."""
     normal: NDArray[np.float32]
-    """Outward unit normal in the camera's frame, (H, W, 3)."""
+    """Outward unit normal in the camera's frame, (..., 3)."""
     direction: NDArray[np.float32]
-    """Unit vector of the pixel's ray in the camera's frame, (H, W, 3)."""
+    """Unit vector of the ray in the camera's frame, (..., 3)."""
+
+
+def pixel_rays(camera: Camera) -> NDArray[np.float32]:
+    """Return the rays through the pixels' centres, (H, W, 3): points of the camera's frame at z = 1."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
+    rays = np.c_[camera.normalise(pixels), np.ones(len(pixels))].astype(np.float32)
+    return np.asarray(rays.reshape(camera.height, camera.width, 3), np.float32)
 
 
 def trace_links(
     instrument: Instrument, camera: Camera, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
 ) -> LinkView:
     """Trace a ray through every pixel's centre, for a pose ``camera_from_root`` (4, 4) and joints (J,)."""
+    corners, owner = _triangles(instrument, camera_from_root, joints)
+    left, top, width, height = _window(camera, corners.reshape(-1, 3))
+    inside = np.zeros((camera.height, camera.width), dtype=np.bool_)
+    inside[top : top + height, left : left + width] = True
+    return _traced(corners, owner, pixel_rays(camera), inside)
+
+
+def trace_rays(
+    instrument: Instrument,
+    rays: NDArray[np.float32],
+    camera_from_root: NDArray[np.float64],
+    joints: NDArray[np.float64],
+) -> LinkView:
+    """Trace rays (..., 3) from the camera's origin, as of `pixel_rays`, for a pose (4, 4) and joints (J,)."""
+    corners, owner = _triangles(instrument, camera_from_root, joints)
+    return _traced(corners, owner, rays, np.ones(rays.shape[:-1], dtype=np.bool_))
+
+
+def _triangles(
+    instrument: Instrument, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the corners (F, 3, 3) of all triangles in the camera's frame, m, and the index (F,) of their link."""
     poses = camera_from_root @ instrument.forward(joints)
     triangles, owner = [], []
     for k, (link, pose) in enumerate(zip(instrument.links, poses, strict=True)):
-        corners = apply(pose, link.vertices)
-        triangles.append(corners[link.faces])
+        triangles.append(apply(pose, link.vertices)[link.faces])
         owner.append(np.full(len(link.faces), k, dtype=np.int32))
-    corners = np.concatenate(triangles)
+    return np.concatenate(triangles), np.concatenate(owner)
+
+
+def _traced(
+    corners: NDArray[np.float64], owner: NDArray[np.int32], rays: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> LinkView:
+    """Trace the rays (..., 3) for which ``inside`` (...) is true; the others see nothing."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-
-    left, top, width, height = _window(camera, corners.reshape(-1, 3))
-    v, u = np.mgrid[: camera.height, : camera.width]
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
-    rays = np.c_[camera.normalise(pixels), np.ones(len(pixels))].astype(np.float32)
-    inside = np.zeros((camera.height, camera.width), dtype=np.bool_)
-    inside[top : top + height, left : left + width] = True
-    traced = np.ascontiguousarray(rays[inside.ravel()])
+    traced = np.ascontiguousarray(rays[inside])
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
     found = scene.run(np.ascontiguousarray(NEAR * traced), traced, output=True)
 
-    face = np.full(len(rays), NOTHING, dtype=np.int64)
-    face[inside.ravel()] = found["primID"]
-    depth = np.zeros(len(rays), dtype=np.float32)
-    depth[inside.ravel()] = found["tfar"] + NEAR
+    face = np.full(inside.shape, NOTHING, dtype=np.int64)
+    face[inside] = found["primID"]
+    depth = np.zeros(inside.shape, dtype=np.float32)
+    depth[inside] = found["tfar"] + NEAR
     seen = face != NOTHING
-    shape = (camera.height, camera.width)
-    link_of = np.where(seen, np.concatenate(owner)[face], NOTHING).astype(np.int32)
     return LinkView(
-        link=link_of.reshape(shape),
-        depth=np.where(seen, depth, 0.0).astype(np.float32).reshape(shape),
-        normal=np.where(seen[:, None], normals[face], 0.0).astype(np.float32).reshape(*shape, 3),
-        direction=(rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*shape, 3),
+        link=np.where(seen, owner[face], NOTHING).astype(np.int32),
+        depth=np.where(seen, depth, 0.0).astype(np.float32),
+        normal=np.where(seen[..., None], normals[face], 0.0).astype(np.float32),
+        direction=rays / np.linalg.norm(rays, axis=-1, keepdims=True),
     )
 
 
