@@ -4,6 +4,7 @@
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
     python scripts/bench.py scale        time of the renderer by image and mesh size, frames a second by processes
     python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
+    python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
 
 The default sessions and instrument are in the folder shared beside the checkout. Alternatives that are compared are run
@@ -24,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 from bench_cores import cores_report
 from bench_estimate import estimate_report, workers_report
+from bench_page import page_report
 from bench_render import render_report, scale_report
 from bench_track import track_report
 
@@ -84,7 +86,20 @@ def _track(arguments: argparse.Namespace) -> dict[str, Any]:
     return track_report(arguments.instrument, sessions, frames=frames, steps=arguments.steps)
 
 
-COMMANDS: Final = {"render": _render, "estimate": _estimate, "scale": _scale, "cores": _cores, "track": _track}
+def _page(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command page."""
+    frames = 300 if arguments.quick else 10_000 if arguments.frames is None else arguments.frames
+    return page_report(frames, 2 if arguments.quick else arguments.repeats)
+
+
+COMMANDS: Final = {
+    "render": _render,
+    "estimate": _estimate,
+    "scale": _scale,
+    "cores": _cores,
+    "track": _track,
+    "page": _page,
+}
 
 
 def _machine() -> dict[str, Any]:

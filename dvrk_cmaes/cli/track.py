@@ -53,6 +53,7 @@ def track(
     smooth: Annotated[Flag, Parameter(group=FOLDER)] = False,
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     video: Annotated[bool, Parameter(group=FOLDER)] = True,
+    page: Annotated[bool, Parameter(group=FOLDER)] = True,
     calibration: SessionOption = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -77,7 +78,7 @@ def track(
     session
         Session folder, as for `batch`, with consecutive frames.
     out
-        Folder for tracks.jsonl, tracks.csv, session.json and tracks.mp4; SESSION/tracks by default.
+        Folder for tracks.jsonl, tracks.csv, session.json, tracks.mp4 and report.html; SESSION/tracks by default.
     every
         Follow only every N-th frame.
     joints
@@ -96,6 +97,8 @@ def track(
         --resume goes on after the last frames of an interrupted run; --overwrite begins anew.
     video
         --no-video leaves out the overlay video.
+    page
+        --no-page leaves out report.html, the page with curves over time and pictures.
     calibration
         A session.json written by `calibrate` or by this command: its base, offsets and lag are the start.
     camera
@@ -135,11 +138,13 @@ def track(
         smooth,
     )
     with stopping_on_interrupt() as stop:
-        done = track_folder(found, target, body, settings, resume=resume, video=video, stop=stop, progress=_progress())
+        done = track_folder(
+            found, target, body, settings, resume=resume, video=video, page=page, stop=stop, progress=_progress()
+        )
     if json:
         print(json_text(done.counts), end="")
     else:
-        show(_lines(done, target))
+        show(_lines(done, target, page=page))
     if done.interrupted:
         return _INTERRUPTED
     return _DOUBTFUL if set(done.counts) - {"ok"} else 0
@@ -164,7 +169,7 @@ def _progress() -> Callable[[int, int, TrackResult | None], None]:
     return report
 
 
-def _lines(done: TrackSummary, out: Path) -> Iterator[Line]:
+def _lines(done: TrackSummary, out: Path, *, page: bool) -> Iterator[Line]:
     """Yield the lines of a summary."""
     import numpy as np
 
@@ -177,3 +182,5 @@ def _lines(done: TrackSummary, out: Path) -> Iterator[Line]:
         offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
         yield Line(f"offsets at the end, deg (true = reading + offset): {offsets}")
     yield Line(f"written: {out / 'tracks.jsonl'}")
+    if page and not done.interrupted:
+        yield Line(f"page: {out / 'report.html'}")

@@ -1,4 +1,4 @@
-"""A frame of the overlay video of a followed recording."""
+"""Pictures of a followed recording: its frames with the contours of mask and pose."""
 
 from __future__ import annotations
 
@@ -29,6 +29,22 @@ def draw_track(
 
     ``image`` (H, W, 3) BGR and the masks (H, W) are of the ``size`` (width, height) px; each may be missing.
     """
+    drawn = draw_outlines(image, mask, silhouette, size=size)
+    drawn[:_STRIP] = (drawn[:_STRIP] * 0.3).astype(np.uint8)
+    text = f"{frame}  {status}" + (f": {reasons[0]}" if reasons else "")
+    plain = text.encode("ascii", "replace").decode()
+    cv2.putText(drawn, plain, (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _STATUS[status], 1, cv2.LINE_AA)
+    return drawn
+
+
+def draw_outlines(
+    image: NDArray[np.uint8] | None,
+    mask: NDArray[np.bool_] | None,
+    silhouette: NDArray[np.bool_] | None,
+    *,
+    size: tuple[int, int],
+) -> NDArray[np.uint8]:
+    """Draw the contours of mask (yellow) and silhouette (blue) as `draw_track` does, without a strip, (H, W, 3) BGR."""
     width, height = size
     drawn = np.full((height, width, 3), DARK, dtype=np.uint8) if image is None else image.copy()
     if image is None and mask is not None:
@@ -37,8 +53,4 @@ def draw_track(
         if region is not None:
             contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
             cv2.drawContours(drawn, contours, -1, colour, 1, cv2.LINE_AA)
-    drawn[:_STRIP] = (drawn[:_STRIP] * 0.3).astype(np.uint8)
-    text = f"{frame}  {status}" + (f": {reasons[0]}" if reasons else "")
-    plain = text.encode("ascii", "replace").decode()
-    cv2.putText(drawn, plain, (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _STATUS[status], 1, cv2.LINE_AA)
     return drawn

@@ -78,7 +78,7 @@ def render_page(folder: ResultsFolder) -> str:
     views = _views(folder, results, base, left_out)
     return render_template(
         "page.html",
-        scripts=("page.js", "scene.js"),
+        scripts=("tiles.js", "page.js", "scene.js"),
         rules=sorted({view.thumbnail.crop.style for view in views if view.thumbnail and view.thumbnail.crop}),
         results=results,
         times=any(result.time is not None for result in results),

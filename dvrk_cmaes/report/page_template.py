@@ -17,9 +17,12 @@ from dvrk_cmaes.report.page_session import reason_kind
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
-def render_template(name: str, *, scripts: Iterable[str] = (), rules: Iterable[str] = (), **values: Any) -> str:
-    """Render a template with the style page.css and more rules, the scripts of some names, and the values it names."""
-    code, style = "\n".join(map(_text, scripts)), "\n".join([_text("page.css"), *rules])
+def render_template(
+    name: str, *, scripts: Iterable[str] = (), styles: Iterable[str] = (), rules: Iterable[str] = (), **values: Any
+) -> str:
+    """Render a template with page.css, styles and scripts of some names, more rules, and the values it names."""
+    code = "\n".join(map(_text, scripts))
+    style = "\n".join([*map(_text, ("page.css", *styles)), *rules])
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,

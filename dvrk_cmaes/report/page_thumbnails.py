@@ -77,13 +77,21 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
     if above + below < height / 2:  # otherwise it is another picture than this result's overlay
         crop = Crop(above / width, (height - above - below) / width)
         picture = _around_outlines(picture[-(-above // 2) : (height - below) // 2])
+    return encoded_thumbnail(picture, WIDTH, LARGEST, crop)
+
+
+def encoded_thumbnail(picture: NDArray[np.uint8], widest: int, largest: int, crop: Crop | None = None) -> Thumbnail:
+    """Reduce a picture (H, W, 3) BGR to a width, px, and encode it as a JPEG of at most ``largest`` bytes, if possible.
+
+    ``crop`` is kept with it.
+    """
     height, width = picture.shape[:2]
-    scale = min(WIDTH / width, _TALLEST * WIDTH / height)
+    scale = min(widest / width, _TALLEST * widest / height)
     size = max(1, round(width * scale)), max(1, round(height * scale))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
     for quality in _QUALITIES:
         encoded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1])[1]
-        if len(encoded) <= LARGEST:
+        if len(encoded) <= largest:
             break
     return Thumbnail("data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii"), *size, crop)
 

@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -29,6 +32,22 @@ class TrackClock:
     unit: Unit
     interval: float
     readings: tuple[tuple[float, dict[str, float]], ...]
+
+    def readings_at(self, times: NDArray[np.float64], gap: float) -> dict[str, NDArray[np.float64]]:
+        """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.
+
+        ``gap`` s is the time between two readings from which on there is a gap between them.
+        """
+        found = {}
+        for joint in sorted({name for _, row in self.readings for name in row}):
+            known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
+            stamps, values = np.array(known, dtype=np.float64).T
+            at = np.interp(times, stamps, values, left=np.nan, right=np.nan)
+            after = np.clip(np.searchsorted(stamps, times), 1, max(len(stamps) - 1, 1))
+            if len(stamps) > 1:
+                at[stamps[after] - stamps[after - 1] > gap] = np.nan
+            found[joint] = at
+        return found
 
     @staticmethod
     def of(

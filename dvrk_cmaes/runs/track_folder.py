@@ -1,4 +1,4 @@
-"""Following an instrument through a session folder: tracks.jsonl, tracks.csv, session.json and an overlay video.
+"""Following an instrument through a session folder: tracks.jsonl, tracks.csv, session.json, overlay video and page.
 
 The state of the tracker is saved from time to time, so that a run that was interrupted goes on with the same results.
 """
@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
@@ -20,6 +22,8 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import not_written, write_json, write_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
+from dvrk_cmaes.report.track_pictures import TrackPictures
 from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
@@ -36,7 +40,7 @@ from dvrk_cmaes.runs.manifest import (
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
-from dvrk_cmaes.runs.track_video import write_video
+from dvrk_cmaes.runs.track_pictures import seen_frames, write_pictures
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
@@ -85,6 +89,7 @@ def track_folder(
     *,
     resume: bool = True,
     video: bool = True,
+    page: bool = True,
     stop: threading.Event | None = None,
     progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
 ) -> TrackSummary:
@@ -98,8 +103,8 @@ def track_folder(
         Folder of the results.
     resume
         Go on with the frames that an interrupted run left; if False, begin anew, as smoothing always does.
-    video
-        Whether to draw the overlay video.
+    video, page
+        Whether to draw the overlay video; whether to write the page.
     stop
         When set, the run ends after the frame it is at.
     progress
@@ -139,9 +144,8 @@ def track_folder(
             write_json(out / SESSION, calibration.to_dict())
         if not interrupted:
             write_table(out / TABLE, rows, body.instrument.joint_names)
-            if video:
-                rate = 1 / (clock.interval * settings.every)
-                write_video(out / VIDEO, frames, rows, session.camera, body, frames_a_second=rate)
+            if (video or page) and rows:
+                _show(run, rows, tracker, calibration, video=video, page=page)
     counts = Counter(row["status"] for row in rows)
     return TrackSummary(dict(counts), interrupted, calibration)
 
@@ -182,6 +186,41 @@ def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
     (run.out / CHECKPOINT).unlink(missing_ok=True)
     write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
     return rows, tracker
+
+
+def _show(
+    run: _Run,
+    rows: list[dict[str, Any]],
+    tracker: Tracker,
+    calibration: SessionCalibration | None,
+    *,
+    video: bool,
+    page: bool,
+) -> None:
+    """Write the overlay video and the page."""
+    camera, clock = run.session.camera, run.clock
+    pictures = TrackPictures(rows) if page else None
+    write_pictures(
+        seen_frames(run.frames, rows, camera, run.body),
+        (camera.width, camera.height),
+        video=run.out / VIDEO if video else None,
+        frames_a_second=1 / (clock.interval * run.settings.every),
+        pictures=pictures,
+    )
+    if pictures is None:
+        return
+    late = 0.0 if tracker.lag is None else tracker.lag.seconds
+    times = np.array([clock.times[files.name] for files in run.frames]) - late
+    recording = FollowedRecording(
+        rows,
+        run.session.folder.resolve().name,
+        run.body.instrument.name,
+        calibration,
+        clock.readings_at(times, run.settings.config.track.reading_gap),
+        pictures.residuals,
+        pictures.pictures,
+    )
+    write_track_page(run.out, recording)
 
 
 def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settings: TrackSettings) -> Manifest:

@@ -41,7 +41,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tracks(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of the whole recording."""
     out = tmp_path_factory.mktemp("tracks")
-    track_folder(read_session(recording), out, prepare("lnd"), SETTINGS, video=False)
+    track_folder(read_session(recording), out, prepare("lnd"), SETTINGS, video=False, page=False)
     return out
 
 
@@ -70,6 +70,18 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     video = cv2.VideoCapture(str(out / "tracks.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == len(rows)
     video.release()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "<b><bdi>session</bdi></b> · 4 frames" in page
+    assert all(f'id="chart-{name}"' in page for name in ("joints", "offsets", "residual", "tips", "speed", "spread"))
+    assert f"page: {out / 'report.html'}" in ran.out
+
+
+def test_video_and_page_can_be_left_out(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--out", str(tmp_path / "out"), "--every", "4", "--lag", "0", "--no-video", "--no-page"]
+    ran = run_command(capsys, "track", str(recording), *options)
+    assert ran.code in (0, 3)
+    assert "page:" not in ran.out
+    assert {path.name for path in (tmp_path / "out").iterdir()}.isdisjoint({"tracks.mp4", "report.html"})
 
 
 def test_pose_is_near_truth_in_every_frame(recording: Path, tracks: Path) -> None:

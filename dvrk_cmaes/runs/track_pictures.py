@@ -1,0 +1,108 @@
+"""The frames of a followed recording with their poses, for all that is made of them: overlay video and page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.draw.track_overlay import draw_track
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
+from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.report.track_pictures import TrackPictures
+from dvrk_cmaes.silhouette import Body, Renderer
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """A frame and its line of tracks.jsonl, with image (H, W, 3) BGR, mask and silhouette of the pose (H, W), or None.
+
+    They have the camera's size.
+    """
+
+    row: Mapping[str, Any]
+    image: NDArray[np.uint8] | None
+    mask: NDArray[np.bool_] | None
+    silhouette: NDArray[np.bool_] | None
+
+
+def seen_frames(
+    frames: Sequence[FrameFiles], rows: Sequence[dict[str, Any]], camera: Camera, body: Body
+) -> Iterator[SeenFrame]:
+    """Read the frames that have the given lines of tracks.jsonl, and render their poses.
+
+    Raises
+    ------
+    InputError
+        A frame's file cannot be read.
+    """
+    renderer = Renderer(body, camera, threads=1)
+    names = body.instrument.joint_names
+    size = (camera.width, camera.height)
+    for files, row in zip(frames, rows, strict=True):
+        image = mask = silhouette = None
+        if files.mask is not None:
+            data = read_frame(files, camera, blank=True)
+            image, mask = data.image, data.mask
+        elif files.image is not None:
+            image = read_frame_image(files, camera).image
+        if image is not None and image.shape[1::-1] != size:
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        if row["camera_from_root"] is not None:
+            joints = np.array([[row["joints"][name] for name in names]])
+            silhouette = renderer.masks(np.array([row["camera_from_root"]]), joints)[0]
+        yield SeenFrame(row, image, mask, silhouette)
+
+
+def write_pictures(
+    seen: Iterator[SeenFrame],
+    size: tuple[int, int],
+    *,
+    video: Path | None,
+    frames_a_second: float,
+    pictures: TrackPictures | None,
+) -> None:
+    """Read all frames once, for the overlay video, and for the pictures and residuals of the page.
+
+    Parameters
+    ----------
+    seen, size
+        The frames; their width and height, px.
+    video
+        Path of the overlay video; None for no video.
+    frames_a_second
+        Of the video.
+    pictures
+        Gathers what the page needs; None for no page.
+
+    Raises
+    ------
+    InputError
+        A frame's file cannot be read, or the video cannot be written there.
+    DvrkCmaesError
+        OpenCV cannot encode the video.
+    """
+    with ExitStack() as opened:
+        writer = None if video is None else opened.enter_context(whole_video(video, size, frames_a_second))
+        for number, one in enumerate(seen):
+            if writer is not None:
+                row = one.row
+                drawn = draw_track(
+                    one.image,
+                    one.mask,
+                    one.silhouette,
+                    frame=row["frame"],
+                    status=row["status"],
+                    reasons=row["reasons"],
+                    size=size,
+                )
+                writer.write(drawn)
+            if pictures is not None:
+                pictures.add(number, one.image, one.mask, one.silhouette, size)

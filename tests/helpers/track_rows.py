@@ -1,0 +1,46 @@
+"""Lines of tracks.jsonl of a recording that was not really followed, for tests of what is made of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dvrk_cmaes.report.page_thumbnails import encoded_thumbnail
+from dvrk_cmaes.report.track_page import FollowedRecording
+
+JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
+
+
+def row(
+    number: int, status: str = "ok", *reasons: str, name: str | None = None, time: float | None = 0.0
+) -> dict[str, Any]:
+    """The line of a frame; a moved and turned pose, except for a frame without a pose (status gone)."""
+    angle = 0.02 * number
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose[:3, 3] = [0.001 * number, 0.0, 0.1]
+    there = status != "gone"
+    return {
+        "frame": f"{number:04d}" if name is None else name,
+        "time": None if time is None else time + number / 30,
+        "status": status,
+        "reasons": list(reasons),
+        "camera_from_root": pose.tolist() if there else None,
+        "joints": {joint: 0.1 * k + 0.01 * number for k, joint in enumerate(JOINTS)} if there else {},
+        "std": {"tip_mm": 0.5, "joints_deg": dict.fromkeys(JOINTS, 1.0)} if there else None,
+        "offsets": {"roll": 0.05, **dict.fromkeys(JOINTS, -0.1)} if there else {},
+        "tips": [[0.001 * number, 0.002, 0.11], [0.001 * number, 0.004, 0.11]] if there else None,
+        "seconds": 0.02,
+        "searched": False,
+    }
+
+
+def recording(rows: list[dict[str, Any]], *, session: str = "made") -> FollowedRecording:
+    """A recording with readings, residuals, and a grey picture of each third frame."""
+    count = len(rows)
+    picture = encoded_thumbnail(np.full((120, 160, 3), 90, np.uint8), 128, 9000)
+    values = np.linspace(0.5, 2, count)
+    read = {joint: np.linspace(0, 1, count) for joint in JOINTS}
+    residuals = {"median": values, "95 %": 3 * values}
+    return FollowedRecording(rows, session, "lnd", None, read, residuals, dict.fromkeys(range(0, count, 3), picture))
