@@ -1,14 +1,16 @@
 """The HTML page of a session's results, OUT/report.html, which needs no network.
 
-The page contains everything except the overlays at full size, to which it links (``overlays/``). It can be read and
-printed without scripts; with scripts, frames can be sorted, filtered and browsed with the keyboard. The same results
-give the same bytes: the page does not depend on the time or the machine.
+The page contains the overlays of the most doubtful frames at full size, up to a limit, and links to the others
+(``overlays/``). It can be read and printed without scripts; with scripts, frames can be sorted, filtered and browsed
+with the keyboard, and the layers of the drawings shown one by one. The same results give the same bytes: the page does
+not depend on the time or the machine.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -21,6 +23,7 @@ from dvrk_cmaes.report.page_frames import (
     doubt_key,
     frame_card,
 )
+from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture
 from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
 from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
@@ -34,9 +37,9 @@ from dvrk_cmaes.report.page_session import (
 )
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import thumbnail
-from dvrk_cmaes.report.page_tips_plot import tips_plot
+from dvrk_cmaes.report.page_tips_plot import speed_plot, tips_plot
 from dvrk_cmaes.results.folder import ResultsFolder, read_results, result_paths
-from dvrk_cmaes.results.paths import overlay_path
+from dvrk_cmaes.results.paths import layers_path, left_out_path, overlay_path
 from dvrk_cmaes.results.result import Result
 
 _THREADS = 2
@@ -45,8 +48,8 @@ _THREADS = 2
 def write_page(out: Path, folder: ResultsFolder | None = None) -> Path:
     """Write OUT/report.html for the results in OUT, and return its path.
 
-    The inputs are ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and if they exist ``summary.json``, ``session.json``
-    and ``overlays_left_out/*.jpg``.
+    The inputs are ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and if they exist ``layers/*.json``, ``summary.json``,
+    ``session.json`` and ``overlays_left_out/*.jpg``.
 
     Parameters
     ----------
@@ -78,7 +81,7 @@ def render_page(folder: ResultsFolder) -> str:
     views = _views(folder, results, base, left_out)
     return render_template(
         "page.html",
-        scripts=("tiles.js", "page.js", "scene.js"),
+        scripts=("tiles.js", "page.js", "layers.js", "scene.js"),
         rules=sorted({view.thumbnail.crop.style for view in views if view.thumbnail and view.thumbnail.crop}),
         results=results,
         times=any(result.time is not None for result in results),
@@ -93,6 +96,7 @@ def render_page(folder: ResultsFolder) -> str:
         shared_warnings=common_warnings(results),
         joint_plot=joint_plot(results),
         tips_plot=tips_plot(results),
+        speed_plot=speed_plot(results),
         scene=scene_of(results, base),
         rcm_plot=None if base is None else rcm_plot(results, base),
         base=base,
@@ -133,7 +137,33 @@ def _views(
             zip(folder.frames, results, overlays, thumbnails, strict=True)
         )
     ]
-    return sorted(views, key=lambda view: (doubt_key(view.result), view.place))
+    views.sort(key=lambda view: (doubt_key(view.result), view.place))
+    return _with_full_pictures(views, folder.folder)
+
+
+def _with_full_pictures(cards: Sequence[FrameCard], folder: Path) -> list[FrameCard]:
+    """Return entries of frames with their full pictures, in their order, until these reach the limit of size."""
+    complete, size = [], 0
+    for card in cards:
+        if card.document is not None and size < EMBEDDED:
+            card = _with_full_picture(card, folder)
+            size += len(card.full or "") + (0 if card.layers is None else card.layers.bytes)
+            size += 0 if card.left_out is None else len(card.left_out.full or "")
+        complete.append(card)
+    return complete
+
+
+def _with_full_picture(card: FrameCard, folder: Path) -> FrameCard:
+    """Return the entry of a frame with its overlay, its layers and the picture of its prediction within the page."""
+    name, left_out = card.result.frame, card.left_out
+    if left_out is not None and left_out.picture:
+        left_out = replace(left_out, full=embedded_picture(left_out_path(folder, name)))
+    return replace(
+        card,
+        full=embedded_picture(overlay_path(folder, name)) if card.overlay else None,
+        layers=embedded_layers(layers_path(folder, name)),
+        left_out=left_out,
+    )
 
 
 def _address(path: str) -> str:

@@ -8,7 +8,7 @@ together does not, since each frame's own mask was used to solve it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 import numpy as np
@@ -22,6 +22,7 @@ from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page_cables_plot import cables_plot
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
 from dvrk_cmaes.report.page_lag_plot import LagPlot, lag_plot
+from dvrk_cmaes.report.page_layers import embedded_picture
 from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, offset_estimates, offset_panels
 from dvrk_cmaes.report.page_plots import Plot
 from dvrk_cmaes.report.page_session import KeyFigure, correction
@@ -34,6 +35,8 @@ Float64 = NDArray[np.float64]
 
 MOST_PICTURES = 12
 """Number of predictions whose pictures are shown in the section, the worst first; all are shown with their frames."""
+
+_SMALL = 400  # px, width of these pictures
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,7 @@ def calibration_view(
         offset_panels=offset_panels(calibration, _corrections(results, calibration, used), unsure),
         shafts=shafts_plot(calibration, posed, used),
         predictions=tuple(predictions),
-        pictures=tuple([one for one in predictions if one.picture][:MOST_PICTURES]),
+        pictures=_with_pictures(folder, [one for one in predictions if one.picture][:MOST_PICTURES]),
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
         lag=_lag(calibration),
         cables=() if calibration.cables is None else tuple(calibration.cables.in_words()),
@@ -154,6 +157,12 @@ def _predictions(
             quality = results[name].quality
             own = None if quality is None else quality.iou
             yield Prediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
+
+
+def _with_pictures(folder: ResultsFolder, predictions: Sequence[Prediction]) -> tuple[Prediction, ...]:
+    """Return predictions with small pictures within the page; the address of one that cannot be read stays."""
+    small = (embedded_picture(left_out_path(folder.folder, one.frame), _SMALL) for one in predictions)
+    return tuple(replace(one, picture=own or one.picture) for one, own in zip(predictions, small, strict=True))
 
 
 def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:

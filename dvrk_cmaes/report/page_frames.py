@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.report.page_layers import DrawnLayers
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
 from dvrk_cmaes.results.result import Alternative, Result
@@ -41,7 +42,8 @@ class LeaveOneOut:
 
     iou, contour_px : overlap and median contour distance, px, of the predicted silhouette and the mask; None if there
         is no prediction.
-    picture : address of its picture, None if there is none.
+    picture : address of its picture, None if there is none. full : the picture as a ``data:`` address, if it is within
+        the page.
     reason : why the frame was left out of the session's calibration; empty if it was not.
     """
 
@@ -49,6 +51,7 @@ class LeaveOneOut:
     contour_px: float | None
     picture: str | None
     reason: str
+    full: str | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class FrameCard:
     anchor : identifier of its element on the page. place : index in the order of names, from 0.
     keys : numbers that frames can be sorted by, by name.
     overlay, document : addresses of the overlay and of the result's JSON beside the page, None if there are none.
+    full, layers : the overlay as a ``data:`` address, and the layers of the drawing, where they are within the page.
     pose, joints, alternatives : rows of tables. fit : names and values of the quality of fit.
     change : text about what the session's calibration changed.
     """
@@ -75,6 +79,8 @@ class FrameCard:
     alternatives: tuple[TableRow, ...]
     change: str
     left_out: LeaveOneOut | None
+    full: str | None = None
+    layers: DrawnLayers | None = None
 
 
 def doubt_key(result: Result) -> tuple[int, int, float, float]:

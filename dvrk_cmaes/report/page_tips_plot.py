@@ -1,8 +1,9 @@
-"""The page's plot of the tips' place in the camera over time, or over the frames where times are not known."""
+"""The page's plots of the tips: their place in the camera over time, or over the frames, and their speed over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark
 from dvrk_cmaes.results.result import Result
 
 _LEAST_SPAN = 1.0  # mm
+_LEAST_SPEED = 1.0  # mm/s, least length of the axis
 
 
 def tips_plot(results: Sequence[Result]) -> Plot | None:
@@ -40,3 +42,28 @@ def tips_plot(results: Sequence[Result]) -> Plot | None:
                 bars.append((x, up.clamped(value + float(axes[k])), up.clamped(value - float(axes[k]))))
         series.append(Series(axis, SHAPES[k], tuple(marks), tuple(bars)))
     return Plot("tips", mark_size(len(results)), (Panel(720, 330, across, up, tuple(series), zero=up.clamped(0.0)),))
+
+
+def speed_plot(results: Sequence[Result]) -> Plot | None:
+    """Plot the tips' speed in the camera, mm/s, over time; None without two frames with tips at different known times.
+
+    It is the distance of the mean of the tips from that of the frame with tips before, in the order of time, divided
+    by the time between them. Motion in between is not seen, so it is a lower bound.
+    """
+    known = sorted(
+        (result.time, place) for place, result in enumerate(results) if result.tips and result.time is not None
+    )
+    across, at = frame_axis(
+        [result.frame for result in results], [result.time for result in results], start=64, end=696
+    )
+    pairs = [(a, b, until - since) for (since, a), (until, b) in pairwise(known) if until > since]
+    if not pairs or any(result.time is None for result in results):
+        return None
+    middles = {place: 1e3 * np.mean(results[place].tips, axis=0) for _, place in known}
+    speeds = [float(np.linalg.norm(middles[b] - middles[a])) / seconds for a, b, seconds in pairs]
+    up = value_axis("speed of the tips, mm/s", 0.0, max(*speeds, _LEAST_SPEED), start=276, end=14)
+    marks = tuple(
+        Mark(b, across.at(at[b]), up.at(speed), results[a].status == "ok" and results[b].status == "ok")
+        for (a, b, _), speed in zip(pairs, speeds, strict=True)
+    )
+    return Plot("speed", mark_size(len(results)), (Panel(720, 330, across, up, (Series("speed", SHAPES[0], marks),)),))

@@ -1,7 +1,7 @@
 """Calibration of a session folder from its frames' own results, in several processes, with all files written.
 
 OUT/session.json, OUT/camera.yaml (a refined camera), OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg,
-OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv, OUT/summary.json, OUT/report.html
+OUT/overlays_left_out/FRAME.jpg, OUT/layers/FRAME.json, OUT/poses.csv, OUT/summary.json, OUT/report.html
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, write_bytes, write_json
 from dvrk_cmaes.results.folder import SESSION
-from dvrk_cmaes.results.paths import check_output, left_out_path, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.layers import FrameLayers
+from dvrk_cmaes.results.paths import check_output, layers_path, left_out_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.digests import frame_digests
-from dvrk_cmaes.runs.frame import draw_frame, read_masked_frame, seen_in
+from dvrk_cmaes.runs.frame import draw_frame, layers_of_frame, read_masked_frame, seen_in
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes, WorkerDied
 from dvrk_cmaes.runs.worker import BatchSetup
@@ -61,10 +62,11 @@ class DrawTask:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Both pictures of a frame as JPEG: the overlay of its result, and that of its leave-one-out prediction."""
+    """The drawings of a frame: the overlay of its result and that of its leave-one-out prediction, JPEG; its layers."""
 
     overlay: bytes
     left_out: bytes
+    layers: FrameLayers
 
 
 def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
@@ -80,7 +82,8 @@ def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
         predicted = renderer.masks(pose[None], left_out.joints[None])[0]
         shown.append(draw_left_out(view.mask, predicted, left_out.iou, left_out.contour_px, image=view.image))
     second = np.concatenate(shown, axis=1)
-    return Pictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second))
+    layers = layers_of_frame(task.result, drawn, body)
+    return Pictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second), layers)
 
 
 def calibrate_folder(
@@ -203,10 +206,12 @@ def _write(
         if name in pictures:
             write_bytes(overlay_path(out, name), pictures[name].overlay)
             write_bytes(left_out_path(out, name), pictures[name].left_out)
+            write_json(layers_path(out, name), pictures[name].layers.to_dict())
         else:
             left_out_path(out, name).unlink(missing_ok=True)
-            if alone is not None and overlay_path(alone, name).is_file():
-                write_bytes(overlay_path(out, name), overlay_path(alone, name).read_bytes())
+            for path in (overlay_path, layers_path):
+                if alone is not None and path(alone, name).is_file():
+                    write_bytes(path(out, name), path(alone, name).read_bytes())
         write_json(result_path(out, name), result.to_dict())
     calibration = solved.calibration
     if calibration.camera is not None and calibration.camera.applied:

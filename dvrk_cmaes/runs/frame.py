@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.draw.frame_layers import frame_layers
 from dvrk_cmaes.draw.overlay import draw_failed, draw_overlay
 from dvrk_cmaes.draw.view_overlays import DrawnView, draw_views
 from dvrk_cmaes.errors import InputError
@@ -20,6 +21,7 @@ from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_fram
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -220,6 +222,11 @@ def seen_in(data: FrameData) -> list[DrawnView]:
         for view in data.rig.views
         if view.name in of_views and of_views[view.name].mask.any()
     ]
+
+
+def layers_of_frame(result: Result, data: FrameData, body: Body) -> FrameLayers:
+    """Return the layers of a frame's drawing; of a rig, those of its first view."""
+    return frame_layers(result, data.mask, data.camera, body, image=data.image)
 
 
 def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | None:

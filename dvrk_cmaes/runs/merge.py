@@ -12,7 +12,7 @@ from typing import Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import not_written
 from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.manifest import (
     MANIFEST,
@@ -76,7 +76,7 @@ def _merge_manifests(out: Path, folders: Sequence[Path]) -> None:
 
 
 def _move_results(folder: Path, out: Path) -> None:
-    """Move the complete results of a folder, each after its mask and overlay."""
+    """Move the complete results of a folder, each after its other files."""
     for path in sorted((folder / "frames").glob("*.json")):
         try:
             frame = read_result(path).frame
@@ -85,6 +85,7 @@ def _move_results(folder: Path, out: Path) -> None:
         for source, target in (
             (mask_path(folder, frame), mask_path(out, frame)),
             (overlay_path(folder, frame), overlay_path(out, frame)),
+            (layers_path(folder, frame), layers_path(out, frame)),
             (path, result_path(out, frame)),
         ):
             target.parent.mkdir(parents=True, exist_ok=True)

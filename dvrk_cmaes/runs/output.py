@@ -17,7 +17,7 @@ from dvrk_cmaes.io.atomic import not_written, write_bytes
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import SESSION, SUMMARY
-from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.manifest import MANIFEST, read_manifest
 from dvrk_cmaes.runs.worker import FrameOutcome
@@ -26,7 +26,7 @@ from dvrk_cmaes.runs.worklist import shards_folder
 LOCK: Final = ".lock"
 POSES: Final = "poses.csv"
 PAGE: Final = "report.html"
-_FOLDERS: Final = ("frames", "overlays", "masks")
+_FOLDERS: Final = ("frames", "overlays", "layers", "masks")
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")  # names of the temporary files of io.atomic
 
 
@@ -142,8 +142,12 @@ def write_outcome(out: Path, outcome: FrameOutcome) -> None:
     """Write a frame's files, the result last, so that a frame with a result has all its files."""
     if outcome.mask is not None:
         write_bytes(mask_path(out, outcome.frame), outcome.mask)
-    if outcome.overlay is not None:
-        write_bytes(overlay_path(out, outcome.frame), outcome.overlay)
-    else:
-        overlay_path(out, outcome.frame).unlink(missing_ok=True)
+    for path, data in (
+        (overlay_path(out, outcome.frame), outcome.overlay),
+        (layers_path(out, outcome.frame), outcome.layers),
+    ):
+        if data is not None:
+            write_bytes(path, data)
+        else:
+            path.unlink(missing_ok=True)
     write_bytes(result_path(out, outcome.frame), outcome.result)

@@ -28,7 +28,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result, Status
-from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, read_any_frame, solve_frame
+from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, layers_of_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
@@ -71,9 +71,10 @@ class PackedSetup:
 
 @dataclass(frozen=True)
 class FrameOutcome:
-    """Contents of the files of a frame's result: JSON and the overlay's JPEG.
+    """Contents of the files of a frame's result: JSON, the overlay's JPEG, and the layers of its drawing, JSON.
 
-    ``overlay`` is None if the frame failed and neither its image nor its mask can be read. ``mask`` is a PNG if the
+    ``overlay`` is None if the frame failed and neither its image nor its mask can be read; ``layers`` is None for every
+    frame that failed before its pose was drawn. ``mask`` is a PNG if the
     mask was found in the image, else None.
     """
 
@@ -84,6 +85,7 @@ class FrameOutcome:
     result: bytes = field(repr=False)
     overlay: bytes | None = field(repr=False)
     mask: bytes | None = field(default=None, repr=False)
+    layers: bytes | None = field(default=None, repr=False)
 
 
 def prepare_process(packed: PackedSetup) -> None:
@@ -123,7 +125,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
     return _outcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))
 
 
-def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None]:
+def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None, bytes]:
     frame = read_any_frame(files, setup.camera if setup.rig is None else setup.rig)
     frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
     solved = solve_frame(
@@ -138,7 +140,8 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
     )
     drawing = draw_frame(solved.result, files, solved.data, body)
     mask = encoded_image(mask_path(Path(), files.name), solved.data.mask) if solved.found_mask else None
-    return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), mask
+    layers = json_text(layers_of_frame(solved.result, solved.data, body).to_dict()).encode()
+    return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), mask, layers
 
 
 def _hints(files: FrameFiles) -> Hints | None:
@@ -147,9 +150,11 @@ def _hints(files: FrameFiles) -> Hints | None:
     return None if prompts is None else Hints(prompts.box, prompts.points, prompts.not_points)
 
 
-def _outcome(result: Result, overlay: bytes | None, mask: bytes | None = None) -> FrameOutcome:
+def _outcome(
+    result: Result, overlay: bytes | None, mask: bytes | None = None, layers: bytes | None = None
+) -> FrameOutcome:
     document = json_text(result.to_dict()).encode()
-    return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay, mask)
+    return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay, mask, layers)
 
 
 def relative_text(folder: Path, text: str) -> str:

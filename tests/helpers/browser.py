@@ -135,7 +135,7 @@ for (const element of document.querySelectorAll("body *")) {
   if (!shown(element) || element.closest("svg svg, script, .skip")) continue;
   const box = element.getBoundingClientRect();
   if (!box.width || !box.height) continue;
-  const inside = element.parentElement.closest(".scroll, .crop, pre");
+  const inside = element.parentElement.closest(".scroll, .crop, .stage, pre");
   if (!inside && (box.left < -1 || box.right > width + 1)) found.push(["beyond the page", named(element)]);
   const style = getComputedStyle(element);
   const hides = style.overflowX === "hidden" && style.display !== "inline" && !element.matches(".crop");

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.browser import VIOLATIONS, complaints, emulate, screenshot
 from helpers.canned_results import canned
@@ -15,9 +17,10 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webdriver import WebDriver
 
 from dvrk_cmaes.cli import main
-from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json
 from dvrk_cmaes.report.page import write_page
-from dvrk_cmaes.results.paths import overlay_path
+from dvrk_cmaes.results.layers import FrameLayers, Outline
+from dvrk_cmaes.results.paths import layers_path, overlay_path
 
 pytestmark = pytest.mark.browser
 
@@ -115,7 +118,10 @@ def test_picture_is_enlarged_by_a_click(driver: WebDriver, tmp_path: Path) -> No
     assert driver.current_url == page.as_uri()
 
 
-def test_page_without_its_folder_says_so_and_shows_small_pictures(driver: WebDriver, tmp_path: Path) -> None:
+def test_page_without_its_folder_says_so_and_shows_small_pictures(
+    driver: WebDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dvrk_cmaes.report.page.EMBEDDED", 0)  # as beyond the first frames of many
     moved = tmp_path / "elsewhere.html"
     session_page(tmp_path / "out").rename(moved)
     driver.get(moved.as_uri())
@@ -128,3 +134,41 @@ def test_page_without_its_folder_says_so_and_shows_small_pictures(driver: WebDri
     assert driver.execute_script("return arguments[0].naturalWidth", picture) == 288
     assert "overlays/0000.jpg, is not beside this page" in card.find_element(By.CSS_SELECTOR, ".missing").text
     complaints(driver)
+
+
+def test_layers_of_a_frame_can_be_chosen_and_enlarged(driver: WebDriver, tmp_path: Path) -> None:
+    frames = [result("0000")]
+    out = write_results(tmp_path / "out", frames)
+    ring = (100.0, 100.0, 500.0, 100.0, 300.0, 400.0)
+    outlines = tuple(Outline(name, (ring,)) for name in ("mask", "result", "mirror twin"))
+    picture = base64.b64encode(encoded_image("a.jpg", np.full((480, 640, 3), 90, np.uint8))).decode()
+    write_json(layers_path(out, "0000"), FrameLayers(640, 480, outlines, picture).to_dict())
+    moved = tmp_path / "elsewhere.html"  # the layers are within the page
+    write_page(out).rename(moved)
+    emulate(driver, width=1280)
+    driver.get(moved.as_uri())
+    complaints(driver)
+    card = driver.find_element(By.ID, "frame-0000")
+    card.find_element(By.TAG_NAME, "summary").click()
+    drawing, overlay_drawn = (card.find_element(By.CSS_SELECTOR, f".stage {kind}") for kind in ("svg", "img"))
+    boxes = {box.get_attribute("data-layer"): box for box in card.find_elements(By.CSS_SELECTOR, "[data-layer]")}
+    parts = {part.get_attribute("data-part"): part for part in drawing.find_elements(By.CSS_SELECTOR, "[data-part]")}
+    assert (drawing.is_displayed(), overlay_drawn.is_displayed()) == (False, True)
+    card.find_element(By.CSS_SELECTOR, "[data-view=layers]").click()
+    assert (drawing.is_displayed(), overlay_drawn.is_displayed()) == (True, False)
+    assert [name for name in parts if parts[name].is_displayed()] == ["p", "0", "1"]  # image, mask and result
+    boxes["2"].click()
+    assert parts["2"].is_displayed()
+    for name in "012":
+        boxes[name].click()
+    assert [name for name in parts if parts[name].is_displayed()] == ["p"]
+    width = drawing.rect["width"]
+    for _ in range(3):
+        card.find_element(By.CSS_SELECTOR, "[aria-label=Enlarge]").click()
+    assert drawing.rect["width"] == pytest.approx(3 * width, rel=0.02)
+    assert card.find_element(By.CSS_SELECTOR, ".zoom output").text == "300 %"
+    assert driver.execute_script(VIOLATIONS) == []
+    for _ in range(3):
+        card.find_element(By.CSS_SELECTOR, "[aria-label=Reduce]").click()
+    assert drawing.rect["width"] == pytest.approx(width)
+    assert complaints(driver) == []

@@ -35,7 +35,7 @@ from dvrk_cmaes.report.page_session import (
     reason_kind,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
-from dvrk_cmaes.report.page_tips_plot import tips_plot
+from dvrk_cmaes.report.page_tips_plot import speed_plot, tips_plot
 from dvrk_cmaes.results.result import Result
 
 JPEG = "data:image/jpeg;base64,"
@@ -360,3 +360,21 @@ def test_steps_are_1_2_or_5_times_power_of_ten(span: float, step: float) -> None
 def test_many_frames_are_labelled_at_equal_distances() -> None:
     axis = name_axis("frame", tuple(f"{k:04d}" for k in range(1000)), start=0, end=1000)
     assert [text for text, _ in axis.ticks] == [f"{k:04d}" for k in range(0, 1000, 100)]
+
+
+def test_speed_is_distance_of_the_tips_by_the_time_since_the_frame_before() -> None:
+    def at(name: str, time: float | None, millimetres: float, **changes: object) -> Result:
+        tips = tuple(np.array([1e-3 * millimetres, y, 0.1]) for y in (0.0, 0.01))
+        return result(name, time=time, tips=tips, **changes)
+
+    frames = [at("a", 1.0, 0.0), at("b", 1.5, 10.0), failed("x"), at("c", 2.5, 40.0, status="doubtful", reasons=("x",))]
+    frames[2] = replace(frames[2], time=2.0)
+    plot = speed_plot(frames)
+    assert plot is not None
+    (panel,) = plot.panels
+    marks = panel.series[0].marks
+    assert [(mark.place, mark.sure) for mark in marks] == [(1, True), (3, False)]
+    assert [mark.y for mark in marks] == pytest.approx([panel.up.at(20.0), panel.up.at(30.0)])
+    assert [mark.x for mark in marks] == pytest.approx([panel.across.at(0.5), panel.across.at(1.5)])
+    assert speed_plot([at("a", None, 0.0), at("b", None, 1.0)]) is None
+    assert speed_plot([at("a", 1.0, 0.0), at("b", 1.0, 1.0)]) is None

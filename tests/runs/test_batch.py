@@ -62,6 +62,7 @@ def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: P
     assert sorted(comparable(out)) == sorted(
         [".lock", "poses.csv", "report.html", "run.json", "summary.json"]
         + [f"frames/{name}.json" for name in names]
+        + [f"layers/{name}.json" for name in names]
         + [f"overlays/{name}.jpg" for name in names]
     )
     with (out / "poses.csv").open(encoding="utf-8", newline="") as file:

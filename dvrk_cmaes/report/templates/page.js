@@ -135,7 +135,7 @@
     const link = event.target instanceof Element && event.target.closest(".picture .crop");
     if (!link || event.ctrlKey || event.metaKey || event.shiftKey || event.altKey) return;
     event.preventDefault();
-    link.closest(".body").classList.toggle("large");
+    if (Number(link.parentElement.dataset.zoom || 1) === 1) link.closest(".body").classList.toggle("large");
   });
 
   // A page that was moved without its folder has only the small pictures.

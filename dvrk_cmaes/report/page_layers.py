@@ -1,0 +1,81 @@
+"""Full pictures within the page: overlays, and the layers of the frames' drawings."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.results.layers import Outline, read_layers
+
+EMBEDDED = 6_000_000
+"""Size in bytes from which on no more full pictures are put into the page, about 40 frames of 640 x 480 px."""
+
+_QUALITY = 60  # of JPEG
+_COLOURS = 6  # in the style sheet
+
+
+@dataclass(frozen=True)
+class DrawnOutline:
+    """An outline as an SVG path, its name, and the number of its colour."""
+
+    name: str
+    colour: int
+    path: str
+
+
+@dataclass(frozen=True)
+class DrawnLayers:
+    """Layers of a frame's drawing for an SVG: size in px, the picture's ``data:`` address if there is one, outlines."""
+
+    width: int
+    height: int
+    picture: str | None
+    outlines: tuple[DrawnOutline, ...]
+
+    @property
+    def bytes(self) -> int:
+        """Size in the page."""
+        return len(self.picture or "") + sum(len(one.path) for one in self.outlines)
+
+
+def embedded_picture(path: Path, widest: int = 1280) -> str | None:
+    """Return a picture of at most ``widest`` px as a ``data:`` address of a JPEG; None if it cannot be read."""
+    try:
+        picture = read_image(path)
+    except InputError:
+        return None
+    height, width = picture.shape[:2]
+    if width > widest:
+        size = widest, max(1, round(height * widest / width))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(picture.dtype)
+    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])[1]
+    return _jpeg_address(base64.b64encode(data.tobytes()).decode("ascii"))
+
+
+def embedded_layers(path: Path) -> DrawnLayers | None:
+    """Read the layers of a frame for the page, without outlines that have no ring; None if they cannot be read."""
+    try:
+        layers = read_layers(path)
+    except InputError:
+        return None
+    picture = None if layers.picture is None else _jpeg_address(layers.picture)
+    outlines = (DrawnOutline(one.name, k % _COLOURS, _path(one)) for k, one in enumerate(layers.outlines) if one.rings)
+    return DrawnLayers(layers.width, layers.height, picture, tuple(outlines))
+
+
+def _path(outline: Outline) -> str:
+    """Return an outline as an SVG path whose coordinates are 0 at the outer edge of the first pixel."""
+    rings = []
+    for ring in outline.rings:
+        points = [f"{u + 0.5:.4g} {v + 0.5:.4g}" for u, v in zip(ring[::2], ring[1::2], strict=False)]
+        rings.append(f"M{points[0]}L{' '.join(points[1:])}z")
+    return "".join(rings)
+
+
+def _jpeg_address(encoded: str) -> str:
+    return "data:image/jpeg;base64," + encoded
