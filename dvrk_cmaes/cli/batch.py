@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from dvrk_cmaes.cli.options import (
+    AUTO,
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
 
 FOLDER = Group("Folder", sort_key=0)  # sorted before the groups shared by commands
 WORKERS = Group("Workers", sort_key=0)
-
-AUTO = "auto"
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import LATEST, MOST_SKIPPED, OUTPUT, Flag, check_range
+from dvrk_cmaes.cli.options import AUTO, LATEST, MOST_SKIPPED, OUTPUT, Flag, check_range
 from dvrk_cmaes.cli.terminal import Line, show, warn
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.recording.recording import Recording
     from dvrk_cmaes.recording.write_session import ImportSummary
 
@@ -66,7 +68,8 @@ def import_recording(
     start: Annotated[float, Parameter(group=SELECTION)] = 0.0,
     end: Annotated[float, Parameter(group=SELECTION)] = math.inf,
     tolerance: Annotated[float, Parameter(group=SELECTION)] = 0.05,
-    lag: Annotated[float, Parameter(group=SELECTION, allow_leading_hyphen=True)] = 0.0,
+    lag: Annotated[str | None, Parameter(group=SELECTION, allow_leading_hyphen=True)] = None,
+    calibration: Annotated[Path | None, Parameter(name="--session", group=SELECTION)] = None,
     camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
@@ -106,8 +109,11 @@ def import_recording(
         Largest distance in time, in seconds, between an image and the readings before and after it; an image without
         readings this near gets none.
     lag
-        Lag of the images behind the readings, in seconds, as stated by `calibrate`: each image gets the readings of
-        that much earlier.
+        Lag of the images behind the readings, in seconds, such as 0.13: each image gets the readings of that much
+        earlier. With auto, or none given, it is the lag found by --session; without that none is taken out.
+    calibration
+        A session.json written by `calibrate` from a session imported from this recording, or from another one made in
+        the same way: its lag is taken out.
     camera
         Camera file. Required for a video; for other recordings it replaces their own.
     joints
@@ -126,15 +132,12 @@ def import_recording(
     json
         Print only a summary, as JSON, on stdout.
     """
-    from dvrk_cmaes.joints.lag import LARGEST_SECONDS
-
     check_range("--every", every, 1, MOST_SKIPPED)
     if not 0 < tolerance < math.inf:
         raise InputError(f"--tolerance: expected a time in seconds above 0, got {tolerance:g}")
     if not (0 <= start < end):
         raise InputError(f"--start, --end: expected 0 <= start < end in seconds, got {start:g} and {end:g}")
-    if not abs(lag) <= LARGEST_SECONDS:
-        raise InputError(f"--lag: expected at most {LARGEST_SECONDS:g} seconds in magnitude, got {lag:g}")
+    taken, said = _lag(lag, calibration)
     if not math.isfinite(video_start):
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
     check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
@@ -147,17 +150,49 @@ def import_recording(
             out,
             selection=Selection(every, start, end),
             tolerance=tolerance,
-            lag=lag,
+            lag=taken,
             overwrite=overwrite,
         )
     for one in summary.readings:
         if one.without:
             warn(f"{one.source}: {one.without} of {summary.frames} frames have no readings within {tolerance:g} s")
+    if said:
+        warn(said)
     if json:
         print(json_text(summary.to_dict()), end="")
     else:
         show(_lines(summary))
     return 0
+
+
+def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
+    """Return the lag in seconds to take out of the readings, None for none, and a warning, which may be empty."""
+    from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.joints.lag import Lag
+
+    if text is not None and text != AUTO:
+        given = Lag.parse("--lag", text)
+        if given.seconds is None:
+            raise InputError(f"--lag: expected a number of seconds such as 0.13, got {shown(text)}")
+        return (given if given.seconds else None), ""
+    if calibration is None:
+        if text == AUTO:
+            raise InputError("--lag: auto: expected --session FILE too, the session.json of a calibrated session")
+        return None, ""
+    found = read_calibration(calibration)
+    if found.lag is None:
+        why = next((one for one in found.untold if one.startswith("lag")), "lag: not told")
+        return None, f"{calibration}: {why}: none is taken out"
+    if found.applied_lag is None:
+        return (
+            None,
+            f"{calibration}: lag: zero within its standard deviation ({found.lag.describe()}): none is taken out",
+        )
+    if found.lag.seconds is None:
+        raise InputError(
+            f"{calibration}: lag: expected a lag in seconds, of a session with times, got {found.lag.text}"
+        )
+    return found.lag, ""
 
 
 def _opened(

@@ -31,6 +31,7 @@ OUTPUT = Group.create_ordered("Output")
 LARGEST_SEED = 2**32 - 1
 MOST_THREADS = MOST_WORKERS = 1000
 MOST_SKIPPED = 1_000_000  # of --every
+AUTO = "auto"  # of --lag
 LATEST = 1e11  # s, of times since any clock's start
 
 Flag = Annotated[bool, Parameter(negative=())]

@@ -25,6 +25,7 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry,
 from dvrk_cmaes.io.atomic import write_bytes, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
 _DIGITS = 6  # number of digits of a frame's name
@@ -105,7 +106,7 @@ def write_session(
     *,
     selection: Selection,
     tolerance: float,
-    lag: float = 0.0,
+    lag: Lag | None = None,
     overwrite: bool = False,
 ) -> ImportSummary:
     """Write the session folder of a recording, with one image at a time in memory.
@@ -121,7 +122,7 @@ def write_session(
     tolerance
         Largest distance in time between an image and the readings before and after it, s.
     lag
-        Lag of the images behind the readings, s: an image gets the readings of this much earlier.
+        Lag of the images behind the readings, in seconds, its drift included: an image gets the readings of this much earlier.
     overwrite
         Replace an existing session.
 
@@ -138,7 +139,7 @@ def write_session(
     with whole_folder(out, sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times)
-        read_at = [time - round(lag * NANOSECONDS) for time in times]
+        read_at = times if lag is None else _earlier(times, lag)
         tables, columns, summaries = _interpolate(recording, read_at, round(tolerance * NANOSECONDS))
         time_cells = [f"{Decimal(time).scaleb(-9):f}" for time in times]
         write_bytes(folder / "camera.yaml", recording.camera)
@@ -151,8 +152,21 @@ def write_session(
         rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
         write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))
         read_session(folder)  # raises InputError if the written folder is not a valid session
-    notes = (*recording.notes, f"readings of {lag:g} s before each image") if lag else recording.notes
-    return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, notes, lag)
+    seconds = 0.0 if lag is None else lag.in_unit("s")
+    drift = f", drifting by {lag.drift:+.3g} s a second" if lag is not None and lag.drift else ""
+    notes = (*recording.notes, f"readings of {seconds:g} s before each image{drift}") if seconds else recording.notes
+    return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, notes, seconds)
+
+
+def _earlier(times: Sequence[int], lag: Lag) -> list[int]:
+    """Return the times, ns, at which what images of some times show was read."""
+    late = lag.at(np.array(times) / NANOSECONDS, "s")
+    if np.abs(late).max() > LARGEST_SECONDS:
+        raise InputError(
+            f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {late[np.abs(late).argmax()]:g} s by its "
+            "drift (another clock than that of the calibrated session?)"
+        )
+    return [time - round(float(seconds) * NANOSECONDS) for time, seconds in zip(times, late, strict=True)]
 
 
 def _arm_of(readings: Sequence[TimedReadings]) -> str | None:

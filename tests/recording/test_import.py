@@ -31,12 +31,15 @@ from helpers.made_recordings import (
     write_bag,
     write_video,
 )
+from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import Selection, write_session
 
@@ -129,6 +132,70 @@ def test_lag_gives_images_earlier_readings(imported: Import, tmp_path: Path) -> 
     expected = dict(zip(ARM, sweep(time - SECOND // 20), strict=True))
     assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
     assert [row["time"] for row in rows("joints.csv")] == [row["time"] for row in rows("images.csv")]
+
+
+def calibrated(path: Path, **changes: object) -> Path:
+    """Write the session.json of a calibration that found a lag of 50 ms."""
+    lag = Lag(1.5, 0.1, 0.05, 0.003, **changes)  # type: ignore[arg-type]
+    write_json(path, calibration(solved(["a", "b", "c"]), lag=lag).to_dict())
+    return path
+
+
+def test_lag_of_a_calibrated_session_is_taken_out(imported: Import, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", KINDS[0], good())
+    for words in ((), ("--lag", "auto")):
+        summary = imported(bag, "--session", calibrated(tmp_path / "session.json"), "--overwrite", *words)
+        assert summary["lag_s"] == 0.05
+        expected = dict(zip(ARM, sweep(BEGIN + 2 * SECOND // 10 - SECOND // 20), strict=True))
+        frames = read_session("session").frames
+        assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
+
+
+def test_drift_of_the_lag_is_taken_out_too(imported: Import, tmp_path: Path) -> None:
+    session = calibrated(tmp_path / "session.json", drift=0.1, middle=BEGIN / SECOND)
+    imported(write_bag(tmp_path / "bag", KINDS[0], good()), "--session", session)
+    late = round((0.05 + 0.1 * 0.3) * SECOND)  # of the fourth image, 0.3 s after the first
+    expected = dict(zip(ARM, sweep(BEGIN + 3 * SECOND // 10 - late), strict=True))
+    frame = read_session("session").frames[3]
+    assert {name: frame.readings[name] for name in ARM} == pytest.approx(expected, abs=1e-6)
+
+
+def test_lag_that_is_zero_within_its_error_is_not_taken_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "run", "ros1", good())
+    calibrated(tmp_path / "session.json", applied=False)
+    assert main(["import", "run.bag", "--out", "session", "--session", "session.json"]) == 0
+    assert capsys.readouterr().err == (
+        "warning: session.json: lag: zero within its standard deviation (images are 1.50 frames (0.050 s) later than "
+        "the readings, std 0.10 frames): none is taken out\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--lag", "auto"], "--lag: auto: expected --session FILE too, the session.json of a calibrated session"),
+        (["--lag", "3frames"], "--lag: expected a number of seconds such as 0.13, got '3frames'"),
+        (["--lag", "100"], "--lag: expected at most 60 seconds in magnitude, got '100'"),
+        (
+            ["--session", "frames.json"],
+            "frames.json: lag: expected a lag in seconds, of a session with times, got 2 frames",
+        ),
+        (["--session", "drift.json"], "lag: expected at most 60 s in magnitude, got "),
+    ],
+)
+def test_lag_that_cannot_be_taken_out_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "run", "ros1", good())
+    write_json(tmp_path / "frames.json", calibration(solved(["a", "b", "c"]), lag=Lag(2.0, 0.1)).to_dict())
+    calibrated(tmp_path / "drift.json", drift=0.1, middle=0.0)
+    assert main(["import", "run.bag", "--out", "session", *words]) == 2
+    assert capsys.readouterr().err.startswith(f"dvrk-cmaes: {message}")
+    assert not (tmp_path / "session").exists()
 
 
 def test_subset_of_images_keeps_numbers(imported: Import, tmp_path: Path) -> None:
