@@ -184,14 +184,10 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
         why = next((one for one in found.untold if one.startswith("lag")), "lag: not told")
         return None, f"{calibration}: {why}: none is taken out"
     if found.applied_lag is None:
-        return (
-            None,
-            f"{calibration}: lag: zero within its standard deviation ({found.lag.describe()}): none is taken out",
-        )
+        said = f"zero within its standard deviation ({found.lag.describe()}): none is taken out"
+        return None, f"{calibration}: lag: {said}"
     if found.lag.seconds is None:
-        raise InputError(
-            f"{calibration}: lag: expected a lag in seconds, of a session with times, got {found.lag.text}"
-        )
+        raise InputError(f"{calibration}: lag: expected seconds, as of a session with times, got {found.lag.text}")
     return found.lag, ""
 
 

@@ -122,7 +122,8 @@ def write_session(
     tolerance
         Largest distance in time between an image and the readings before and after it, s.
     lag
-        Lag of the images behind the readings, in seconds, its drift included: an image gets the readings of this much earlier.
+        Lag of the images behind the readings, in seconds, and its drift: an image gets the readings of this much
+        earlier. By default none.
     overwrite
         Replace an existing session.
 

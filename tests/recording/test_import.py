@@ -168,7 +168,7 @@ def test_lag_that_is_zero_within_its_error_is_not_taken_out(
     calibrated(tmp_path / "session.json", applied=False)
     assert main(["import", "run.bag", "--out", "session", "--session", "session.json"]) == 0
     assert capsys.readouterr().err == (
-        "warning: session.json: lag: zero within its standard deviation (images are 1.50 frames (0.050 s) later than "
+        "dvrk-cmaes: warning: session.json: lag: zero within its standard deviation (images are 1.50 frames (0.050 s) later than "
         "the readings, std 0.10 frames): none is taken out\n"
     )
 
@@ -181,7 +181,7 @@ def test_lag_that_is_zero_within_its_error_is_not_taken_out(
         (["--lag", "100"], "--lag: expected at most 60 seconds in magnitude, got '100'"),
         (
             ["--session", "frames.json"],
-            "frames.json: lag: expected a lag in seconds, of a session with times, got 2 frames",
+            "frames.json: lag: expected seconds, as of a session with times, got 2 frames",
         ),
         (["--session", "drift.json"], "lag: expected at most 60 s in magnitude, got "),
     ],
