@@ -53,15 +53,15 @@ class LiveFrame:
     image_fields: Mapping[str, Any] | None
     mask_fields: Mapping[str, Any] | None = None
 
-    def pixels(self) -> NDArray[np.uint8] | None:
-        """Decode the image, (H, W, 3) BGR; None if it was not received, InputError if it is not valid."""
-        return None if self.image_fields is None else read_pixels(self.topics.image, self.image_fields)
+    def pixels(self, *, grey: bool = False) -> NDArray[np.uint8] | None:
+        """Decode the image, (H, W, 3) BGR or (H, W) grey; None if there is none, InputError if it is not valid."""
+        return None if self.image_fields is None else read_pixels(self.topics.image, self.image_fields, grey=grey)
 
     def mask(self) -> NDArray[np.bool_] | None:
         """Decode the mask, (H, W); None if there is no topic of masks, InputError if it is not valid."""
         if self.topics.mask is None or self.mask_fields is None:
             return None
-        return np.asarray(read_pixels(self.topics.mask, self.mask_fields)[:, :, 0] > _THRESHOLD)
+        return np.asarray(read_pixels(self.topics.mask, self.mask_fields, grey=True) > _THRESHOLD)
 
 
 class Inputs:

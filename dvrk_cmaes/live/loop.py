@@ -106,7 +106,8 @@ class LiveLoop:
             except InputError as error:
                 self.counts.refused += 1
                 self._report(str(error))
-        pixels, mask = frame.pixels(), frame.mask()
+        mask = frame.mask()
+        pixels = frame.pixels(grey=mask is not None and self._draw is None)  # its colours are needed by nobody then
         if mask is None and pixels is not None and self._find_mask is not None:
             mask = self._find_mask(pixels)
         result = self._tracker.step(frame.time / NANOSECONDS, mask=mask, image=pixels)

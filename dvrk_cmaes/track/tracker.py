@@ -211,7 +211,7 @@ class Tracker:
         mask
             (H, W) bool, True on the instrument; None if there is none for this image.
         image
-            (H, W, 3) uint8, BGR. Only a black one matters, in which the instrument cannot be seen.
+            (H, W, 3) uint8, BGR, or (H, W), grey. Only a black one matters, in which the instrument cannot be seen.
         ignore
             (H, W) bool, pixels that count neither way.
 

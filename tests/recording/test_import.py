@@ -168,8 +168,8 @@ def test_lag_that_is_zero_within_its_error_is_not_taken_out(
     calibrated(tmp_path / "session.json", applied=False)
     assert main(["import", "run.bag", "--out", "session", "--session", "session.json"]) == 0
     assert capsys.readouterr().err == (
-        "dvrk-cmaes: warning: session.json: lag: zero within its standard deviation (images are 1.50 frames (0.050 s) later than "
-        "the readings, std 0.10 frames): none is taken out\n"
+        "dvrk-cmaes: warning: session.json: lag: zero within its standard deviation (images are 1.50 frames (0.050 s) "
+        "later than the readings, std 0.10 frames): none is taken out\n"
     )
 
 

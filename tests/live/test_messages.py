@@ -1,0 +1,41 @@
+"""Images in messages: their colours, or their brightness where that is enough."""
+
+from __future__ import annotations
+
+import base64
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes.live.messages import read_pixels
+
+PIXELS = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)
+HEADER = {"stamp": {"sec": 1, "nanosec": 0}}
+
+
+def compressed(pixels: np.ndarray) -> dict[str, object]:
+    data = base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+    return {"header": HEADER, "format": "png", "data": data}
+
+
+def raw(pixels: np.ndarray) -> dict[str, object]:
+    height, width = pixels.shape[:2]
+    fields = {"width": width, "height": height, "encoding": "bgr8" if pixels.ndim == 3 else "mono8"}
+    step = width * (3 if pixels.ndim == 3 else 1)
+    return {"header": HEADER, **fields, "step": step, "data": base64.b64encode(pixels.tobytes()).decode()}
+
+
+@pytest.mark.parametrize("message", [compressed, raw])
+def test_image_is_read_in_colour_or_in_grey(message: object) -> None:
+    fields = message(PIXELS)  # type: ignore[operator]
+    assert np.array_equal(read_pixels("/image", fields), PIXELS)
+    grey = read_pixels("/image", fields, grey=True)
+    assert np.abs(grey.astype(int) - cv2.cvtColor(PIXELS, cv2.COLOR_BGR2GRAY)).max() <= 1
+
+
+@pytest.mark.parametrize("message", [compressed, raw])
+def test_grey_image_keeps_its_values(message: object) -> None:
+    fields = message(PIXELS[:, :, 0])  # type: ignore[operator]
+    assert np.array_equal(read_pixels("/mask", fields, grey=True), PIXELS[:, :, 0])
+    assert np.array_equal(read_pixels("/mask", fields), np.repeat(PIXELS[:, :, :1], 3, axis=2))
