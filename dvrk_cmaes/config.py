@@ -371,6 +371,8 @@ class TrackConfig:
         Largest number of modes of the first frame that are followed until one is decided.
     black_level
         Value of the brightest pixel below which an image counts as black.
+    colour_share
+        Share of an image's colours in those that were learned, each time that a pose is trusted.
     reading_gap, still_seconds
         Longest time between readings, s, over which they are interpolated; time after which unchanged readings of all
         outer joints count as frozen.
@@ -406,6 +408,7 @@ class TrackConfig:
     largest_tip_mm: float = 1.2
     modes: int = 3
     black_level: int = 16
+    colour_share: float = 0.15
     reading_gap: float = 0.15
     still_seconds: float = 0.25
 

@@ -9,33 +9,48 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.track.outline_model import Rim
+
 Float64 = NDArray[np.float64]
 
 _IGNORED_MARGIN = 3  # px around ignored pixels whose edges are not the instrument's
 _MARGIN = 16  # px around the mask; beyond it there is nothing but background
+_OWN_VARIANCE = 0.25  # px^2, of an edge's place, where two kinds of evidence are weighed
 _BLUR = 1.0  # px, standard deviation; the edge of a blurred mask is found to a fraction of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeDistances:
-    """Distances (N,), px, by which outline points lie outside the edge that was found, and whether one was, (N,)."""
+    """Distances (N,), px, by which outline points lie outside the edge that was found, and whether one was, (N,).
+
+    ``variance`` (N,), px^2, is that of the edge's place beyond the running variance of all edges.
+    """
 
     distance: Float64
     found: NDArray[np.bool_]
+    variance: Float64
 
 
 class OutlineEvidence(Protocol):
-    """What one image says about where the outline lies. Masks are one kind; colours of the image can be another."""
+    """What one image says about where the outline lies: the edges of a mask, or the colours of the image."""
 
-    def distances(self, pixels: Float64, normals: Float64, reach: float) -> EdgeDistances:
-        """Measure how far outline points (N, 2) lie outside the image's edge, along unit normals (N, 2).
+    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
+        """Return the farthest distances, px, at which edges are looked for after each drawing of the outline."""
+        ...
 
-        The nearest edge within ``reach`` px counts that has the instrument on the inner side.
+    def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
+        """Measure how far the points of a rim, now at ``pixels`` (N, 2), lie outside the image's edge.
+
+        The nearest edge within ``reach`` px along the rim's normals counts that has the instrument on the inner side.
         """
         ...
 
-    def unexplained(self, pixels: Float64, reach: int) -> float:
-        """Return the share of the image's edges that are farther than ``reach`` px from outline points (M, 2)."""
+    def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
+        """Return the share of what the image shows of the instrument that is farther than ``reach`` px from the rim.
+
+        The rim's points are now at ``pixels`` (N, 2).
+        """
         ...
 
 
@@ -59,8 +74,13 @@ class MaskEvidence:
             self._valid = np.asarray(dilated[window] == 0, np.uint8)
         self._blurred = cv2.GaussianBlur(self._mask * np.uint8(255), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
 
-    def distances(self, pixels: Float64, normals: Float64, reach: float) -> EdgeDistances:
-        """Measure how far outline points (N, 2) lie outside the mask."""
+    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
+        """Return the same distance for all drawings."""
+        return (config.reach_px,) * config.draws
+
+    def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
+        """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the mask."""
+        normals = rim.normals
         count = int(np.ceil(reach))
         along = np.arange(-count, count + 1, dtype=np.float32)
         at = (pixels - self._origin).astype(np.float32)
@@ -76,10 +96,11 @@ class MaskEvidence:
         if self._valid is not None:
             inner = np.clip(np.rint(at), 0, np.array(self._valid.shape[::-1]) - 1).astype(np.intp)
             found &= self._valid[inner[:, 1], inner[:, 0]] > 0
-        return EdgeDistances(np.where(found, -place[rows, nearest], 0.0).astype(np.float64), found)
+        distance = np.where(found, -place[rows, nearest], 0.0).astype(np.float64)
+        return EdgeDistances(distance, found, np.zeros(len(pixels)))
 
-    def unexplained(self, pixels: Float64, reach: int) -> float:
-        """Return the share of the mask's edge that is farther than ``reach`` px from outline points (M, 2)."""
+    def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
+        """Return the share of the mask's edge that is farther than ``reach`` px from the outline as it was drawn."""
         inner = cv2.erode(self._mask, np.ones((3, 3), np.uint8))  # the image's border does not erode
         edge = (self._mask != inner).astype(np.uint8)
         if self._valid is not None:
@@ -89,8 +110,34 @@ class MaskEvidence:
             return 1.0
         height, width = edge.shape
         drawn = np.zeros_like(edge)
-        index = np.rint(pixels - self._origin).astype(np.intp)
+        index = np.rint(rim.all_pixels - self._origin).astype(np.intp)
         index = index[((index >= 0) & (index < [width, height])).all(axis=1)]
         drawn[index[:, 1], index[:, 0]] = 1
         near = cv2.dilate(drawn, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
         return float(1 - cv2.countNonZero(edge & near) / total)
+
+
+class BothEvidence:
+    """The edges of a mask and another evidence of the same image together; where both see an edge, it is their mean."""
+
+    def __init__(self, mask: MaskEvidence, other: OutlineEvidence) -> None:
+        self._mask = mask
+        self._other = other
+
+    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
+        """Return the distances of the other evidence."""
+        return self._other.reaches(config)
+
+    def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
+        """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the edges."""
+        one, other = (each.distances(pixels, rim, reach) for each in (self._mask, self._other))
+        shares = [each.found / (_OWN_VARIANCE + each.variance) for each in (one, other)]
+        total = np.maximum(shares[0] + shares[1], 1e-12)
+        mean = (shares[0] * one.distance + shares[1] * other.distance) / total
+        apart = np.where(one.found & other.found, (one.distance - other.distance) ** 2 / 4, 0.0)
+        variance = np.where(one.found, np.where(other.found, 0.0, one.variance), other.variance)
+        return EdgeDistances(mean, one.found | other.found, variance + apart)
+
+    def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
+        """Return the smaller share of the two."""
+        return min(each.unexplained(pixels, rim, reach) for each in (self._mask, self._other))

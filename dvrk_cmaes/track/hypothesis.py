@@ -86,6 +86,13 @@ class Follower:
         sigma = (1 - _SIGMA_SHARE) * one.sigma + _SIGMA_SHARE * latest
         return replace(one, state=updated.state, sigma=sigma, score=one.score + fit.cost, rim=updated.rim), fit
 
+    def outline(self, one: Hypothesis) -> tuple[Rim, Float64] | None:
+        """Return the outline of a hypothesis and its points (N, 2); None if too little of it is in view."""
+        pose, joints = self.motion.pose(one.state, one.anchor)
+        rim = self.model.draw_anew(one.rim, pose, joints, _KEPT_FROM_LAST)
+        pixels = None if rim is None else self.model.place(rim, pose, joints)
+        return None if rim is None or pixels is None else (rim, pixels)
+
     def located(self, one: Hypothesis) -> Located:
         """Return pose, joints and tips of a hypothesis."""
         pose, joints = self.motion.pose(one.state, one.anchor)

@@ -12,30 +12,35 @@ from dvrk_cmaes.errors import InputError
 
 Mask = NDArray[np.bool_]
 
-FROZEN = "frozen image: the mask is that of the image before, but the arm moved"
+FROZEN = "frozen image: the {source} is that of the image before, but the arm moved"
+"""Problem of an image; ``source`` is what the evidence is taken from, mask or image."""
 
 
 class ImageCheck:
     """Checks the images of one camera; ``black_level`` is the brightest pixel below which an image counts as black."""
 
     def __init__(self, camera: Camera, black_level: int) -> None:
-        self._size = (camera.height, camera.width)
+        self.size = (camera.height, camera.width)
         self._black_level = black_level
         self.last: int | None = None
         """Checksum of the latest mask; None without one."""
 
     def check_size(self, name: str, array: NDArray[np.bool_] | NDArray[np.uint8] | None) -> None:
         """Raise an InputError for an array that is not of the camera's size."""
-        if array is not None and array.shape[:2] != self._size:
+        if array is not None and array.shape[:2] != self.size:
             raise InputError(
-                f"{name}: expected {self._size[1]} x {self._size[0]} pixels as the camera has, got an array of shape "
+                f"{name}: expected {self.size[1]} x {self.size[0]} pixels as the camera has, got an array of shape "
                 f"{array.shape}"
             )
 
-    def problem(self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None) -> str | None:
-        """Return why an image says nothing about the pose; None if it may."""
+    def problem(
+        self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None, *, by_image: bool
+    ) -> str | None:
+        """Return why an image says nothing about the pose; None if it may. ``by_image``: its colours are used."""
         if image is not None and int(image.max()) < self._black_level:
             return "black image: nothing can be seen"
+        if by_image:
+            return None
         if mask is None:
             return "no mask: the pose is predicted"
         counted = mask if ignore is None else mask & ~ignore
@@ -45,7 +50,11 @@ class ImageCheck:
             return "full mask: no edge can be seen"
         return None
 
-    def is_same(self, mask: Mask | None) -> bool:
-        """Whether a mask is that of the call before, to the last pixel."""
-        before, self.last = self.last, None if mask is None else crc32(np.packbits(mask).tobytes())
-        return mask is not None and self.last == before
+    def is_same(self, array: Mask | NDArray[np.uint8] | None) -> bool:
+        """Whether a mask or an image is that of the call before; of an image, every fourth row is compared."""
+        if array is None:
+            seen = None
+        else:
+            seen = crc32(np.packbits(array).tobytes() if array.dtype == np.bool_ else array[::4].tobytes())
+        before, self.last = self.last, seen
+        return array is not None and self.last == before

@@ -18,13 +18,19 @@ def is_convincing(fit: Fit, config: TrackConfig) -> bool:
     return fit.supported >= config.good_support and fit.unexplained <= config.good_unexplained
 
 
-def doubts_of_fit(fit: Fit, config: TrackConfig) -> list[str]:
-    """List the reasons, in words, for which a supported pose does not fit its image well."""
+def doubts_of_fit(fit: Fit, config: TrackConfig, source: str) -> list[str]:
+    """List the reasons, in words, for which a supported pose does not fit its ``source``, mask or image, well."""
     found = []
     if fit.supported < config.good_support:
-        found.append(f"outline without edge: {100 * (1 - fit.supported):.0f} % of it has no edge of the mask near it")
+        share = 100 * (1 - fit.supported)
+        found.append(f"outline without edge: {share:.0f} % of it has no edge of the {source} near it")
     if fit.unexplained > config.good_unexplained:
-        found.append(f"edge without outline: {100 * fit.unexplained:.0f} % of the mask's edge has no outline near it")
+        share = 100 * fit.unexplained
+        found.append(
+            f"edge without outline: {share:.0f} % of the mask's edge has no outline near it"
+            if source == "mask"
+            else f"colours without outline: the instrument's go on beside {share:.0f} % of it"
+        )
     return found
 
 

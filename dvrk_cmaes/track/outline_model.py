@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import apply, change_between
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.track.outline_room import Room
 
 Float64 = NDArray[np.float64]
 
@@ -26,7 +28,8 @@ class Rim:
 
     link : (N,) index of the link. points : (N, 3) m, in the link's frame. normals : (N, 2) unit vectors in the image,
     out of the silhouette. lengths : (N,) px of outline that each represents. ``all_pixels`` (M, 2) are all points of
-    the outline, before N of them were chosen. ``pose`` (4, 4) and ``joints`` (J,) are those it was drawn at.
+    the outline, before N of them were chosen; ``pixels`` (N, 2) are those of the N points. ``pose`` (4, 4) and
+    ``joints`` (J,) are those it was drawn at.
     """
 
     link: NDArray[np.intp]
@@ -34,8 +37,14 @@ class Rim:
     normals: Float64
     lengths: Float64
     all_pixels: Float64
+    pixels: Float64
     pose: Float64
     joints: Float64
+
+    @cached_property
+    def room(self) -> Room:
+        """How far the lines along the normals run within the silhouette and beside it."""
+        return Room.of(self.pixels, self.normals)
 
     def turned(self, pose: Float64, joints: Float64) -> float:
         """Return the largest angle, rad, between the root or a joint and those it was drawn at."""
@@ -82,6 +91,7 @@ class OutlineModel:
             outline.normals[chosen] / length[:, None],
             length * every * float(self._scale.mean()),
             pixels[inside],
+            pixels[chosen],
             pose,
             joints,
         )

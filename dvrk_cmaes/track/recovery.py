@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import change_between, inverse
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.judge import is_supported
+from dvrk_cmaes.track.motion import Anchor
+from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.start import expected_pose
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit
 
@@ -27,6 +30,7 @@ Float64 = NDArray[np.float64]
 _WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
 _SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
 _DOUBTFUL = 0.25  # part of an image without support that one with doubtful support counts for
+_OUT_OF_VIEW = 0.1  # the same of an image in which the instrument is not expected to be seen
 _SEARCH_AFTER = 2.0  # images without support before a global search
 _MOST_WAIT = 32.0  # images between global searches
 _CERTAIN = 0.85  # least such difference of a pose that was found around a wrong prediction
@@ -65,25 +69,46 @@ def search_around(
     return max(found, key=lambda one: one[1].supported - one[1].unexplained, default=None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GlobalSearch:
     """Solves an image by itself, with the settings of a single frame."""
 
+    follower: Follower
+    sight: Sight
     body: Body
-    camera: Camera
     config: EstimateConfig
     calibration: SessionCalibration | None
 
-    def __call__(
-        self, mask: NDArray[np.bool_], ignore: NDArray[np.bool_] | None, readings: Mapping[str, float]
-    ) -> Result | None:
-        """Solve an image; None if its mask has no instrument, or nothing but instrument."""
+    def __call__(self, seen: Seen, anchor: Anchor, *, first: bool = False) -> Result | None:
+        """Solve an image; None if its mask has no instrument, or nothing but instrument, or no mask is found in it.
+
+        ``first`` tells that it is the first image, for which the hints are.
+        """
+        masked = self.sight.with_mask(seen, hinted=first, around=self._around(anchor) if first else None)
+        if masked is None or masked.mask is None:
+            return None
+        readings = self._readings(anchor)
+        camera, session, config = self.follower.model.camera, self.calibration, self.config
         try:
             return estimate(
-                mask, self.camera, readings, self.body, ignore=ignore, session=self.calibration, config=self.config
+                masked.mask, camera, readings, self.body, ignore=seen.ignore, session=session, config=config
             )
         except InputError:
             return None
+
+    def _readings(self, anchor: Anchor) -> dict[str, float]:
+        """Return readings by name."""
+        found = dict(zip(OUTER_JOINTS, anchor.outer.tolist(), strict=True)) if anchor.outer_read else {}
+        names = self.follower.instrument.joint_names
+        read = zip(names, anchor.joints.tolist(), anchor.joint_read, strict=True)
+        return found | {name: value for name, value, known in read if known}
+
+    def _around(self, anchor: Anchor) -> Box | None:
+        """Return a box around the instrument where readings and calibration make expect it; None without them."""
+        if self.calibration is None or not anchor.outer_read:
+            return None
+        rim = self.follower.model.draw(*expected_pose(self.follower, self.config, self.calibration, anchor))
+        return None if rim is None else self.sight.box_of(rim)
 
 
 def same_base(follower: Follower, main: Hypothesis, result: Result, evidence: OutlineEvidence) -> Hypothesis | None:
@@ -126,9 +151,12 @@ class Searching:
     unsupported: float = 0.0
     wait: float = _SEARCH_AFTER
 
-    def missed(self, *, doubtful: bool) -> bool:
-        """Count an image without support, or with doubtful support; return whether to search in it."""
-        self.unsupported += _DOUBTFUL if doubtful else 1.0
+    def missed(self, *, doubtful: bool, out_of_view: bool = False) -> bool:
+        """Count an image without support, or with doubtful support; return whether to search in it.
+
+        ``out_of_view`` tells that the instrument is not expected to be seen in it.
+        """
+        self.unsupported += _DOUBTFUL if doubtful else _OUT_OF_VIEW if out_of_view else 1.0
         if self.unsupported < self.wait:
             return False
         self.wait = min(2 * self.wait, self.wait + _MOST_WAIT)

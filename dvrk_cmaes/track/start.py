@@ -83,6 +83,14 @@ def calibrated_state(calibration: SessionCalibration, blank: FilterState) -> Fil
     return replace(blank, camera_from_base=calibration.camera_from_base, offsets=offsets, covariance=covariance)
 
 
+def expected_pose(
+    follower: Follower, config: EstimateConfig, calibration: SessionCalibration, anchor: Anchor
+) -> tuple[Float64, Float64]:
+    """Return the pose (4, 4) and the joints (J,) that readings of a calibrated session make expect."""
+    blank = unknown_state(config, follower.motion, anchor, follower.instrument.joint_names, 0.0)
+    return follower.motion.pose(calibrated_state(calibration, blank), anchor)
+
+
 def starting_hypotheses(
     follower: Follower,
     config: EstimateConfig,

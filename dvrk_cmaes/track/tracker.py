@@ -14,20 +14,21 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.instrument.arm import Arm, base_from_root
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
-from dvrk_cmaes.track.evidence import MaskEvidence, OutlineEvidence
+from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
-from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
+from dvrk_cmaes.track.images import FROZEN, Mask
 from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported
 from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
 from dvrk_cmaes.track.modes import decide
@@ -35,6 +36,7 @@ from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.recovery import GlobalSearch, Searching, explains, is_better, is_certain, same_base, search_around
+from dvrk_cmaes.track.sight import EvidenceKind, Seen, Sight
 from dvrk_cmaes.track.smoother import FilterStep, Recorder
 from dvrk_cmaes.track.start import based_on_arm, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -43,9 +45,10 @@ Float64 = NDArray[np.float64]
 
 
 class Tracker:
-    """Follows one instrument by masks and joint readings. It reads no files, starts no threads, and forgets the past.
+    """Follows one instrument by masks, images and joint readings.
 
-    The same images, readings and settings give the same results.
+    It reads no files, starts no threads, and forgets the past. The same images, readings and settings give the same
+    results.
 
     Parameters
     ----------
@@ -62,6 +65,11 @@ class Tracker:
     lag
         Lag of the images behind the readings, s; if it is not given, it is that of the calibration, or it is found
         while following.
+    evidence
+        What of an image is used: ``masks``, ``images`` or ``both``; if it is not given, the mask of an image that has
+        one, else its colours, which are learned wherever a pose is trusted.
+    hints
+        Where the instrument is in the first image, if that has no mask.
     record
         Keep what `smoothed` needs of every image; memory then grows with the recording.
     """
@@ -75,6 +83,8 @@ class Tracker:
         *,
         arm: Arm = "classic",
         lag: float | None = None,
+        evidence: EvidenceKind | None = None,
+        hints: Hints | None = None,
         record: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
@@ -98,11 +108,11 @@ class Tracker:
             lag = calibration.lag.seconds
         self._lag_given = lag is not None
         self._lag = FoundLag(0.0, track.lag_std) if lag is None else FoundLag(float(lag), 0.0)
-        self._solve = GlobalSearch(body, camera, settings, calibration)
         self._time: float | None = None
         self._hypotheses: list[Hypothesis] = []
         self._search = Searching()
-        self._images = ImageCheck(camera, track.black_level)
+        self._sight = Sight(camera, track, evidence, hints)
+        self._solve = GlobalSearch(self._follower, self._sight, body, settings, calibration)
         self._recorder = Recorder() if record else None
         self._step: FilterStep | None = None
 
@@ -145,7 +155,7 @@ class Tracker:
             "lag": [self._lag.seconds, self._lag.std],
             "lags": self._lags.checkpoint(),
             "search": [self._search.unsupported, self._search.wait],
-            "last_image": self._images.last,
+            "sight": self._sight.checkpoint(),
             "cables": None if self._cables is None else self._cables.checkpoint(),
         }
 
@@ -165,7 +175,7 @@ class Tracker:
             self._search = Searching(*(float(value) for value in saved["search"]))
             if self._cables is not None:
                 self._cables.restore(saved["cables"])
-            self._images.last = None if saved["last_image"] is None else int(saved["last_image"])
+            self._sight.restore(saved["sight"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
             raise InputError("checkpoint: expected the state of a tracker, got something else") from None
 
@@ -179,8 +189,10 @@ class Tracker:
         """
         self._buffer.add(time, joints)
 
-    def start(self, time: float, result: Result) -> None:
+    def start(self, time: float, result: Result, image: NDArray[np.uint8] | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.
+
+        Colours are learned from its ``image`` (H, W, 3), BGR, if that is given.
 
         Raises
         ------
@@ -193,7 +205,10 @@ class Tracker:
                 f"status {result.status} with {', '.join(result.joints) or 'no joints'}"
             )
         self._check_time(time)
+        seen = None if image is None else self._sight.look(None, image, None)
         self._begin(time, result)
+        if seen is not None:
+            self._learn(seen)
 
     def step(
         self,
@@ -211,7 +226,7 @@ class Tracker:
         mask
             (H, W) bool, True on the instrument; None if there is none for this image.
         image
-            (H, W, 3) uint8, BGR, or (H, W), grey. Only a black one matters, in which the instrument cannot be seen.
+            (H, W, 3) uint8, BGR; None if there is none. A grey one, (H, W), is only tested for being black.
         ignore
             (H, W) bool, pixels that count neither way.
 
@@ -222,14 +237,8 @@ class Tracker:
         """
         started = clock.perf_counter()
         self._check_time(time)
-        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
-            self._images.check_size(name, array)
-        problem = self._images.problem(mask, image, ignore)
-        same = self._images.is_same(mask)
-        if not self._hypotheses:
-            result = self._first(time, mask, ignore, problem)
-        else:
-            result = self._follow(time, mask, ignore, problem, same)
+        seen = self._sight.look(mask, image, ignore)
+        result = self._follow(time, seen) if self._hypotheses else self._first(time, seen)
         self._time = time
         result = replace(result, seconds=clock.perf_counter() - started)
         if self._recorder is not None:
@@ -260,22 +269,24 @@ class Tracker:
         expected = None if self._cables is None else self._cables.expected(reading)
         return before.then(reading, moving=not reading.still, expected=expected)
 
-    def _readings(self, anchor: Anchor) -> dict[str, float]:
-        """Return readings by name, for the search of a single frame."""
-        found = dict(zip(OUTER_JOINTS, anchor.outer.tolist(), strict=True)) if anchor.outer_read else {}
-        read = zip(self._names, anchor.joints.tolist(), anchor.joint_read, strict=True)
-        return found | {name: value for name, value, known in read if known}
-
-    def _first(self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None) -> TrackResult:
+    def _first(self, time: float, seen: Seen) -> TrackResult:
         """Solve the first image by itself."""
-        if problem is not None or mask is None:
-            return without_pose(time, problem or "no mask")
-        result = self._solve(mask, ignore, self._readings(self._anchor(time)))
+        if seen.problem is not None:
+            return without_pose(time, seen.problem)
+        result = self._solve(seen, self._anchor(time), first=True)
         if result is None or result.camera_from_root is None:
             return without_pose(time, "not found: the first image could not be solved", searched=True)
         self._begin(time, result)
+        self._learn(seen)
         status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
         return replace(self._result(time, status, result.reasons), searched=True)
+
+    def _learn(self, seen: Seen) -> None:
+        """Learn the colours of an image along the outline of the best hypothesis."""
+        outline = None if seen.image is None else self._follower.outline(self._hypotheses[0])
+        if outline is not None:
+            rim, pixels = outline
+            self._sight.learn(seen, pixels, rim)
 
     def _begin(self, time: float, result: Result) -> None:
         """Start all modes of a single frame's result as hypotheses."""
@@ -287,9 +298,7 @@ class Tracker:
         self._step = None
         self._time = time
 
-    def _follow(
-        self, time: float, mask: Mask | None, ignore: Mask | None, problem: str | None, same: bool
-    ) -> TrackResult:
+    def _follow(self, time: float, seen: Seen) -> TrackResult:
         """Predict all hypotheses and correct them by the image."""
         assert self._time is not None
         anchor = self._anchor(time)
@@ -299,12 +308,16 @@ class Tracker:
         self._hypotheses = [one for one, _ in predictions]
         first, transition = predictions[0]
         self._step = FilterStep(first.state, transition, first.state, anchor)
-        if problem is None and same and self._follower.has_moved(before[0], self._hypotheses[0]):
-            problem = FROZEN
-        if problem is not None or mask is None:
-            empty = mask is not None and problem != FROZEN
-            return (self._unsupported if empty else self._unseen)(time, problem or "no mask")
-        evidence = MaskEvidence(mask, ignore)
+        problem = seen.problem
+        if problem is None and seen.same and self._follower.has_moved(before[0], self._hypotheses[0]):
+            problem = FROZEN.format(source=seen.source)
+        elif problem is not None and seen.mask is not None:
+            return self._unsupported(time, problem)
+        if problem is not None:
+            return self._unseen(time, problem)
+        evidence = self._sight.evidence(seen)
+        if evidence is None:
+            return self._unsupported(time, "lost: no instrument was found in the image")
         fits = [self._follower.corrected(one, evidence) for one in self._hypotheses]
         main = fits[0]
         if main is None or not is_convincing(main[1], self._config.track):
@@ -315,26 +328,29 @@ class Tracker:
         supported = main is not None and is_supported(main[1], self._config.track)
         searched = False
         if main is None or not is_convincing(main[1], self._config.track):
-            searched = self._search.missed(doubtful=supported)
-            found = self._searched(time, anchor, mask, ignore, evidence) if searched else None
+            gone = main is None and seen.mask is None and self._follower.outline(self._hypotheses[0]) is None
+            searched = self._search.missed(doubtful=supported, out_of_view=gone)
+            found = self._searched(time, anchor, seen, evidence) if searched else None
             if found is not None:
                 return found
         if supported:
-            result = self._supported(time, [one for one in fits if one is not None])
+            result = self._supported(time, seen, [one for one in fits if one is not None])
         else:
-            result = self._unsupported(time, "lost: the mask's edges do not support the predicted outline")
+            result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
         return replace(result, searched=searched)
 
-    def _supported(self, time: float, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
+    def _supported(self, time: float, seen: Seen, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
         """Keep the corrected hypotheses, decide between them, and judge the best one."""
         track, decision = self._config.track, decide(fits)
         self._hypotheses, fit = decision.kept, decision.fit
-        reasons = [*decision.reasons, *doubts_of_fit(fit, track)]
+        reasons = [*decision.reasons, *doubts_of_fit(fit, track, seen.source)]
         if decision.switched:
             self._step = None
             self._lags.clear()
         if is_convincing(fit, track):
             self._find_lag(time)
+            if not reasons:
+                self._learn(seen)
             if self._search.unsupported >= 1:
                 reasons.append("found again: one image supports the pose so far")
             self._search = Searching()
@@ -350,11 +366,9 @@ class Tracker:
         certain = found.tip_std_mm is None or found.tip_std_mm <= self._config.track.largest_tip_mm
         return found if certain else replace(found, status="lost")
 
-    def _searched(
-        self, time: float, anchor: Anchor, mask: Mask, ignore: Mask | None, evidence: OutlineEvidence
-    ) -> TrackResult | None:
+    def _searched(self, time: float, anchor: Anchor, seen: Seen, evidence: OutlineEvidence) -> TrackResult | None:
         """Search an image globally, and go on from what is found; None if that does not explain the image."""
-        result = self._solve(mask, ignore, self._readings(anchor))
+        result = self._solve(seen, anchor)
         reason = "found again by a global search"
         if result is None or not explains(result, self._config.trust):
             return None

@@ -79,14 +79,15 @@ class OutlineUpdate:
         c, eye = self._config, np.eye(prior.layout.size)
         state, spread_of = prior, prior.covariance
         off: Float64 = np.zeros(prior.layout.size)
-        for draw in range(c.draws):
+        reach = c.reach_px
+        for draw, reach in enumerate(evidence.reaches(c)):
             if draw:
                 drawn = self._model.draw_anew(rim, *self._motion.pose(state, anchor), _KEPT_WITHIN_IMAGE)
                 if drawn is None:
                     return None
                 rim = drawn
             for _ in range(c.steps):
-                found = self._linearised(state, anchor, evidence, rim, sigma, spread_of)
+                found = self._linearised(state, anchor, evidence, rim, sigma, spread_of, reach)
                 if found is None:
                     return None
                 information, slope = found
@@ -101,7 +102,7 @@ class OutlineUpdate:
         if pixels is None:
             return None
         covariance = (spread_of + spread_of.T) / 2
-        residuals = self._residuals(pixels, rim, evidence, sigma, c.outlier_sigmas * sigma)
+        residuals = self._residuals(pixels, rim, evidence, sigma, c.outlier_sigmas * sigma, reach)
         cost = 0.5 * (residuals.cost + self._deviation(off, prior.covariance) + float(np.linalg.slogdet(system)[1]))
         return Updated(replace(state, covariance=covariance), self._fit(residuals, evidence, rim, cost), rim)
 
@@ -120,6 +121,7 @@ class OutlineUpdate:
         rim: Rim,
         sigma: float,
         covariance: Float64,
+        reach: float,
     ) -> tuple[Float64, Float64] | None:
         """Return information (D, D) and slope (D,) of the evidence at a state."""
         c = self._config
@@ -130,7 +132,7 @@ class OutlineUpdate:
         effect = seen.jacobian @ loadings
         expected = np.einsum("nd,nd->n", effect @ covariance, effect)
         width = c.outlier_sigmas * np.sqrt(sigma**2 + np.minimum(expected, c.reach_px**2))
-        residuals = self._residuals(seen.pixels, rim, evidence, sigma, width)
+        residuals = self._residuals(seen.pixels, rim, evidence, sigma, width, reach)
         weight = residuals.weight * rim.lengths / (sigma**2 * c.correlation_px * c.frame_correlation)
         information = seen.jacobian.T @ (seen.jacobian * weight[:, None])
         slope = seen.jacobian.T @ (residuals.distance * weight)
@@ -140,16 +142,23 @@ class OutlineUpdate:
         return loadings.T @ information @ loadings, loadings.T @ slope
 
     def _residuals(
-        self, pixels: Float64, rim: Rim, evidence: OutlineEvidence, sigma: float, width: Float64 | float
+        self,
+        pixels: Float64,
+        rim: Rim,
+        evidence: OutlineEvidence,
+        sigma: float,
+        width: Float64 | float,
+        reach: float,
     ) -> _Residuals:
         """Measure the distances of points (N, 2); ``width`` px, (N,) or one for all, is the scale of robust weights."""
         c = self._config
-        edges = evidence.distances(pixels, rim.normals, c.reach_px)
+        edges = evidence.distances(pixels, rim, reach)
         ratio = (edges.distance / width) ** 2
-        weight = np.where(edges.found, 1 / (1 + ratio) ** 2, 0.0)
-        bounded = np.square(width / sigma) * np.where(edges.found, ratio / (1 + ratio), 1.0)
+        trust = sigma**2 / (sigma**2 + edges.variance)
+        weight = np.where(edges.found, trust / (1 + ratio) ** 2, 0.0)
+        bounded = np.square(width / sigma) * np.where(edges.found, trust * ratio / (1 + ratio), 1.0)
         cost = float((bounded * rim.lengths).sum()) / (c.correlation_px * c.frame_correlation)
-        return _Residuals(edges.distance, weight, edges.found, cost)
+        return _Residuals(pixels, edges.distance, weight, edges.found, cost)
 
     def _fit(self, residuals: _Residuals, evidence: OutlineEvidence, rim: Rim, cost: float) -> Fit:
         """Summarise residuals at the corrected pose."""
@@ -158,13 +167,14 @@ class OutlineUpdate:
         total = float(rim.lengths.sum())
         supported = float(rim.lengths[near].sum()) / total
         sigma = float(np.sqrt(np.mean(residuals.distance[near] ** 2))) if near.any() else c.support_px
-        return Fit(supported, evidence.unexplained(rim.all_pixels, int(2 * c.support_px)), total, sigma, cost)
+        return Fit(supported, evidence.unexplained(residuals.pixels, rim, int(2 * c.support_px)), total, sigma, cost)
 
 
 @dataclass(frozen=True, eq=False)
 class _Residuals:
-    """Distances (N,) px, their robust weights (N,), whether an edge was found (N,), and the cost."""
+    """Points (N, 2), their distances (N,) px, robust weights (N,), whether an edge was found (N,), and the cost."""
 
+    pixels: Float64
     distance: Float64
     weight: Float64
     found: NDArray[np.bool_]

@@ -13,7 +13,7 @@ from dvrk_cmaes.geometry import change_between, moved
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.evidence import MaskEvidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel
+from dvrk_cmaes.track.outline_model import OutlineModel, Rim
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.smoother import FilterStep, smoothed_states
 from dvrk_cmaes.track.start import placed, unknown_state
@@ -65,12 +65,27 @@ def test_frozen_readings_are_noticed() -> None:
 # edges of a mask
 
 
+def rim_at(pixels: np.ndarray, normals: np.ndarray) -> Rim:
+    """Give an outline at some pixels."""
+    count = len(pixels)
+    return Rim(
+        np.zeros(count, np.intp),
+        np.zeros((count, 3)),
+        normals,
+        np.ones(count),
+        pixels,
+        pixels,
+        np.eye(4),
+        np.zeros(3),
+    )
+
+
 def test_distance_from_edge_of_mask_is_found_below_a_pixel() -> None:
     mask = np.zeros((100, 120), np.bool_)
     mask[:, 40:80] = True  # edges at 39.5 and 79.5
     pixels = np.array([[79.5, 50.0], [81.25, 50.0], [77.0, 20.0], [39.5, 30.0], [95.0, 50.0]])
     normals = np.array([[1.0, 0], [1, 0], [1, 0], [-1, 0], [1, 0]])
-    found = MaskEvidence(mask).distances(pixels, normals, 8.0)
+    found = MaskEvidence(mask).distances(pixels, rim_at(pixels, normals), 8.0)
     assert found.found.tolist() == [True, True, True, True, False]
     assert np.allclose(found.distance[:4], [0, 1.75, -2.5, 0], atol=0.06)
 
@@ -78,14 +93,16 @@ def test_distance_from_edge_of_mask_is_found_below_a_pixel() -> None:
 def test_edge_that_faces_another_way_does_not_count() -> None:
     mask = np.zeros((60, 60), np.bool_)
     mask[:, 30:] = True
-    assert not MaskEvidence(mask).distances(np.array([[30.0, 30.0]]), np.array([[1.0, 0.0]]), 8.0).found[0]
+    pixels = np.array([[30.0, 30.0]])
+    assert not MaskEvidence(mask).distances(pixels, rim_at(pixels, np.array([[1.0, 0.0]])), 8.0).found[0]
 
 
 def test_ignored_pixels_have_no_edges() -> None:
     mask, ignore = np.zeros((60, 60), np.bool_), np.zeros((60, 60), np.bool_)
     mask[:, 10:40], ignore[:, 35:45] = True, True
     evidence = MaskEvidence(mask, ignore)
-    found = evidence.distances(np.array([[36.0, 30.0], [9.5, 30.0]]), np.array([[1.0, 0.0], [-1.0, 0.0]]), 8.0)
+    pixels = np.array([[36.0, 30.0], [9.5, 30.0]])
+    found = evidence.distances(pixels, rim_at(pixels, np.array([[1.0, 0.0], [-1.0, 0.0]])), 8.0)
     assert found.found.tolist() == [False, True]
 
 
@@ -93,7 +110,8 @@ def test_share_of_edge_without_outline() -> None:
     mask = np.zeros((100, 100), np.bool_)
     mask[:, 30:70] = True
     left = np.stack([np.full(100, 30.0), np.arange(100.0)], axis=1)
-    assert MaskEvidence(mask).unexplained(left, 6) == pytest.approx(0.5, abs=0.02)
+    rim = rim_at(left, np.tile([-1.0, 0.0], (100, 1)))
+    assert MaskEvidence(mask).unexplained(left, rim, 6) == pytest.approx(0.5, abs=0.02)
 
 
 # derivatives

@@ -1,0 +1,136 @@
+"""An image's colours as evidence about the outline, by lines across it.
+
+On each line, every place of the edge explains the colours on either side with some probability: those of the instrument
+within, those of the surroundings without. The edge's distribution follows, and near its mean the exact place, from
+the line's own colours on both sides.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.track.colour_model import ColourModel, bins_of
+from dvrk_cmaes.track.evidence import EdgeDistances
+from dvrk_cmaes.track.image_lines import pixels_along
+from dvrk_cmaes.track.outline_model import Rim
+from dvrk_cmaes.track.outline_room import MOST_ROOM
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+PARTS: Final = 2
+"""Parts of the instrument whose colours are learned apart: the shaft, and what follows it."""
+
+_REACHES = (1.0, 0.5)  # of the farthest distance, after each drawing
+_DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
+_LEAST_ROOM = 3.0  # px within the instrument and beside it
+_LEAST_ODDS = 0.4  # mean log-odds of the pixels on either side of an edge
+_LARGEST_STD = 3.0  # px
+_REFINEMENTS = 2
+_WINDOW = 1  # px on either side of an edge within which its exact place is found
+_LEAST_CONTRAST = 24.0  # difference of the colours of the sides, for the exact place
+_FINE_STD, _COARSE_STD = 0.3, 1.0  # px
+_BLUR = 1.2  # px from the outline, within which pixels have colours of both sides
+_BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
+
+
+def _parts_of(rim: Rim) -> NDArray[np.intp]:
+    """Return the part of the instrument of each point (N,)."""
+    return np.minimum(rim.link, PARTS - 1)
+
+
+class ImageEvidence:
+    """The colours of an image (H, W, 3), BGR, given a model of colours; ``ignore`` (H, W) are pixels without a say."""
+
+    def __init__(self, image: NDArray[np.uint8], model: ColourModel, ignore: Bool | None = None) -> None:
+        self._image = np.ascontiguousarray(image)
+        self._model = model
+        self._seen = None if ignore is None else ~ignore
+
+    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
+        """Return ever smaller distances."""
+        return tuple(share * config.reach_px for share in _REACHES)
+
+    def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
+        """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the edge."""
+        count = int(np.ceil(reach))
+        odds, _ = self._odds(pixels, rim, np.arange(-count - MOST_ROOM, count + MOST_ROOM + 1, dtype=np.float32))
+        total = np.zeros((len(pixels), odds.shape[1] + 1), np.float32)
+        np.cumsum(odds, axis=1, out=total[:, 1:])
+        # an edge at place k lies between samples k - 1 and k
+        rows, place = np.arange(len(pixels))[:, None], np.arange(MOST_ROOM, MOST_ROOM + 2 * count + 1)
+        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in (rim.room.inside, rim.room.outside))
+        at_edge = total[:, MOST_ROOM : MOST_ROOM + 2 * count + 1]
+        within = at_edge - total[rows, place - inside]
+        beside = total[rows, place + outside] - at_edge
+        score = within - beside
+        best = score.argmax(axis=1)[:, None]
+        chance = np.exp(_DEPENDENT * (score - np.take_along_axis(score, best, axis=1)))
+        chance /= chance.sum(axis=1, keepdims=True)
+        at = np.arange(-count, count + 1, dtype=np.float32) - 0.5
+        mean = chance @ at
+        variance = np.maximum(chance @ at**2 - mean**2, 0)
+        told = (np.take_along_axis(within, best, axis=1) > _LEAST_ODDS * inside) & (
+            np.take_along_axis(beside, best, axis=1) < -_LEAST_ODDS * outside
+        )
+        told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_ROOM)
+        found = told[:, 0] & (variance < _LARGEST_STD**2)
+        mean, fine = self._refined(pixels, rim.normals, mean)
+        variance = np.where(fine, _FINE_STD**2, variance + _COARSE_STD**2)
+        return EdgeDistances(np.where(found, -mean, 0.0).astype(np.float64), found, variance.astype(np.float64))
+
+    def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
+        """Return the share of the outline beside which there are the instrument's colours."""
+        along = np.arange(_BESIDE, MOST_ROOM + 1, dtype=np.float32)
+        odds, valid = self._odds(pixels, rim, along)
+        valid &= along <= rim.room.outside[:, None] - 1
+        count = valid.sum(axis=1)
+        told = count >= _LEAST_ROOM
+        like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
+        return float(rim.lengths[like].sum() / rim.lengths[told].sum()) if told.any() else 1.0
+
+    def _odds(self, pixels: Float64, rim: Rim, along: Float32) -> tuple[Float32, Bool]:
+        """Return the log-odds of instrument (N, K) at distances along lines, and where there are any, (N, K)."""
+        colours, valid = pixels_along(self._image, pixels, rim.normals, along, self._seen)
+        bins = bins_of(colours)
+        bins += (_parts_of(rim) * self._model.bins).astype(np.int32)[:, None]
+        odds = self._model.log_odds.ravel().take(bins)
+        odds *= valid
+        return odds, valid
+
+    def _refined(self, pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
+        """Find the exact places of edges (N,) on lines, and whether that is possible, (N,).
+
+        The colour of a pixel at the edge is mixed of those on both sides in proportion to its parts.
+        """
+        at, direction = pixels.astype(np.float32), normals.astype(np.float32)
+        along = np.arange(-_WINDOW - 1, _WINDOW + 2, dtype=np.float32)
+        fine = np.ones(len(place), np.bool_)
+        for _ in range(_REFINEMENTS):
+            u, v = (at[:, k, None] + direction[:, k, None] * (place[:, None] + along) for k in (0, 1))
+            values = cv2.remap(self._image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+            outer = values[:, -1]
+            change = values[:, 0] - outer
+            contrast = np.einsum("nc,nc->n", change, change)
+            share = np.einsum("nkc,nc->nk", values[:, 1:-1] - outer[:, None], change)
+            share = np.clip(share / np.maximum(contrast, 1.0)[:, None], 0.0, 1.0)
+            fine &= contrast > _LEAST_CONTRAST**2
+            place = np.where(fine, place + share.sum(axis=1) - (_WINDOW + 0.5), place)
+        return place, fine
+
+
+def learned(image: NDArray[np.uint8], pixels: Float64, rim: Rim, ignore: Bool | None = None) -> ColourModel:
+    """Return the model of the colours along the lines of an outline whose points are at ``pixels`` (N, 2)."""
+    along = np.arange(-MOST_ROOM, MOST_ROOM + 1, dtype=np.float32)
+    seen = None if ignore is None else ~ignore
+    colours, valid = pixels_along(np.ascontiguousarray(image), pixels, rim.normals, along, seen)
+    bins, parts = bins_of(colours), _parts_of(rim)
+    inside = valid & (along < -_BLUR) & (along > _BLUR - rim.room.inside[:, None])
+    outside = valid & (along > _BLUR) & (along < rim.room.outside[:, None] - _BLUR)
+    return ColourModel.learned([bins[inside & (parts == part)[:, None]] for part in range(PARTS)], bins[outside])

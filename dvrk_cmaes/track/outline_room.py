@@ -1,0 +1,42 @@
+"""How far lines across an outline run within the silhouette and beside it, before they meet the outline again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+MOST_ROOM: Final = 10
+"""Longest piece, px, of a line on either side of the outline that is looked at."""
+
+_BESIDE = 2.0  # px, farthest distance from a line of a point at which the outline crosses it
+_OPPOSED = -0.2  # cosine between normals, below which a point lies on another side of the instrument
+_NEXT = 1.0  # px along the line, within which a point is the same crossing
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Lengths (N,), px, of N lines within the silhouette and beside it, at most `MOST_ROOM`."""
+
+    inside: Float32
+    outside: Float32
+
+    @staticmethod
+    def of(pixels: Float64, normals: Float64) -> Room:
+        """Find where the lines through outline points (N, 2) along their normals (N, 2) cross the outline again."""
+        at, outwards = pixels.astype(np.float32), normals.astype(np.float32)
+        tangents = outwards[:, ::-1] * np.array([1, -1], np.float32)
+        along = outwards @ at.T - np.einsum("nd,nd->n", outwards, at)[:, None]
+        across = tangents @ at.T - np.einsum("nd,nd->n", tangents, at)[:, None]
+        row, column = np.nonzero((np.abs(across) < _BESIDE) & (outwards @ outwards.T < _OPPOSED))
+        distance = along[row, column]
+        room = np.full((2, len(at)), MOST_ROOM, np.float32)
+        for side, away in zip(room, (-distance, distance), strict=True):
+            beyond = away > _NEXT
+            np.minimum.at(side, row[beyond], away[beyond])
+        return Room(room[0], room[1])

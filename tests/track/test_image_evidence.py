@@ -1,0 +1,141 @@
+"""Colours of an image as evidence about the outline."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from helpers.moving_worlds import SMALL
+
+from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.track.colour_model import ColourModel, bins_of
+from dvrk_cmaes.track.evidence import BothEvidence, MaskEvidence
+from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
+from dvrk_cmaes.track.outline_model import Rim
+from dvrk_cmaes.track.outline_room import MOST_ROOM, Room
+from dvrk_cmaes.track.sight import Sight
+
+TOOL, TISSUE, UNKNOWN = (90, 88, 86), (60, 70, 170), (200, 40, 20)  # BGR
+HEIGHT, WIDTH = 80, 160
+
+
+def bar(left: float, right: float, *, of: tuple[int, int, int] = TOOL, noise: float = 3.0) -> np.ndarray:
+    """Draw an upright bar between two columns' left and right borders, blurred and noisy."""
+    fine = 8
+    covered = np.zeros((1, WIDTH * fine), np.float32)
+    covered[:, round((left + 0.5) * fine) : round((right + 0.5) * fine)] = 1
+    share = cv2.resize(covered, (WIDTH, 1), interpolation=cv2.INTER_AREA).repeat(HEIGHT, axis=0)[..., None]
+    image = cv2.GaussianBlur(share, (0, 0), 0.8)[..., None] * np.array(of) + (
+        1 - cv2.GaussianBlur(share, (0, 0), 0.8)[..., None]
+    ) * np.array(TISSUE)
+    image = image + noise * np.random.default_rng(1).standard_normal(image.shape)
+    return np.clip(image + 0.5, 0, 255).astype(np.uint8)
+
+
+def outline(left: float, right: float) -> Rim:
+    """Give the outline of such a bar, 2 x 60 points."""
+    rows = np.arange(10.0, 70.0)
+    pixels = np.concatenate([np.stack([np.full(60, u), rows], axis=1) for u in (left, right)])
+    normals = np.repeat([[-1.0, 0.0], [1.0, 0.0]], 60, axis=0)
+    zero = np.zeros(120, np.intp)
+    return Rim(zero, np.zeros((120, 3)), normals, np.ones(120), pixels, pixels, np.eye(4), np.zeros(3))
+
+
+def model_of(left: float = 60, right: float = 100) -> ColourModel:
+    """Learn the colours of such a bar."""
+    rim = outline(left, right)
+    return learned(bar(left, right), rim.pixels, rim)
+
+
+@pytest.mark.parametrize("width", [8, 40])
+@pytest.mark.parametrize("shift", [0.0, 0.4, 3.25, -5.0])
+def test_edges_are_found_below_a_pixel(width: int, shift: float) -> None:
+    image, rim = bar(60, 60 + width), outline(60 + shift, 60 + width + shift)
+    found = ImageEvidence(image, model_of()).distances(rim.pixels, rim, 12.0)
+    assert found.found.mean() > 0.95
+    left, right = found.distance[:60], found.distance[60:]
+    assert np.median(left) == pytest.approx(-shift, abs=0.1)
+    assert np.median(right) == pytest.approx(shift, abs=0.1)
+
+
+def test_edges_within_the_instrument_do_not_count() -> None:
+    image, rim = bar(60, 100), outline(60, 100)
+    image[:, 65:68] = (150, 148, 146)  # a reflection along the instrument, whose edges are sharper than its outline
+    model = learned(image, rim.pixels, rim)
+    shifted = outline(63, 103)
+    found = ImageEvidence(image, model).distances(shifted.pixels, shifted, 12.0)
+    assert np.median(found.distance[:60]) == pytest.approx(-3, abs=0.2)
+
+
+def test_colours_that_were_never_seen_tell_nothing() -> None:
+    image, rim = bar(60, 100, of=UNKNOWN), outline(60, 100)
+    assert not ImageEvidence(image, model_of()).distances(rim.pixels, rim, 12.0).found.any()
+
+
+def test_tissue_alone_has_no_edges() -> None:
+    image, rim = bar(-50, -40), outline(60, 100)
+    assert not ImageEvidence(image, model_of()).distances(rim.pixels, rim, 12.0).found.any()
+
+
+def test_ignored_pixels_have_no_edges() -> None:
+    image, rim, ignore = bar(60, 100), outline(60, 100), np.zeros((HEIGHT, WIDTH), np.bool_)
+    ignore[:, 80:120] = True
+    found = ImageEvidence(image, model_of(), ignore).distances(rim.pixels, rim, 12.0).found
+    assert found[:60].all()
+    assert not found[60:].any()
+
+
+def test_instrument_that_goes_on_beside_its_outline_is_unexplained() -> None:
+    image, rim = bar(60, 100), outline(60, 80)
+    evidence = ImageEvidence(image, model_of())
+    assert evidence.unexplained(rim.pixels, rim, 6) == pytest.approx(0.5, abs=0.02)
+    whole = outline(60, 100)
+    assert evidence.unexplained(whole.pixels, whole, 6) == 0.0
+
+
+def test_lines_end_where_they_cross_the_outline_again() -> None:
+    rim = outline(60, 66)
+    room = Room.of(rim.pixels, rim.normals)
+    assert np.allclose(room.inside, 6)
+    assert np.allclose(room.outside, MOST_ROOM)
+
+
+def test_mask_and_image_together_are_nearer_than_the_worse_of_them() -> None:
+    image, rim = bar(60, 100), outline(60, 100)
+    mask = np.zeros((HEIGHT, WIDTH), np.bool_)
+    mask[:, 60:103] = True  # three pixels too wide on the right
+    by_mask, by_image = MaskEvidence(mask), ImageEvidence(image, model_of())
+    found = BothEvidence(by_mask, by_image).distances(rim.pixels, rim, 12.0)
+    alone = by_mask.distances(rim.pixels, rim, 12.0)
+    assert found.found.all()
+    assert np.abs(found.distance[60:]).max() < np.abs(alone.distance[60:]).min()
+    assert found.variance[60:].min() > found.variance[:60].max()
+
+
+# the model of colours
+
+
+def test_mixing_changes_the_model_slowly() -> None:
+    pixels = np.array([TOOL], np.uint8)
+    (bin_,) = bins_of(pixels)
+    rim = outline(60, 100)
+    other = learned(bar(60, 100, of=UNKNOWN), rim.pixels, rim)
+    model = model_of()
+    mixed = model.mixed(other, 0.15)
+    assert other.log_odds[0, bin_] <= 0 < mixed.log_odds[0, bin_] <= model.log_odds[0, bin_]
+
+
+def test_model_is_restored_from_its_checkpoint() -> None:
+    model = model_of()
+    assert np.array_equal(ColourModel.restored(model.checkpoint()).log_odds, model.log_odds)
+
+
+def test_damaged_checkpoint_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected"):
+        ColourModel.restored(model_of().checkpoint() | {"inside": "AAAA"})
+
+
+def test_unknown_evidence_is_refused() -> None:
+    with pytest.raises(InputError, match=r"evidence: expected one of .*images.*got 'image'"):
+        Sight(SMALL, TrackConfig(), "image", None)  # type: ignore[arg-type]

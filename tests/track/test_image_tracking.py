@@ -1,0 +1,156 @@
+"""Following by images without masks: errors against the truth, losses, and mixtures with masks."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from helpers.moving_worlds import MovingWorld, moving_world
+
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.segment.segmentation import Hints
+from dvrk_cmaes.synth.images import draw_image
+from dvrk_cmaes.track import Tracker
+
+FRAMES = 20
+
+
+@pytest.fixture(scope="module")
+def world() -> MovingWorld:
+    return moving_world()
+
+
+@pytest.fixture(scope="module")
+def images(world: MovingWorld) -> list[np.ndarray]:
+    """The images of the first frames, with the same tissue in all."""
+    return [draw_image(world.camera, truth, np.random.default_rng(5)) for truth in world.truths[:FRAMES]]
+
+
+@pytest.fixture(scope="module")
+def tissue(world: MovingWorld, images: list[np.ndarray]) -> np.ndarray:
+    """An image without the instrument."""
+    seen = np.stack([np.where(mask[..., None], 0, image) for mask, image in zip(world.masks, images, strict=False)])
+    return np.asarray(np.where((mean := seen.max(axis=0)).any(axis=2, keepdims=True), mean, (50, 60, 130)), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def first(world: MovingWorld) -> Result:
+    """The first frame solved by itself, by its mask."""
+    return estimate(world.masks[0], world.camera, world.readings[0], world.body)
+
+
+def follow(world: MovingWorld, tracker: Tracker, frames: range, images: list[np.ndarray]) -> list[TrackResult]:
+    """Follow frames by their images."""
+    results = []
+    for k in frames:
+        tracker.add_readings(world.time(k), world.readings[k])
+        results.append(tracker.step(world.time(k), image=images[k]))
+    return results
+
+
+def started(world: MovingWorld, first: Result, image: np.ndarray, **options: object) -> Tracker:
+    """Give a tracker that has the first frame's result and image."""
+    tracker = Tracker(world.camera, world.body, lag=0.0, **options)  # type: ignore[arg-type]
+    tracker.add_readings(world.time(0), world.readings[0])
+    tracker.start(world.time(0), first, image=image)
+    return tracker
+
+
+@pytest.fixture(scope="module")
+def results(world: MovingWorld, first: Result, images: list[np.ndarray]) -> list[TrackResult]:
+    """The results of the frames after the first one."""
+    return follow(world, started(world, first, images[0]), range(1, FRAMES), images)
+
+
+def errors_mm(world: MovingWorld, results: list[TrackResult], begin: int = 1) -> np.ndarray:
+    return np.array([world.error_mm(begin + k, result) for k, result in enumerate(results)])
+
+
+def test_tips_are_followed_by_images_alone(world: MovingWorld, results: list[TrackResult]) -> None:
+    errors = errors_mm(world, results)
+    assert np.median(errors) < 0.8
+    assert errors.max() < 2.5
+    assert np.mean([result.status == "ok" for result in results]) >= 0.9
+
+
+def test_first_mask_is_found_in_the_image(world: MovingWorld, images: list[np.ndarray]) -> None:
+    box = np.argwhere(world.masks[0])
+    (top, left), (bottom, right) = box.min(axis=0).tolist(), box.max(axis=0).tolist()
+    tracker = Tracker(world.camera, world.body, lag=0.0, hints=Hints(box=(left, top, right, bottom)))
+    followed = follow(world, tracker, range(6), images)
+    assert followed[0].searched
+    assert followed[-1].status == "ok"
+    assert world.error_mm(5, followed[-1]) < 2.5
+
+
+def test_same_images_give_same_answer_from_a_checkpoint(
+    world: MovingWorld, first: Result, images: list[np.ndarray], results: list[TrackResult]
+) -> None:
+    tracker = started(world, first, images[0])
+    follow(world, tracker, range(1, 6), images)
+    saved = json.loads(json.dumps(tracker.checkpoint()))
+    other = Tracker(world.camera, world.body, lag=0.0)
+    for k in range(6):
+        other.add_readings(world.time(k), world.readings[k])
+    other.restore(saved)
+    for one, same in zip(follow(world, other, range(6, 9), images), results[5:8], strict=True):
+        assert one.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
+
+
+def test_instrument_that_is_gone_is_never_ok_and_is_found_again(
+    world: MovingWorld, first: Result, images: list[np.ndarray], tissue: np.ndarray
+) -> None:
+    gone = range(8, 14)
+    shown = [tissue if k in gone else image for k, image in enumerate(images)]
+    # frames that are alike are frozen, which is another reason for doubt
+    shown = [np.roll(image, k % 2, axis=1) if k in gone else image for k, image in enumerate(shown)]
+    followed = follow(world, started(world, first, images[0]), range(1, FRAMES), shown)
+    assert "ok" not in {followed[k - 1].status for k in gone}
+    assert followed[-1].status == "ok"
+    assert world.error_mm(FRAMES - 1, followed[-1]) < 2.5
+
+
+def test_image_that_stands_still_is_not_believed(world: MovingWorld, first: Result, images: list[np.ndarray]) -> None:
+    still = [images[min(k, 6)] for k in range(FRAMES)]
+    followed = follow(world, started(world, first, images[0]), range(1, 14), still)
+    frozen = [result for result in followed if any(text.startswith("frozen image") for text in result.reasons)]
+    assert len(frozen) >= 2
+    assert "ok" not in {result.status for result in frozen}
+
+
+def test_masks_and_images_may_alternate(world: MovingWorld, first: Result, images: list[np.ndarray]) -> None:
+    tracker = started(world, first, images[0])
+    results = []
+    for k in range(1, 14):
+        tracker.add_readings(world.time(k), world.readings[k])
+        results.append(tracker.step(world.time(k), mask=world.masks[k] if k % 2 else None, image=images[k]))
+    assert {result.status for result in results} == {"ok"}
+    assert errors_mm(world, results).max() < 2
+
+
+def test_images_do_not_count_where_only_masks_are_asked_for(
+    world: MovingWorld, first: Result, images: list[np.ndarray]
+) -> None:
+    one, other = (started(world, first, images[0], evidence="masks") for _ in range(2))
+    for k in range(1, 4):
+        one.add_readings(world.time(k), world.readings[k])
+        other.add_readings(world.time(k), world.readings[k])
+        with_image = one.step(world.time(k), world.masks[k], image=images[k])
+        without = other.step(world.time(k), world.masks[k])
+        assert with_image.to_dict("a") | {"seconds": 0} == without.to_dict("a") | {"seconds": 0}
+    assert one.step(world.time(4), image=images[4]).reasons[0].startswith("no mask")
+
+
+def test_both_are_nearer_than_a_mask_with_a_shadow(world: MovingWorld, first: Result, images: list[np.ndarray]) -> None:
+    errors = {}
+    for evidence in ("masks", "both"):
+        tracker, results = started(world, first, images[0], evidence=evidence), []
+        for k in range(1, 12):
+            tracker.add_readings(world.time(k), world.readings[k])
+            shadow = world.masks[k] | np.roll(world.masks[k], (3, 2), (0, 1))
+            results.append(tracker.step(world.time(k), shadow, image=images[k]))
+        errors[evidence] = np.median(errors_mm(world, results))
+    assert errors["both"] < errors["masks"]
