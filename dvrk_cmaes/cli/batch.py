@@ -162,7 +162,7 @@ def batch(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool, read_calibration_of
+    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool, read_calibration_of, write_common
     from dvrk_cmaes.frames.session_toml import read_session_toml
 
     part = None if shard is None else Shard.parse(shard)
@@ -200,6 +200,10 @@ def batch(
         if done.interrupted:
             break
     _report_all(finished, json, part, several=several)
+    if len(finished) > 1 and part is None and not done.interrupted:
+        page = write_common(session, results, tools, instrument, camera, entries)
+        if not json:
+            show([Line(f"all arms: {page}")])
     if done.interrupted:
         again = "the same command" if resume else "the same command without --overwrite"
         left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
 
-ARMS = "arms.json"
-"""File of where the arms' bases are relative to each other."""
-
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
 
@@ -99,7 +96,7 @@ def calibrate(
     """
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool
+    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool, write_common
     from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
 
@@ -135,6 +132,9 @@ def calibrate(
             show([*([Line(arm, "bold")] if arm else []), *_lines(one, target / arm)])
     if len(solved) > 1:
         _write_arms({arm: one.calibration for arm, one in solved.items()}, target, quiet=json)
+        page = write_common(session, target, tools, instrument, camera, entries)
+        if not json:
+            show([Line(f"all arms: {page}")])
     return _DOUBTFUL if any(_is_doubtful(one) for one in solved.values()) else 0
 
 
@@ -200,6 +200,7 @@ def _write_arms(calibrations: Mapping[str, SessionCalibration], out: Path, *, qu
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
     from dvrk_cmaes.calibration.relative_base import RelativeBase, describe_arms
     from dvrk_cmaes.io.atomic import write_json
+    from dvrk_cmaes.results.folder import ARMS
 
     write_json(out / ARMS, describe_arms(calibrations))
     first, *others = calibrations

@@ -121,7 +121,8 @@ def export(
     Parameters
     ----------
     results
-        Folder of results, JSON file of one result, or session.json.
+        Folder of results, JSON file of one result, or session.json. Of a folder with the results of several arms, those
+        of --arm.
     to
         Format to write.
     frame
@@ -161,7 +162,9 @@ def export(
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.export.source import read_source
     from dvrk_cmaes.io.atomic import json_text, write_bytes
+    from dvrk_cmaes.results.folder import folder_of_arm
 
+    results = folder_of_arm(results, arm)
     names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
     pose = None if ecm_pose is None else read_cartesian_pose(ecm_pose)
     source = read_source(results, frame)

@@ -101,3 +101,25 @@ def read_calibration_of(path: Path | None, arm: str | None = None) -> SessionCal
         own = path / arm / SESSION if arm is not None else path / SESSION
         return read_calibration(own if arm is None or own.exists() else path / SESSION)
     return read_calibration(path)
+
+
+def write_common(
+    folder: Path,
+    out: Path,
+    tools: Sequence[ToolEntry | None],
+    instrument: InstrumentOptions,
+    camera: CameraOptions,
+    entries: SessionEntries | None,
+) -> Path:
+    """Write the overlays and the page of all arms, whose results are in OUT/ARM; returns the path of the page."""
+    from dvrk_cmaes.results.folder import read_results
+    from dvrk_cmaes.runs.arms import write_arms
+
+    folders, bodies, sessions = {}, {}, {}
+    for tool in tools:
+        if tool is not None:
+            bodies[tool.arm] = instrument.of_tool(tool).load()
+            known = bodies[tool.arm].instrument.joint_names
+            folders[tool.arm] = read_results(out / tool.arm)
+            sessions[tool.arm] = camera.read_session(folder, known=known, entries=entries, tool=tool)
+    return write_arms(out, folders, bodies, sessions)

@@ -99,7 +99,7 @@ def draw_overlay(
     """
     if evidence is None:
         evidence = gather_evidence(mask, camera, body.instrument, ignore=ignore, keypoints=keypoints, seed=result.seed)
-    frame = _Frame.of(mask, camera, image)
+    frame = FrameCanvas.of(mask, camera, image)
     canvas = frame.canvas
     if ignore is not None:
         _hatch(canvas, frame.enlarged(ignore))
@@ -141,7 +141,7 @@ def _size(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class FrameCanvas:
     """The canvas, the camera of the mask, and the canvas's pixels per pixel of the mask."""
 
     canvas: Canvas
@@ -149,7 +149,8 @@ class _Frame:
     scale: float
 
     @staticmethod
-    def of(mask: NDArray[np.bool_], camera: Camera, image: NDArray[np.uint8] | None) -> _Frame:
+    def of(mask: NDArray[np.bool_], camera: Camera, image: NDArray[np.uint8] | None) -> FrameCanvas:
+        """Make the canvas of a frame: its image (H', W', 3) BGR, or its mask (H, W), faintly."""
         size = _size(mask.shape)
         if image is None:
             drawn = np.full((size[1], size[0], 3), DARK, dtype=np.uint8)
@@ -157,7 +158,7 @@ class _Frame:
             canvas = Canvas(drawn, size[0] / 1280)
         else:
             canvas = _canvas(mask.shape, image)
-        return _Frame(canvas, camera, size[0] / mask.shape[1])
+        return FrameCanvas(canvas, camera, size[0] / mask.shape[1])
 
     def at(self, pixels: Float64) -> Float64:
         """Convert pixels (N, 2) of the mask to pixels of the canvas."""
@@ -171,7 +172,7 @@ class _Frame:
 
 
 def _draw_pose(
-    frame: _Frame, result: Result, mask: NDArray[np.bool_], body: Body, evidence: Evidence, pose: Float64
+    frame: FrameCanvas, result: Result, mask: NDArray[np.bool_], body: Body, evidence: Evidence, pose: Float64
 ) -> None:
     canvas, camera, instrument = frame.canvas, frame.camera, body.instrument
     joints = np.array([result.joints[name] for name in instrument.joint_names])
@@ -202,7 +203,7 @@ def _draw_pose(
     _axes(frame, pose)
 
 
-def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: _Frame) -> list[Float64]:
+def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: FrameCanvas) -> list[Float64]:
     """Return the stretches of the mask's contour that are off together, each (N, 2) px of the canvas."""
     contour = evidence.contour.pixels
     if silhouette.all() or not silhouette.any():
@@ -213,7 +214,7 @@ def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: 
     return [frame.at(contour[part]) for part in np.split(index, breaks) if len(part)]
 
 
-def _axes(frame: _Frame, pose: Float64) -> None:
+def _axes(frame: FrameCanvas, pose: Float64) -> None:
     """Draw the root's axes, 6 mm long, and their names."""
     ends = project_visible(frame.camera, apply(pose, np.concatenate([np.zeros((1, 3)), _AXIS * np.eye(3)])))
     origin, *tips = frame.at(ends)

@@ -18,7 +18,10 @@ SESSION = "session.json"
 ALONE = "alone"
 """Subfolder of a calibrated session's output with the results of its frames solved one by one."""
 
-_NO_RESULTS = (SUMMARY, SESSION, "golden.json")
+ARMS = "arms.json"
+"""File of where the bases of several arms are relative to each other, in the folder of the arms' results."""
+
+_NO_RESULTS = (SUMMARY, SESSION, ARMS, "golden.json")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,22 @@ def read_results(folder: str | Path) -> ResultsFolder:
         summary=_document(root / SUMMARY, "the summary of a session's results (summary.json)"),
         session=_document(root / SESSION, "a session calibration (session.json)"),
     )
+
+
+def folder_of_arm(folder: Path, arm: str) -> Path:
+    """Return an arm's subfolder of a folder with the results of several arms; other paths as they are.
+
+    Raises
+    ------
+    InputError
+        The folder has results of other arms only.
+    """
+    if not folder.is_dir() or (folder / SESSION).exists() or result_paths(folder):
+        return folder
+    arms = sorted(each.name for each in folder.iterdir() if (each / "frames").is_dir() and each.name != ALONE)
+    if arms and arm not in arms:
+        raise InputError(f"{folder}: expected the results of arm {arm}, got those of {', '.join(arms)} (see --arm)")
+    return folder / arm if arms else folder
 
 
 def result_paths(root: Path) -> list[Path]:

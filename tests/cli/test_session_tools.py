@@ -6,6 +6,7 @@ import json
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
@@ -14,6 +15,7 @@ from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.stereo_sessions import POSES, SECOND_POSES, make_session_of_two_tools
 
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.draw.arms_overlay import COLOURS
 from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body
@@ -45,6 +47,15 @@ def test_batch_estimates_every_arm(folder: Path, quick: Path, capsys: pytest.Cap
             found, true = np.array(result["camera_from_root"]), SHIFTS[arm] @ truth
             assert np.linalg.norm(found[:3, 3] - true[:3, 3]) < 8e-3
         assert (out / arm / "report.html").is_file()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for arm in SHIFTS:
+        assert f'<a href="{arm}/report.html">' in page
+    common = cv2.imread(str(out / "overlays" / "0000.jpg"))
+    for colour in list(COLOURS)[:2]:  # both arms are drawn, each in its colour
+        assert (np.abs(common.astype(int) - colour).max(axis=2) < 40).sum() > 100
+    written = (out / "overlays" / "0000.jpg").stat().st_mtime_ns
+    run_command(capsys, "batch", folder, "--out", out, "--config", quick, "--workers", 1)
+    assert (out / "overlays" / "0000.jpg").stat().st_mtime_ns == written  # nothing has changed
 
 
 def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -133,5 +144,10 @@ def test_all_arms_are_calibrated_and_their_bases_related(
     for arm, name in (("PSM1", "0000"), ("PSM2", "0004")):
         result = json.loads((tmp_path / "out" / arm / "frames" / f"{name}.json").read_text(encoding="utf-8"))
         assert result["source"] == "session"
+    for arm in SHIFTS:
+        exported = run_command(capsys, "export", tmp_path, "--to", "dvrk", "--arm", arm, "--json")
+        assert [Path(path).parent for path in json.loads(exported.out)["written"]] == [tmp_path / arm / "exports"] * 2
+    refused = run_command(capsys, "export", tmp_path, "--to", "dvrk", "--arm", "PSM3")
+    assert refused.refusal.endswith("expected the results of arm PSM3, got those of PSM1, PSM2 (see --arm)")
     refused = run_command(capsys, *again, "--session", tmp_path / "PSM1" / "session.json")
     assert refused.refusal.startswith("--session: expected the folder that calibrate wrote for all arms, got ")

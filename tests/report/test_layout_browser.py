@@ -18,7 +18,9 @@ from selenium.webdriver.remote.webdriver import WebDriver
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json
+from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.report.page import write_page
+from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.layers import FrameLayers, Outline
 from dvrk_cmaes.results.paths import layers_path, overlay_path
 
@@ -54,6 +56,15 @@ def compared_page(out: Path) -> Path:
     return out / "differences" / "compare.html"
 
 
+def arms_page(out: Path) -> Path:
+    """Write the page of a session with two arms."""
+    names = [*(f"{k:04d}" for k in range(4)), LONG]
+    for name in names:
+        write_image(overlay_path(out, name), overlay(canned(name)))
+    folders = {arm: read_results(write_canned(out / arm, *map(canned, names))) for arm in ("PSM1", "PSM2")}
+    return write_arms_page(out, folders)
+
+
 @pytest.fixture(scope="module")
 def page(request: pytest.FixtureRequest, driver: WebDriver, tmp_path_factory: pytest.TempPathFactory) -> WebDriver:
     """Open a page."""
@@ -62,7 +73,7 @@ def page(request: pytest.FixtureRequest, driver: WebDriver, tmp_path_factory: py
     return driver
 
 
-@pytest.mark.parametrize("page", [session_page, calibrated_page, compared_page], indirect=True)
+@pytest.mark.parametrize("page", [session_page, calibrated_page, compared_page, arms_page], indirect=True)
 @pytest.mark.parametrize("width", WIDTHS)
 def test_layout_has_no_faults(page: WebDriver, width: int, tmp_path: Path) -> None:
     for opened in ("false", "true"):
