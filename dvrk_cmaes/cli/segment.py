@@ -81,7 +81,7 @@ def segment(
     point. In a folder, the same prompts are used for every image.
 
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
-    shape.
+    shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
 
     Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 a mask is a guess (its confidence is low), or no mask was
     found in an image of a folder.
@@ -117,7 +117,7 @@ def segment(
     single = not source.is_dir()
     images = {source.stem: source} if single else find_images(source)
     for frame in images:
-        check_output(out, frame)
+        check_output(out, frame.rpartition("/")[2])
         if not single and out.absolute() == source.absolute() and mask_path(out, frame).exists():
             raise InputError(f"--out: expected another folder than the session's, which has {mask_path(out, frame)}")
     outcomes = []

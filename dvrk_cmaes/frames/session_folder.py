@@ -311,7 +311,8 @@ def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
 def find_images(folder: str | Path) -> dict[str, Path]:
     """Find the images of a session of either layout, or all images of another folder, by frame name, sorted.
 
-    The folder need not have a camera, masks or readings.
+    Those of a stereo session are named by view and frame, such as left/0000. The folder need not have a camera, masks
+    or readings.
 
     Raises
     ------
@@ -323,6 +324,9 @@ def find_images(folder: str | Path) -> dict[str, Path]:
         raise InputError(f"{folder}: no such folder; expected images, or a session with images")
     if not _is_session_layout(root) and is_published_layout(root):
         found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
+    elif any((root / "images" / view).is_dir() for view in _VIEWS):
+        views = {view: image_files(root / "images" / view) for view in _VIEWS}
+        found = {f"{view}/{name}": path for view, of_view in views.items() for name, path in of_view.items()}
     else:
         found = dict(image_files(root / "images" if (root / "images").is_dir() else root))
     if not found:

@@ -55,6 +55,7 @@ def write_arms_page(out: Path, folders: Mapping[str, ResultsFolder]) -> Path:
     names = sorted({name for folder in folders.values() for name in folder.frames})
     page = render_template(
         "arms.html",
+        scripts=("tiles.js", "arms.js"),
         rules=[*_RULES, *(f".arm-{k} {{ background: {colour}; }}" for k, colour in enumerate(colours.values()))],
         arms=[_row(arm, folder, colours[arm]) for arm, folder in folders.items()],
         frames=len(names),

@@ -71,6 +71,21 @@ def test_folder_is_segmented_despite_failing_images(
     assert sorted(path.name for path in (tmp_path / "out" / "masks").iterdir()) == ["0001.png", "0002.png"]
 
 
+def test_both_eyes_of_a_stereo_session_are_segmented(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    for side in ("left", "right"):
+        (tmp_path / "stereo" / "images" / side).mkdir(parents=True)
+        picture = (folder / "images" / "0001.png").read_bytes()
+        (tmp_path / "stereo" / "images" / side / "0001.png").write_bytes(picture)
+    ran = run_command(capsys, "segment", tmp_path / "stereo", "--out", tmp_path / "out", "--json")
+    assert ran.code == 0
+    assert set(ran.result["frames"]) == {"left/0001", "right/0001"}
+    for side in ("left", "right"):
+        assert (tmp_path / "out" / "masks" / side / "0001.png").is_file()
+        assert (tmp_path / "out" / "overlays" / side / "0001.jpg").is_file()
+
+
 def test_masks_of_session_are_never_replaced(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     assert run_command(capsys, "segment", folder, "--out", folder).code == 0
     before = (folder / "masks" / "0001.png").read_bytes()
