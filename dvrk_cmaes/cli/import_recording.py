@@ -17,6 +17,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.camera.files import Side
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.recording.recording import Recording
     from dvrk_cmaes.recording.write_session import ImportSummary
@@ -36,6 +37,8 @@ class TopicOptions:
     ----------
     image_topic
         Topic of the images (sensor_msgs/Image or CompressedImage). By default the only one of these types.
+    image_topic_right
+        Topic of the images of the right eye, with --side both. By default the only one with right in its name.
     camera_topic
         Topic of the camera (sensor_msgs/CameraInfo). By default camera_info in the namespace of the images, or the only
         one of this type.
@@ -50,6 +53,7 @@ class TopicOptions:
     """
 
     image_topic: str | None = None
+    image_topic_right: str | None = None
     camera_topic: str | None = None
     joints_topic: str | None = None
     jaw_topic: str | None = None
@@ -73,7 +77,7 @@ def import_recording(
     camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
-    side: Annotated[Literal["left", "right"], Parameter(group=FOLDER)] = "left",
+    side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
     arm: Annotated[str | None, Parameter(group=FOLDER)] = None,
     topics: TopicOptions = _DEFAULT_TOPICS,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -122,7 +126,8 @@ def import_recording(
     video_start
         Time of the video's first image on the clock of the readings, in seconds.
     side
-        Camera of a stereo endoscope whose images are imported.
+        Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
+        in the name of the images' topic.
     arm
         Arm of a SurgSync clip whose readings are imported, e.g. PSM1.
     topics
@@ -197,11 +202,12 @@ def _opened(
     camera: Path | None,
     joints: Path | None,
     video_start: float,
-    side: Literal["left", "right"],
+    side: Literal["left", "right", "both"] | None,
     arm: str | None,
 ) -> AbstractContextManager[Recording]:
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
+    from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.topics import TopicRequest
@@ -209,19 +215,42 @@ def _opened(
 
     clip = path.is_dir() and is_surgsync(path)
     stereo = clip or (path.is_dir() and has_stereo_videos(path))
+    bag = not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES)
     if arm is not None and not clip:
         raise InputError(f"{path}: --arm: expected a clip in SurgSync's raw layout, with image and kinematic folders")
-    if side != "left" and not stereo:
-        raise InputError(f"{path}: --side: expected a SurgSync clip, or a folder with left and right videos")
-    if not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES):
-        requested = TopicRequest(topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic)
-        return open_bag(path, requested, recorded_times=topics.recorded_times, camera=camera, joints=joints)
-    if topics != _DEFAULT_TOPICS:
+    of_ros = bag and (path.is_file() or (path / "metadata.yaml").exists())
+    if side not in (None, "left") and not (stereo or of_ros):
+        raise InputError(
+            f"{path}: --side: expected a ROS recording, a SurgSync clip, or a folder with left and right videos"
+        )
+    if side == "both" and camera is not None:
+        raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
+    if not bag and topics != _DEFAULT_TOPICS:
         raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
-    if clip:
-        return open_surgsync(path, side=side, arm=arm, camera=camera, joints=joints)
-    if stereo:
-        return open_stereo_videos(path, side=side, camera=camera, joints=joints, start=video_start)
+
+    def of_eye(eye: Side, *, named: bool = True) -> AbstractContextManager[Recording]:
+        """Open one eye; ``named`` tells whether the topic of its images has the eye in its name."""
+        if clip:
+            return open_surgsync(path, side=eye, arm=arm, camera=camera, joints=joints)
+        if stereo:
+            return open_stereo_videos(path, side=eye, camera=camera, joints=joints, start=video_start)
+        own = TopicRequest(
+            topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic, topics.image_topic_right
+        )
+        own = own.of_right_eye() if side == "both" and eye == "right" else own
+        return open_bag(
+            path,
+            own,
+            recorded_times=topics.recorded_times,
+            camera=camera,
+            joints=joints if eye == "left" or side == "right" else None,
+            side=eye if named else None,
+        )
+
+    if side == "both":
+        return both_eyes(of_eye)
+    if stereo or bag:
+        return of_eye(side or "left", named=side is not None)
     return open_video(path, camera=camera, joints=joints, start=video_start)
 
 

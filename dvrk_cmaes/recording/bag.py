@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
@@ -32,6 +33,7 @@ def open_bag(
     recorded_times: bool = False,
     camera: Path | None = None,
     joints: Path | None = None,
+    side: Side | None = None,
 ) -> Iterator[Recording]:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
 
@@ -46,6 +48,8 @@ def open_bag(
         if the headers of a topic have no times.
     camera, joints
         A camera file, and a file of time-stamped readings, to use instead of the recording's topics.
+    side
+        The eye of a stereo endoscope, which is a word in the name of its images' topic; None for one camera.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def open_bag(
     """
     with _open(path) as reader:
         with _errors_as_input_errors(path):
-            recording = _recording(reader, path, requested, recorded_times, camera, joints)
+            recording = _recording(reader, path, requested, recorded_times, camera, joints, side)
         yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
@@ -65,10 +69,11 @@ def _recording(
     recorded_times: bool,
     camera: Path | None,
     joints: Path | None,
+    side: Side | None,
 ) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
     types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
-    topics = choose_topics(path, types, requested, camera=camera is None, joints=joints is None)
+    topics = choose_topics(path, types, requested, camera=camera is None, joints=joints is None, side=side)
     used = [name for name in (topics.joints, topics.jaw) if name is not None]
     notes = [f"images: {topics.image}"]
     if "_rect" in topics.image:

@@ -51,6 +51,8 @@ class Recording:
         The choices that were made, e.g. of topics and time source, one sentence each.
     kept
         Further files that are copied to the session folder: their bytes by their path in it.
+    right
+        The recording of the right eye, of which images and camera are used; None for one eye.
     """
 
     path: Path
@@ -60,3 +62,4 @@ class Recording:
     readings: tuple[TimedReadings, ...]
     notes: tuple[str, ...]
     kept: Mapping[str, bytes] = field(default_factory=dict)
+    right: Recording | None = None

@@ -7,9 +7,10 @@ CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's old
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.short_text import listed
 
@@ -26,12 +27,21 @@ _MOST_LISTED = 20
 
 @dataclass(frozen=True)
 class TopicRequest:
-    """Topics given by name; None to find the topic automatically, ``none`` (joints and jaw only) to use none."""
+    """Topics given by name; None to find the topic automatically, ``none`` (joints and jaw only) to use none.
+
+    ``option`` is that by which the images' topic is chosen, for messages.
+    """
 
     image: str | None = None
     camera: str | None = None
     joints: str | None = None
     jaw: str | None = None
+    image_right: str | None = None
+    option: str = "--image-topic"
+
+    def of_right_eye(self) -> TopicRequest:
+        """Return the request of the right eye's images, without readings; a camera found by the name of the images."""
+        return replace(self, image=self.image_right, camera=None, joints=NONE, jaw=NONE, option="--image-topic-right")
 
 
 @dataclass(frozen=True)
@@ -45,7 +55,13 @@ class Topics:
 
 
 def choose_topics(
-    path: Path, types: Mapping[str, str], requested: TopicRequest, *, camera: bool = True, joints: bool = True
+    path: Path,
+    types: Mapping[str, str],
+    requested: TopicRequest,
+    *,
+    camera: bool = True,
+    joints: bool = True,
+    side: Side | None = None,
 ) -> Topics:
     """Choose the topics to read among those of a recording that have messages.
 
@@ -59,13 +75,18 @@ def choose_topics(
         The topics given by name.
     camera, joints
         Whether they are read from the recording.
+    side
+        The eye of a stereo endoscope whose name is in that of its images; None for one camera.
 
     Raises
     ------
     InputError
         A topic is missing or of another type, or none or several are suitable; the message lists the candidates.
     """
-    image = _one(path, types, requested.image, "--image-topic", (IMAGE, COMPRESSED_IMAGE), "images")
+    kinds = (IMAGE, COMPRESSED_IMAGE)
+    eye = None if side is None else [name for name, kind in types.items() if kind in kinds and side in _words(name)]
+    what = "images" if side is None else f"images of the {side} eye"
+    image = _one(path, types, requested.image, requested.option, kinds, what, eye)
     info = None
     if camera:
         camera_info = _camera_info_of(image)
@@ -110,6 +131,11 @@ def _one(
         there = listed(sorted(types), _MOST_LISTED) or "no messages"
         raise InputError(f"{path}: {option}: expected a topic of {what} ({expected}), got {there}")
     raise InputError(f"{path}: {option}: expected one topic of {what}, got several: {listed(found, _MOST_LISTED)}")
+
+
+def _words(name: str) -> list[str]:
+    """Split a topic's name into words, e.g. ``/endoscope/left_eye/image`` at slashes and underscores."""
+    return name.lower().replace("_", "/").split("/")
 
 
 def _camera_info_of(image: str) -> str:

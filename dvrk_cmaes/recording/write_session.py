@@ -1,5 +1,7 @@
 """Writing of a recording as a session folder: camera.yaml, session.toml, images/, images.csv and joints.csv.
 
+Of both eyes there are left.yaml, right.yaml, images/left and images/right.
+
 images.csv has the columns frame and time, joints.csv the columns frame, time and one for each joint. A cell of
 joints.csv is blank if no reading was near enough in time. The folder is written completely or not at all.
 """
@@ -26,6 +28,7 @@ from dvrk_cmaes.io.atomic import write_bytes, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
+from dvrk_cmaes.recording.both_eyes import Pairing
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
 _DIGITS = 6  # number of digits of a frame's name
@@ -139,16 +142,17 @@ def write_session(
     times: list[int] = []
     with whole_folder(out, sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
-        size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times)
+        pairing = None if recording.right is None else Pairing(recording.right.images)
+        size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)
         read_at = times if lag is None else _earlier(times, lag)
         tables, columns, summaries = _interpolate(recording, read_at, round(tolerance * NANOSECONDS))
         time_cells = [f"{Decimal(time).scaleb(-9):f}" for time in times]
-        write_bytes(folder / "camera.yaml", recording.camera)
+        cameras = _write_cameras(folder, recording)
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
         arm = _arm_of(recording.readings)
         tools = [] if arm is None else [ToolEntry(arm)]
-        write_text(folder / SESSION_FILE, session_toml(CameraEntry(file=Path("camera.yaml")), tools))
+        write_text(folder / SESSION_FILE, session_toml(cameras, tools))
         write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, time_cells, strict=True)))
         rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
         write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))
@@ -156,6 +160,9 @@ def write_session(
     seconds = 0.0 if lag is None else lag.in_unit("s")
     drift = f", drifting by {lag.drift:+.3g} s a second" if lag is not None and lag.drift else ""
     notes = (*recording.notes, f"readings of {seconds:g} s before each image{drift}") if seconds else recording.notes
+    if pairing is not None:
+        apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"
+        notes = (*notes, f"right eye: {len(names) - pairing.without} of {len(names)} frames, {apart}")
     return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, notes, seconds)
 
 
@@ -190,26 +197,63 @@ class _ImageCounter:
             yield image
 
 
+def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
+    """Write the camera files, and return them as entries of session.toml."""
+    if recording.right is None:
+        write_bytes(folder / "camera.yaml", recording.camera)
+        return CameraEntry(file=Path("camera.yaml"))
+    write_bytes(folder / "left.yaml", recording.camera)
+    write_bytes(folder / "right.yaml", recording.right.camera)
+    return CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"))
+
+
 def _write_images(
-    folder: Path, recording: Recording, images: Iterator[RecordedImage], names: list[str], times: list[int]
+    folder: Path,
+    recording: Recording,
+    images: Iterator[RecordedImage],
+    names: list[str],
+    times: list[int],
+    pairing: Pairing | None,
 ) -> tuple[int, int]:
-    """Write images as files named by number, append to ``names`` and ``times``; return width and height."""
-    size: tuple[int, int] | None = None
+    """Write images as files named by number, append to ``names`` and ``times``; return width and height.
+
+    With a ``pairing``, those of the right eye are written beside them, into folders of both eyes.
+    """
+    left = _Sized(recording.path, folder if pairing is None else folder / "left")
+    right = _Sized(recording.path, folder / "right")
     for image in images:
-        file = image.load()
-        size = size or (file.width, file.height)
-        if (file.width, file.height) != size:
-            raise InputError(
-                f"{recording.path}: image {image.number}: expected the first image's size {size[0]} x {size[1]}, "
-                f"got {file.width} x {file.height}"
-            )
         name = f"{image.number:0{_DIGITS}d}"
-        write_bytes(folder / f"{name}{file.extension}", file.data)
+        left.write(image, name)
+        partner = None if pairing is None else pairing.partner(image.time)
+        if partner is not None:
+            right.write(partner, name)
         names.append(name)
         times.append(image.time)
-    if size is None:
+    if left.size is None:
         raise InputError(f"{recording.path}: expected images, got none (of those asked for)")
-    return size
+    if pairing is not None and pairing.without == len(names):
+        raise InputError(f"{recording.path}: expected images of the right eye within 10 ms of the left one's, got none")
+    return left.size
+
+
+@dataclass
+class _Sized:
+    """Writes the images of one eye, which must have one size, to a folder."""
+
+    path: Path
+    folder: Path
+    size: tuple[int, int] | None = None
+
+    def write(self, image: RecordedImage, name: str) -> None:
+        """Write an image; InputError if it is of another size than those before."""
+        file = image.load()
+        self.size = self.size or (file.width, file.height)
+        if (file.width, file.height) != self.size:
+            raise InputError(
+                f"{self.path}: image {image.number}: expected the first image's size {self.size[0]} x {self.size[1]}, "
+                f"got {file.width} x {file.height}"
+            )
+        write_bytes(self.folder / f"{name}{file.extension}", file.data)
 
 
 def _interpolate(

@@ -272,5 +272,5 @@ def test_wrong_stereo_folders_are_refused(refused: Refused, tmp_path: Path) -> N
     )
     (folder / "suturing_right.avi").unlink()
     assert refused(folder, "--side", "right") == (
-        f"{folder}: --side: expected a SurgSync clip, or a folder with left and right videos"
+        f"{folder}: --side: expected a ROS recording, a SurgSync clip, or a folder with left and right videos"
     )
