@@ -3,6 +3,8 @@
     python scripts/fuzz.py --tries 400              # in this process, with the estimates replaced by a stored result
     python scripts/fuzz.py --tries 40 --processes   # the whole program in a process of its own for each try
     python scripts/fuzz.py --family mask --only 17  # one try again
+    python scripts/fuzz.py tracker --steps 100000   # a tracker with damaged masks, images, readings and times
+    python scripts/fuzz.py kills --tries 200        # commands that are killed, or whose disk is full
 
 Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
 traceback or an internal error; anything but one line on stderr, or anything on stdout or written, with exit code 2; a
@@ -32,6 +34,8 @@ from unittest import mock
 
 from fuzz_damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
 from fuzz_families import FAMILIES, OPTIONS, Family, write_material
+from fuzz_kills import KillReport, fuzz_kills
+from fuzz_tracker import TrackerReport, fuzz_tracker
 
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.results.file import read_result
@@ -60,12 +64,22 @@ def main() -> int:
     """Run the tries and print the report; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [family.name for family in FAMILIES]
+    parser.add_argument("what", nargs="?", choices=("inputs", "tracker", "kills"), default="inputs")
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=100_000, metavar="N", help="of tracker (default: %(default)s)")
     parser.add_argument("--family", choices=names, action="append", help="only this family; may be repeated")
     parser.add_argument("--only", type=int, metavar="K", help="only the try with this number")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the damage (default: %(default)s)")
     parser.add_argument("--processes", action="store_true", help="run the whole program in a process for each try")
     arguments = parser.parse_args()
+    if arguments.what != "inputs":
+        report: TrackerReport | KillReport
+        if arguments.what == "tracker":
+            report = fuzz_tracker(arguments.steps, arguments.seed)
+        else:
+            report = fuzz_kills(arguments.tries, arguments.seed)
+        print(report)
+        return 1 if report.violations else 0
     numbers = range(arguments.tries) if arguments.only is None else [arguments.only]
     chosen = [family for family in FAMILIES if arguments.family is None or family.name in arguments.family]
     violations = tries = 0
@@ -105,13 +119,17 @@ class Report:
 
 
 def attempt(
-    family: Family, number: int, seed: int, material: Path, place: Path, run: Runner
+    family: Family, number: int, seed: int, material: Path, place: Path, run: Runner, *, inspected: bool = False
 ) -> tuple[list[str], Outcome, str | None]:
-    """Damage a copy of the material, run a command on it, and say how the outcome violates what is promised, if so."""
+    """Damage a copy of the material, run a command on it, and say how the outcome violates what is promised, if so.
+
+    ``place`` is the folder of the copy; one of an earlier try is restored. With ``inspected``, the command is `inspect`
+    where that reads the family's file, which takes a fraction of the time of others.
+    """
     chance = random.Random(f"{seed} {family.name} {number}")
-    shutil.rmtree(place, ignore_errors=True)
-    shutil.copytree(material, place, symlinks=True)
-    command = list(chance.choice(family.commands))
+    restore(material, place)
+    quick = [command for command in family.commands if inspected and command[0] == "inspect"]
+    command = list(chance.choice(quick or family.commands))
     unreadable = damage(family, place, command, chance)
     before = contents(place)
     with contextlib.chdir(place):
@@ -157,6 +175,25 @@ def violation_of(outcome: Outcome, command: Sequence[str], *, changed: bool, unr
     if outcome.out and not all(word in command for word in _JSON):
         return f"exit code 2 with output: {outcome.out[:100]!r}"
     return "exit code 2, but files were written" if changed else None
+
+
+def restore(material: Path, place: Path) -> None:
+    """Make a folder a copy of the material again, by the files that differ."""
+    place.mkdir(exist_ok=True)
+    wanted, there = contents(material), contents(place)
+    for name in there:
+        path = place / name
+        if wanted.get(name) != there[name] and os.path.lexists(path):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+    for name in sorted(wanted):
+        source, path = material / name, place / name
+        if source.is_dir():
+            path.mkdir(exist_ok=True)
+        elif not os.path.lexists(path):
+            shutil.copy2(source, path, follow_symlinks=False)
 
 
 def contents(folder: Path) -> dict[str, tuple[int, int]]:

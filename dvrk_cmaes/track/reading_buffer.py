@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.names import joint_reading
 
 Float64 = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ class ReadingBuffer:
         Raises
         ------
         InputError
-            The time or a reading is not finite, or a joint is unknown.
+            The time or a reading is not finite, a reading is in another unit, or a joint is unknown.
         """
         if not np.isfinite(time):
             raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
@@ -73,8 +74,7 @@ class ReadingBuffer:
             if name not in self._names and name != "jaw":
                 near = ", ".join(nearest_first(name, self._names))
                 raise InputError(f"readings: unknown joint {name!r}; expected one of: {near}")
-            if not np.isfinite(value):
-                raise InputError(f"readings: {name}: expected a finite number, got {value}")
+            joint_reading("readings", name, float(value))
         row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
         at = bisect_left(self._times, time)
         if at < len(self._times) and self._times[at] == time:

@@ -185,7 +185,7 @@ class Tracker:
         Raises
         ------
         InputError
-            A value is not finite, or a joint is unknown.
+            A value is not finite or in another unit, or a joint is unknown.
         """
         self._buffer.add(time, joints)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +14,14 @@ if TYPE_CHECKING:
     from fuzz import Outcome
 
 TRIES = 12
+"""Tries of a family by any of its commands."""
+
+INSPECTED = 200
+"""Tries of a family whose file `inspect` reads, most of them by that: they take 20 to 30 ms of processor time each."""
+
+SLOW = {"URDF": 60, "camera": 120, "golden.json": 100, "options": 200}
+"""Tries of families that take longer, or that are quick without `inspect`; 40 to 100 ms each."""
+
 NAMES = (
     *("mask", "mask, JPEG", "image", "camera", "camera, OpenCV", "readings", "readings, NumPy", "settings", "URDF"),
     *("mesh, DAE", "mesh, STL", "package", "texture", "tool", "result", "result, resumed", "run.json", "summary.json"),
@@ -39,9 +48,71 @@ def test_damage_is_refused_in_one_line_or_read_as_valid(material: Path, tmp_path
     from fuzz_families import FAMILIES
 
     (family,) = (one for one in FAMILIES if one.name == name)
-    for number in range(TRIES):
-        command, _, violation = attempt(family, number, 0, material, tmp_path / "try", in_this_process)
-        assert violation is None, (number, command)
+    quick = any(command[0] == "inspect" for command in family.commands)
+    for number in range(SLOW.get(name, INSPECTED if quick else TRIES)):
+        inspected = number >= TRIES
+        command, _, violation = attempt(
+            family, number, 0, material, tmp_path / "try", in_this_process, inspected=inspected
+        )
+        assert violation is None, (number, inspected, command)
+
+
+def test_material_is_restored_after_a_try(material: Path, tmp_path: Path) -> None:
+    from fuzz import contents, restore
+
+    place = tmp_path / "try"
+    restore(material, place)
+    before = contents(material)
+    assert contents(place) == before
+    (place / "session" / "joints.csv").write_text("damaged")
+    (place / "video.avi").unlink()
+    os.mkfifo(place / "video.avi")
+    (place / "made" / "frames").mkdir(parents=True)
+    (place / "made" / "frames" / "0000.json").write_text("{}")
+    (place / "results" / "run.json").unlink()
+    (place / "results" / "run.json").mkdir()
+    restore(material, place)
+    assert contents(place) == before
+
+
+def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
+    from fuzz_tracker import fuzz_tracker
+
+    report = fuzz_tracker(300, 0)
+    assert report.violations == []
+    assert report.steps == 300
+    assert report.refused > 20
+    assert len(report.back) >= 5
+    assert set(report.statuses) == {"ok", "doubtful", "lost"}
+
+
+@pytest.mark.parametrize(
+    ("command", "fault"), [("export", "kill"), ("import", "full disk"), ("golden record", "kill"), ("track", "kill")]
+)
+def test_command_with_a_fault_ends_with_the_same_files_when_run_again(material: Path, command: str, fault: str) -> None:
+    from fuzz_kills import fuzz_kills
+
+    report = fuzz_kills(1, 0, [command], [fault], material)
+    assert report.violations == []
+    assert report.tries == {f"{command} / {fault}": 1}
+
+
+def test_files_that_are_damaged_or_differ_are_seen(tmp_path: Path) -> None:
+    from fuzz_kills import damaged_files, written
+
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "a.json").write_text('{"x": 1, "seconds": 2}')
+    (tmp_path / "made" / "b.csv").write_text("x,seconds\n1,2\n")
+    first = written(tmp_path / "made")
+    (tmp_path / "made" / "a.json").write_text('{"x": 1, "seconds": 3}')
+    (tmp_path / "made" / "b.csv").write_text("x,seconds\n1,3\n")
+    assert written(tmp_path / "made") == first
+    (tmp_path / "made" / "b.csv").write_text("x,seconds\n2,2\n")
+    assert written(tmp_path / "made") != first
+    assert damaged_files(tmp_path / "made") == []
+    (tmp_path / "made" / "a.json").write_text('{"x": 1, "sec')
+    (message,) = damaged_files(tmp_path / "made")
+    assert message.startswith("a.json is damaged")
 
 
 def test_all_families_are_tested(material: Path) -> None:
