@@ -54,6 +54,7 @@ def track(
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     video: Annotated[bool, Parameter(group=FOLDER)] = True,
     page: Annotated[bool, Parameter(group=FOLDER)] = True,
+    rerun: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     calibration: SessionOption = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -99,6 +100,9 @@ def track(
         --no-video leaves out the overlay video.
     page
         --no-page leaves out report.html, the page with curves over time and pictures.
+    rerun
+        File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
+        install "dvrk-cmaes[viewer]").
     calibration
         A session.json written by `calibrate` or by this command: its base, offsets and lag are the start.
     camera
@@ -114,6 +118,10 @@ def track(
     if not (math.isfinite(fps) and fps > 0):
         raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
     check_range("--fps", fps, 1e-3, 1e6, "frames a second")
+    if rerun is not None:
+        from dvrk_cmaes.export.rerun_file import check_rerun
+
+        check_rerun("--rerun", rerun)
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
@@ -139,12 +147,21 @@ def track(
     )
     with stopping_on_interrupt() as stop:
         done = track_folder(
-            found, target, body, settings, resume=resume, video=video, page=page, stop=stop, progress=_progress()
+            found,
+            target,
+            body,
+            settings,
+            resume=resume,
+            video=video,
+            page=page,
+            rerun=rerun,
+            stop=stop,
+            progress=_progress(),
         )
     if json:
         print(json_text(done.counts), end="")
     else:
-        show(_lines(done, target, page=page))
+        show(_lines(done, target, page=page, rerun=rerun))
     if done.interrupted:
         return _INTERRUPTED
     return _DOUBTFUL if set(done.counts) - {"ok"} else 0
@@ -169,7 +186,7 @@ def _progress() -> Callable[[int, int, TrackResult | None], None]:
     return report
 
 
-def _lines(done: TrackSummary, out: Path, *, page: bool) -> Iterator[Line]:
+def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> Iterator[Line]:
     """Yield the lines of a summary."""
     import numpy as np
 
@@ -184,3 +201,5 @@ def _lines(done: TrackSummary, out: Path, *, page: bool) -> Iterator[Line]:
     yield Line(f"written: {out / 'tracks.jsonl'}")
     if page and not done.interrupted:
         yield Line(f"page: {out / 'report.html'}")
+    if rerun is not None and not done.interrupted:
+        yield Line(f"for the Rerun viewer: {rerun}")

@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import uuid
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,29 @@ def not_written(path: str | Path, error: OSError | ValueError, what: str) -> Dvr
     kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
     reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
     return kind(f"{path}: not written ({reason}); expected a place to write {what}")
+
+
+@contextlib.contextmanager
+def written_beside(path: Path, what: str) -> Iterator[Path]:
+    """Give a path beside a target, of the same extension, for a program that writes files itself.
+
+    Its file is renamed to the target at the end, or removed after an error. ``what`` is named in messages. Errors are
+    those of ``write_bytes``.
+    """
+    beside = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")
+    try:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise not_written(path, error, what) from None
+        yield beside
+        try:
+            os.replace(beside, path)
+        except OSError as error:
+            raise not_written(path, error, what) from None
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink()
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +10,7 @@ from typing import Any
 import cv2
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.io.atomic import not_written
+from dvrk_cmaes.io.atomic import written_beside
 
 
 @contextmanager
@@ -27,8 +24,7 @@ def whole_video(path: Path, size: tuple[int, int], frames_a_second: float) -> It
     DvrkCmaesError
         OpenCV cannot encode the video.
     """
-    beside = path.with_name(f".{uuid.uuid4().hex}.mp4")
-    try:
+    with written_beside(path, "a video") as beside:
         video = cv2.VideoWriter(str(beside), cv2.VideoWriter.fourcc(*"mp4v"), frames_a_second, size)
         if not video.isOpened():
             raise DvrkCmaesError(f"{path}: OpenCV cannot write an mp4 video there")
@@ -36,10 +32,3 @@ def whole_video(path: Path, size: tuple[int, int], frames_a_second: float) -> It
             yield video
         finally:
             video.release()
-        try:
-            os.replace(beside, path)
-        except OSError as error:
-            raise not_written(path, error, "a video") from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink()

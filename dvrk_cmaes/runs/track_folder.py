@@ -22,8 +22,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import not_written, write_json, write_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
-from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
-from dvrk_cmaes.report.track_pictures import TrackPictures
+from dvrk_cmaes.report.track_page import FollowedRecording
 from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
@@ -40,7 +39,7 @@ from dvrk_cmaes.runs.manifest import (
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
-from dvrk_cmaes.runs.track_pictures import seen_frames, write_pictures
+from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
@@ -90,6 +89,7 @@ def track_folder(
     resume: bool = True,
     video: bool = True,
     page: bool = True,
+    rerun: Path | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
 ) -> TrackSummary:
@@ -105,6 +105,8 @@ def track_folder(
         Go on with the frames that an interrupted run left; if False, begin anew, as smoothing always does.
     video, page
         Whether to draw the overlay video; whether to write the page.
+    rerun
+        Path of a recording for the Rerun viewer that is written, too.
     stop
         When set, the run ends after the frame it is at.
     progress
@@ -144,8 +146,8 @@ def track_folder(
             write_json(out / SESSION, calibration.to_dict())
         if not interrupted:
             write_table(out / TABLE, rows, body.instrument.joint_names)
-            if (video or page) and rows:
-                _show(run, rows, tracker, calibration, video=video, page=page)
+            if rows and (video or page or rerun is not None):
+                _show(run, rows, tracker, calibration, video=video, page=page, rerun=rerun)
     counts = Counter(row["status"] for row in rows)
     return TrackSummary(dict(counts), interrupted, calibration)
 
@@ -196,19 +198,10 @@ def _show(
     *,
     video: bool,
     page: bool,
+    rerun: Path | None,
 ) -> None:
-    """Write the overlay video and the page."""
+    """Write the overlay video, the page, and a recording for Rerun."""
     camera, clock = run.session.camera, run.clock
-    pictures = TrackPictures(rows) if page else None
-    write_pictures(
-        seen_frames(run.frames, rows, camera, run.body),
-        (camera.width, camera.height),
-        video=run.out / VIDEO if video else None,
-        frames_a_second=1 / (clock.interval * run.settings.every),
-        pictures=pictures,
-    )
-    if pictures is None:
-        return
     late = 0.0 if tracker.lag is None else tracker.lag.seconds
     times = np.array([clock.times[files.name] for files in run.frames]) - late
     recording = FollowedRecording(
@@ -217,10 +210,17 @@ def _show(
         run.body.instrument.name,
         calibration,
         clock.readings_at(times, run.settings.config.track.reading_gap),
-        pictures.residuals,
-        pictures.pictures,
     )
-    write_track_page(run.out, recording)
+    write_outputs(
+        seen_frames(run.frames, rows, camera, run.body),
+        recording,
+        camera,
+        run.body.instrument,
+        video=run.out / VIDEO if video else None,
+        frames_a_second=1 / (clock.interval * run.settings.every),
+        page=run.out if page else None,
+        rerun=rerun,
+    )
 
 
 def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settings: TrackSettings) -> Manifest:

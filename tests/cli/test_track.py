@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.commands import run_command
 from helpers.moving_worlds import SMALL
+from rerun.chunk import RrdReader
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
@@ -76,6 +77,20 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     assert f"page: {out / 'report.html'}" in ran.out
 
 
+def test_recording_for_the_rerun_viewer_is_written(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "seen.rrd"
+    options = ["--every", "4", "--lag", "0", "--no-video", "--no-page", "--rerun", str(path)]
+    ran = run_command(capsys, "track", str(recording), "--out", str(tmp_path / "out"), *options)
+    assert ran.code in (0, 3)
+    assert f"for the Rerun viewer: {path}" in ran.out
+    chunks = RrdReader(path).stream().to_chunks()
+    entities = {chunk.entity_path for chunk in chunks}
+    assert {"/camera", "/camera/mask", "/camera/outline", "/joints/jaw/found", "/joints/jaw/read"} <= entities
+    assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/camera/mask") == 2
+
+
 def test_video_and_page_can_be_left_out(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--out", str(tmp_path / "out"), "--every", "4", "--lag", "0", "--no-video", "--no-page"]
     ran = run_command(capsys, "track", str(recording), *options)
@@ -135,6 +150,7 @@ def test_results_of_other_settings_are_not_continued(
         ),
         (["--fps", "0"], "--fps: expected frames a second above 0, got 0"),
         (["--session", "none.json"], "none.json: no such file"),
+        (["--rerun", "a.mp4"], "--rerun: expected the name of a file that ends in .rrd, got 'a.mp4'"),
     ],
 )
 def test_wrong_options_are_refused(

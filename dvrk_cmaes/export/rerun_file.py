@@ -1,0 +1,217 @@
+"""A followed recording for the Rerun viewer: images, masks, the links' meshes, camera and joints on a timeline.
+
+The program is that of rerun.io, of the extra ``viewer``. The space of the recording is the camera's: x right, y down, z
+forward, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.atomic import not_written, written_beside
+
+Bool = NDArray[np.bool_]
+
+EXTENSION: Final = ".rrd"
+_QUALITY: Final = 85  # of the images' JPEG
+_LONGEST_BATCH: Final = 60.0  # s of rows in a chunk; the viewer is slow with many small ones
+_HALF: Final = 0.5  # px; the centre of the viewer's first pixel is at (0.5, 0.5), of ours at (0, 0)
+_MASK: Final = (240, 228, 66, 90)  # RGBA
+_OUTLINE: Final = (86, 180, 233)
+_METAL: Final = (190, 190, 196)
+_LEVELS: Final = {"ok": "INFO", "doubtful": "WARN"}  # of a text; ERROR for other statuses
+
+
+def check_rerun(option: str, path: Path) -> None:
+    """Raise unless a recording for Rerun can be written to a path, which an option of the command line gave.
+
+    Raises
+    ------
+    InputError
+        The name has another extension.
+    DvrkCmaesError
+        rerun-sdk is not installed.
+    """
+    if path.suffix.lower() != EXTENSION:
+        raise InputError(f"{option}: expected the name of a file that ends in {EXTENSION}, got {str(path)!r}")
+    _library()
+
+
+@contextmanager
+def rerun_file(path: Path, camera: Camera, instrument: Instrument, session: str) -> Iterator[RerunFile]:
+    """Open a recording that is written beside its place and renamed when it is complete.
+
+    Raises
+    ------
+    InputError
+        It cannot be written there.
+    DvrkCmaesError
+        rerun-sdk is not installed.
+    """
+    rerun = _library()
+    with written_beside(path, "a recording for Rerun") as beside:
+        batches = rerun.ChunkBatcherConfig(flush_tick=_LONGEST_BATCH)
+        stream = rerun.RecordingStream("dvrk_cmaes", recording_id=session, batcher_config=batches)
+        try:
+            stream.save(beside, default_blueprint=_blueprint())
+        except RuntimeError as error:
+            raise not_written(path, OSError(None, str(error)), "a recording for Rerun") from None
+        stream.set_log_time_enabled(False)
+        stream.set_log_tick_enabled(False)
+        stream.reset_time()  # the library keeps the time of a recording of the same name by thread
+        try:
+            yield RerunFile(stream, camera, instrument)
+        finally:
+            stream.disconnect()
+
+
+class RerunFile:
+    """Logs the frames of a recording, in order, to a ``rerun.RecordingStream``."""
+
+    def __init__(self, stream: Any, camera: Camera, instrument: Instrument) -> None:
+        self._rerun, self._stream, self._instrument = _library(), stream, instrument
+        self._status: str | None = None
+        rr = self._rerun
+        self._static("/", rr.ViewCoordinates.RDF)
+        size = [camera.width, camera.height]
+        matrix = camera.matrix
+        matrix[:2, 2] += _HALF
+        self._static("camera", rr.Pinhole(image_from_camera=matrix, resolution=size, image_plane_distance=0.05))
+        for link in instrument.links:
+            mesh = rr.Mesh3D(vertex_positions=link.vertices, triangle_indices=link.faces, albedo_factor=_METAL)
+            self._static(f"instrument/{_part(link.name)}", mesh)
+
+    def add(
+        self,
+        number: int,
+        row: Mapping[str, Any],
+        read: Mapping[str, float],
+        *,
+        image: NDArray[np.uint8] | None,
+        mask: Bool | None,
+        silhouette: Bool | None,
+    ) -> None:
+        """Log a frame.
+
+        Parameters
+        ----------
+        number, row
+            Index of the frame, from 0; its line of tracks.jsonl.
+        read
+            Readings by joint, rad, NaN where there is none.
+        image, mask, silhouette
+            (H, W, 3) BGR, and (H, W): its image, mask and the silhouette of its pose, as far as there are any.
+        """
+        self._stream.set_time("frame", sequence=number)
+        if row["time"] is not None:
+            self._stream.set_time("time", duration=row["time"])
+        self._pictures(image, mask, silhouette)
+        self._pose(row)
+        for name in self._instrument.joint_names:
+            self._scalar(f"joints/{_part(name)}/found", np.degrees(row["joints"].get(name, np.nan)))
+            self._scalar(f"joints/{_part(name)}/read", np.degrees(read.get(name, np.nan)))
+        for name, value in (row.get("offsets") or {}).items():
+            self._scalar(f"offsets/{_part(name)}", np.degrees(value))
+        if row["std"] and row["std"].get("tip_mm") is not None:
+            self._scalar("std/tips_mm", row["std"]["tip_mm"])
+        self._say(row)
+
+    def _pictures(self, image: NDArray[np.uint8] | None, mask: Bool | None, silhouette: Bool | None) -> None:
+        """Log image, mask and outline; those that are missing are cleared."""
+        rr = self._rerun
+        if image is not None:
+            data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+            self._log("camera/image", rr.EncodedImage(contents=data, media_type="image/jpeg", draw_order=0))
+        else:
+            self._log("camera/image", rr.Clear(recursive=False))
+        if mask is not None:
+            red, green, blue, alpha = _MASK
+            tint = np.where(mask[..., None], np.array([blue, green, red, alpha], np.uint8), np.uint8(0))
+            data = cv2.imencode(".png", tint, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+            self._log("camera/mask", rr.EncodedImage(contents=data, media_type="image/png", draw_order=1))
+        else:
+            self._log("camera/mask", rr.Clear(recursive=False))
+        strips: list[NDArray[np.int32]] = []
+        if silhouette is not None:
+            contours, _ = cv2.findContours(silhouette.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+            strips = [np.concatenate([each[:, 0], each[:1, 0]]).astype(np.int32) for each in contours]
+        placed = [strip + _HALF for strip in strips]
+        self._log("camera/outline", rr.LineStrips2D(placed, colors=_OUTLINE, draw_order=2))
+
+    def _pose(self, row: Mapping[str, Any]) -> None:
+        """Log the poses of the root and of the links, and the tips; without a pose the instrument is hidden."""
+        rr = self._rerun
+        if row["camera_from_root"] is None:
+            self._log("instrument", rr.Transform3D(scale=0.0))
+            self._log("tips", rr.Clear(recursive=False))
+            return
+        self._log("instrument", self._transform(np.array(row["camera_from_root"])))
+        joints = [row["joints"][name] for name in self._instrument.joint_names]
+        for link, pose in zip(self._instrument.links, self._instrument.forward(joints), strict=True):
+            self._log(f"instrument/{_part(link.name)}", self._transform(pose))
+        self._log("tips", rr.Points3D(row["tips"] or np.zeros((0, 3)), radii=0.0006, colors=_OUTLINE))
+
+    def _say(self, row: Mapping[str, Any]) -> None:
+        """Log the status where it changes, and the reasons."""
+        status = row["status"]
+        if status != self._status:
+            self._log("status", self._rerun.StateChange(state=status))
+        if status != self._status or row["reasons"]:
+            text = f"{row['frame']}: {status}" + "".join(f"; {reason}" for reason in row["reasons"])
+            self._log("reasons", self._rerun.TextLog(text, level=_LEVELS.get(status, "ERROR")))
+        self._status = status
+
+    def _transform(self, pose: NDArray[np.float64]) -> Any:
+        """Return a transform to the parent from a pose (4, 4)."""
+        return self._rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
+
+    def _scalar(self, entity: str, value: float) -> None:
+        """Log a number; one that is not known makes a gap."""
+        self._log(entity, self._rerun.Scalars(value) if np.isfinite(value) else self._rerun.Clear(recursive=False))
+
+    def _log(self, entity: str, what: Any) -> None:
+        self._stream.log(entity, what)
+
+    def _static(self, entity: str, what: Any) -> None:
+        self._stream.log(entity, what, static=True)
+
+
+def _part(name: str) -> str:
+    """Return a name as one part of an entity's path."""
+    return str(_library().escape_entity_path_part(name))
+
+
+def _library() -> Any:
+    """Import the viewer's library."""
+    try:
+        import rerun
+        import rerun.blueprint
+    except ImportError:
+        raise DvrkCmaesError("--rerun needs rerun-sdk: pip install 'dvrk-cmaes[viewer]'") from None
+    return rerun
+
+
+def _blueprint() -> Any:
+    """Return the arrangement of the views."""
+    views = _library().blueprint
+    curves = [
+        views.TimeSeriesView(origin="joints", name="joints, deg"),
+        views.TimeSeriesView(origin="offsets", name="offsets, deg: true = reading + offset"),
+        views.StateTimelineView(origin="status", name="status"),
+    ]
+    pictures = [
+        views.Spatial2DView(origin="camera", contents=["camera/**"], name="image"),
+        views.Spatial3DView(origin="/", contents=["camera/**", "instrument/**", "tips"], name="in the camera's space"),
+    ]
+    rows = [views.Horizontal(*pictures), views.Horizontal(*curves), views.TextLogView(origin="reasons", name="reasons")]
+    return views.Blueprint(views.Vertical(*rows, row_shares=[5, 3, 1]), collapse_panels=True)
