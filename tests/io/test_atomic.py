@@ -15,7 +15,7 @@ import pytest
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io import atomic
-from dvrk_cmaes.io.atomic import write_bytes, write_image, write_json, write_text
+from dvrk_cmaes.io.atomic import write_bytes, write_image, write_json, write_text, written_beside
 
 
 def names(folder: Path) -> list[str]:
@@ -111,3 +111,43 @@ def test_interruption_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(KeyboardInterrupt):
         write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == []
+
+
+def test_file_of_another_program_is_renamed_when_it_is_complete(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "a.mp4"
+    with written_beside(target, "a video") as beside:
+        assert (beside.parent, beside.suffix) == (target.parent, ".mp4")
+        beside.write_bytes(b"whole")
+        assert not target.exists()
+    assert target.read_bytes() == b"whole"
+    assert names(target.parent) == ["a.mp4"]
+
+
+def test_file_of_another_program_is_removed_after_an_error(tmp_path: Path) -> None:
+    target = tmp_path / "a.mp4"
+    target.write_bytes(b"old")
+
+    def fail() -> None:
+        with written_beside(target, "a video") as beside:
+            beside.write_bytes(b"half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert target.read_bytes() == b"old"
+    assert names(tmp_path) == ["a.mp4"]
+
+
+def test_file_that_was_not_made_is_an_error(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match=r"a\.mp4: not written .* expected a place to write a video"),
+        written_beside(tmp_path / "a.mp4", "a video"),
+    ):
+        pass
+
+
+def test_quality_of_a_jpeg_is_chosen(tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (64, 64, 3), dtype=np.uint8)
+    write_image(tmp_path / "low.jpg", image, quality=20)
+    write_image(tmp_path / "high.jpg", image, quality=90)
+    assert (tmp_path / "low.jpg").stat().st_size < 0.5 * (tmp_path / "high.jpg").stat().st_size

@@ -74,16 +74,25 @@
     const place = across(band);
     const [right, height] = [band.clientWidth - RIGHT, band.clientHeight];
     const colours = data.statuses.map((name) => cssColour(`--${name === "lost" ? "failed" : name === "gone" ? "quiet" : name}`));
-    const worst = new Uint8Array(Math.ceil(right) + 2);
+    const kinds = data.statuses.length;
+    const numbers = new Uint32Array((Math.ceil(right) + 2) * kinds); // frames of each status in each column
     for (let k = first; k <= last; k += 1) {
-      const end = k < last ? place(k + 1) : right;
-      for (let x = Math.floor(place(k)); x < Math.max(end, place(k) + 1) && x < worst.length; x += 1)
-        if (status[k] + 1 > worst[x]) worst[x] = status[k] + 1;
+      const end = Math.min(k < last ? Math.max(place(k + 1), place(k) + 1) : right, right);
+      for (let x = Math.floor(place(k)); x < end; x += 1) numbers[x * kinds + status[k]] += 1;
     }
+    const high = height - 8;
     for (let x = LEFT; x < right; x += 1) {
-      if (!worst[x]) continue;
-      pen.fillStyle = colours[worst[x] - 1];
-      pen.fillRect(x, 2, 1, height - 8);
+      const column = numbers.subarray(x * kinds, (x + 1) * kinds);
+      const all = column.reduce((sum, number) => sum + number, 0);
+      let top = 2 + high;
+      for (let kind = kinds - 1; kind >= 0 && all; kind -= 1) {
+        if (!column[kind]) continue;
+        const share = kind ? Math.max(column[kind] / all, kind > 1 ? 0.4 : 0) : 1; // a loss of one frame can be seen
+        const bottom = top;
+        top = Math.max(2, top - share * high);
+        pen.fillStyle = colours[kind];
+        pen.fillRect(x, top, 1, bottom - top);
+      }
     }
     pen.fillStyle = cssColour("--accent");
     for (const [kind, k] of data.events) if (kind === "switched" && k >= first && k <= last) pen.fillRect(place(k) - 1, height - 5, 2, 5);
