@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -29,7 +30,10 @@ _HALF: Final = 0.5  # px; the centre of the viewer's first pixel is at (0.5, 0.5
 _MASK: Final = (240, 228, 66, 90)  # RGBA
 _OUTLINE: Final = (86, 180, 233)
 _METAL: Final = (190, 190, 196)
+_EYE: Final = (0.09, -0.08, -0.09)  # m in the camera, from where the view in space is looked at
+_LOOKED_AT: Final = (0.0, 0.0, 0.08)
 _LEVELS: Final = {"ok": "INFO", "doubtful": "WARN"}  # of a text; ERROR for other statuses
+_COLOURS: Final = {"ok": (0, 158, 115), "doubtful": (240, 228, 66), "lost": (213, 94, 0), "gone": (130, 130, 130)}
 
 
 def check_rerun(option: str, path: Path) -> None:
@@ -87,8 +91,15 @@ class RerunFile:
         matrix = camera.matrix
         matrix[:2, 2] += _HALF
         self._static("camera", rr.Pinhole(image_from_camera=matrix, resolution=size, image_plane_distance=0.05))
+        self._static("status", rr.StateConfiguration(values=list(_COLOURS), colors=list(_COLOURS.values())))
         for link in instrument.links:
-            mesh = rr.Mesh3D(vertex_positions=link.vertices, triangle_indices=link.faces, albedo_factor=_METAL)
+            normals = trimesh.Trimesh(link.vertices, link.faces, process=False).vertex_normals
+            mesh = rr.Mesh3D(
+                vertex_positions=link.vertices,
+                triangle_indices=link.faces,
+                vertex_normals=normals,
+                albedo_factor=_METAL,
+            )
             self._static(f"instrument/{_part(link.name)}", mesh)
 
     def add(
@@ -209,9 +220,11 @@ def _blueprint() -> Any:
         views.TimeSeriesView(origin="offsets", name="offsets, deg: true = reading + offset"),
         views.StateTimelineView(origin="status", name="status"),
     ]
+    eye = views.EyeControls3D(position=_EYE, look_target=_LOOKED_AT, eye_up=(0, -1, 0))
+    seen = ["camera/**", "instrument/**", "tips"]
     pictures = [
         views.Spatial2DView(origin="camera", contents=["camera/**"], name="image"),
-        views.Spatial3DView(origin="/", contents=["camera/**", "instrument/**", "tips"], name="in the camera's space"),
+        views.Spatial3DView(origin="/", contents=seen, name="in the camera's space", eye_controls=eye),
     ]
     rows = [views.Horizontal(*pictures), views.Horizontal(*curves), views.TextLogView(origin="reasons", name="reasons")]
-    return views.Blueprint(views.Vertical(*rows, row_shares=[5, 3, 1]), collapse_panels=True)
+    return views.Blueprint(views.Vertical(*rows, row_shares=[5, 3, 1.5]), collapse_panels=True)

@@ -70,7 +70,7 @@ def recording(bundled_body: Body, image: np.ndarray, mask: np.ndarray, tmp_path_
 
 def test_camera_and_meshes_are_there_once(recording: Recording, bundled_body: Body) -> None:
     links = {f"/instrument/{link.name}" for link in bundled_body.instrument.links}
-    assert recording.entities(static=True) == {"/", "/camera", *links}
+    assert recording.entities(static=True) == {"/", "/camera", "/status", *links}
     (matrix,) = recording.column("/camera", "Pinhole:image_from_camera", static=True)
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     np.testing.assert_allclose(np.reshape(matrix, (3, 3)).T, SMALL.matrix + half)
@@ -123,6 +123,8 @@ def test_images_and_masks_are_pictures(recording: Recording, image: np.ndarray, 
 def test_status_and_reasons_are_told(recording: Recording) -> None:
     assert np.ravel(recording.column("/status", "StateChange:state")).tolist() == ["ok", "gone", "doubtful"]
     told = np.ravel(recording.column("/reasons", "TextLog:text")).tolist()
+    (colours,) = recording.column("/status", "StateConfiguration:values", static=True)
+    assert {"ok", "doubtful", "lost", "gone"} == set(colours)
     assert told == ["0000: ok", "0001: gone; no mask", "0002: doubtful; uncertain: x"]
 
 
