@@ -96,6 +96,7 @@ def made_recording(frames: int) -> FollowedRecording:
                 "tips": (truth.tips + 1e-4 * rng.standard_normal(3)).tolist(),
                 "seconds": 0.03 + 0.01 * rng.random(),
                 "searched": False,
+                "residual_px": 0.8 + 0.2 * rng.random(),
             }
         )
     pictures = TrackPictures(rows)

@@ -61,13 +61,7 @@ def track_charts(
     charts = (
         _joints(rows, readings),
         _offsets(rows),
-        Chart(
-            "residual",
-            "Residual: mask to outline, px",
-            "Distance of the points of the contour of the mask from the outline of the pose.",
-            tuple(Curve(name, values, k) for k, (name, values) in enumerate(residuals.items())),
-            2,
-        ),
+        _residual(rows, residuals),
         _tips(rows),
         _speed(rows, times),
         _spread(rows),
@@ -95,6 +89,17 @@ def _offsets(rows: Sequence[Mapping[str, Any]]) -> Chart:
         Curve(name, np.degrees(_column(each.get(name) for each in offsets)), k) for k, name in enumerate(names)
     )
     return Chart("offsets", "Offsets, deg", "True = reading + offset, as it was believed at the time.", curves, 2)
+
+
+def _residual(rows: Sequence[Mapping[str, Any]], residuals: Mapping[str, Float64]) -> Chart:
+    """Chart the distances between masks and outlines, and those that the tracker was left with."""
+    curves = [Curve(f"mask, {name}", values, k) for k, (name, values) in enumerate(residuals.items())]
+    curves.append(Curve("edges used", _column(row.get("residual_px") for row in rows), len(curves)))
+    known = tuple(curve for curve in curves if np.isfinite(curve.values).any())
+    note = (
+        "Distances of the mask's contour from the outline, and standard deviation of the edges that the tracker used."
+    )
+    return Chart("residual", "Residual, px", note, known, 2)
 
 
 def _tips(rows: Sequence[Mapping[str, Any]]) -> Chart:

@@ -104,7 +104,7 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
     switches = len(events) - len(gaps)
     yield KeyFigure("Modes switched", str(switches), "to another pose with nearly the same silhouette")
-    yield from _residual(recording.residuals)
+    yield from _residual(rows, recording.residuals)
     spread = [row["std"]["tip_mm"] for row in rows if row["std"] and row["std"].get("tip_mm") is not None]
     if spread:
         note = f"95 % of the frames within {np.percentile(spread, 95):.2f} mm"
@@ -118,12 +118,17 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
         yield KeyFigure("Lag", lag.text, lag.describe())
 
 
-def _residual(residuals: Mapping[str, Float64]) -> Iterator[KeyFigure]:
-    """Yield the key figure of the distances between masks and outlines."""
+def _residual(rows: Sequence[Mapping[str, Any]], residuals: Mapping[str, Float64]) -> Iterator[KeyFigure]:
+    """Yield the key figure of the distances between masks and outlines or, without masks, of those of edges."""
     known = [residuals[name][np.isfinite(residuals[name])] for name in (MEDIAN, HIGH) if name in residuals]
     if len(known) == 2 and len(known[0]):
         half, most = (f"{np.median(values):.1f} px" for values in known)
         yield KeyFigure("Mask to outline, median", half, f"95 % of the contour within {most}, in half of the frames")
+        return
+    used = [row["residual_px"] for row in rows if row.get("residual_px") is not None]
+    if used:
+        note = "standard deviation of the image's edges that were used, in half of the frames at most this"
+        yield KeyFigure("Edges to outline, median", f"{np.median(used):.1f} px", note)
 
 
 def _data(recording: FollowedRecording, charts: Sequence[Chart], events: Sequence[TrackEvent]) -> dict[str, Any]:

@@ -58,6 +58,7 @@ class _Std(Struct):
     translation_mm: Point
     rotation_deg: Point
     joints_deg: dict[str, Number]
+    tip_mm: Number | None = None
 
 
 class _Row(Struct):
@@ -72,6 +73,9 @@ class _Row(Struct):
     std: _Std | None
     tips: tuple[Point, ...] | None
     seconds: Number
+    offsets: dict[str, Number] = {}
+    searched: bool = False
+    residual_px: Number | None = None
 
 
 def _check_row(where: str, document: dict[str, Any]) -> None:

@@ -24,7 +24,8 @@ class TrackResult:
     in the camera. tip_std_mm : standard deviation of the tips, the norm over three axes, mean over the tips; None
     without tips. camera_from_base : (4, 4) m, None without readings of the outer joints. offsets : of roll and the
     joints, if they were read, rad: true = reading + offset. seconds : of this step. searched : whether the step
-    included a global search.
+    included a global search. residual_px : standard deviation, px, of the distances between the outline and the edges
+    that support it; None where none do, and in images that were searched globally.
     """
 
     time: float
@@ -39,6 +40,7 @@ class TrackResult:
     offsets: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     searched: bool = False
+    residual_px: float | None = None
 
     def to_dict(self, frame: str, *, timed: bool = True) -> dict[str, Any]:
         """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null."""
@@ -63,4 +65,5 @@ class TrackResult:
             "tips": None if self.tips is None else rounded_array(self.tips),
             "seconds": round(self.seconds, 5),
             "searched": self.searched,
+            "residual_px": None if self.residual_px is None else rounded(self.residual_px),
         }

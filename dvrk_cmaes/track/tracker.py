@@ -354,7 +354,8 @@ class Tracker:
             if self._search.unsupported >= 1:
                 reasons.append("found again: one image supports the pose so far")
             self._search = Searching()
-        return self._result(time, "doubtful" if reasons else "ok", tuple(reasons))
+        result = self._result(time, "doubtful" if reasons else "ok", tuple(reasons))
+        return replace(result, residual_px=fit.sigma)
 
     def _unsupported(self, time: float, reason: str) -> TrackResult:
         """Return the prediction of an image that does not support it."""

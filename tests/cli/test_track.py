@@ -62,6 +62,8 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     out = tmp_path / "out"
     rows = read_tracks(out / "tracks.jsonl")
     assert [row["frame"] for row in rows] == ["0000", "0002", "0004", "0006"]
+    assert rows[0]["residual_px"] is None  # searched globally
+    assert all(0 < row["residual_px"] < 2 for row in rows[1:])
     assert ran.code == (0 if {row["status"] for row in rows} == {"ok"} else 3)
     with open(out / "tracks.csv", encoding="utf-8") as file:
         table = list(csv.DictReader(file))

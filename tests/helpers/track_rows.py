@@ -33,6 +33,7 @@ def row(
         "tips": [[0.001 * number, 0.002, 0.11], [0.001 * number, 0.004, 0.11]] if there else None,
         "seconds": 0.02,
         "searched": False,
+        "residual_px": 0.8 if there else None,
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -54,7 +55,9 @@ def test_curves_have_found_and_read_joints_in_degrees() -> None:
     rows = [row(0), row(1, "gone"), row(2)]
     read = {"jaw": np.array([0.0, np.nan, np.pi])}
     charts = {chart.name: chart for chart in track_charts(rows, np.array([0.0, 0.1, 0.3]), read, {})}
-    assert set(charts) == {"joints", "offsets", "tips", "spread"}  # no residuals, and no speed across the gap
+    assert set(charts) == {"joints", "offsets", "residual", "tips", "spread"}  # no speed across the gap
+    (residual,) = charts["residual"].curves  # there are no masks
+    np.testing.assert_allclose(residual.values, [0.8, np.nan, 0.8])
     curves = {(curve.name, curve.faint): curve for curve in charts["joints"].curves}
     assert set(curves) == {*((joint, False) for joint in JOINTS), ("read", True)}
     assert curves["read", True].colour == curves["jaw", False].colour
@@ -156,3 +159,11 @@ def test_recordings_of_odd_kinds_have_a_page() -> None:
     assert embedded(page)["times"] is None
     assert "not again" in page
     assert "Modes switched" in page
+
+
+def test_without_masks_the_residual_is_that_of_the_edges_used() -> None:
+    whole = recording([row(0), row(1)])
+    page = render_track_page(replace(whole, residuals={}))
+    assert "Edges to outline, median" in page
+    assert "Mask to outline" not in page
+    assert "Mask to outline, median" in render_track_page(whole)
