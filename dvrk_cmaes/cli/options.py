@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+    from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
@@ -93,8 +94,9 @@ class CameraOptions:
         joints: Sequence[Path] = (),
         entries: SessionEntries | None = None,
         tool: ToolEntry | None = None,
+        video: SessionVideo | None = None,
     ) -> Session:
-        """Read a session folder with this camera; ``known`` and ``joints`` are as in `frames.session_folder`.
+        """Read a session folder with this camera; ``known``, ``joints`` and ``video`` as in `frames.session_folder`.
 
         ``entries`` are those of its session.toml, which count where the command line says nothing; the frames are those
         of ``tool``.
@@ -114,6 +116,7 @@ class CameraOptions:
             known=known,
             joints=joints or own,
             masks=None if tool is None else tool.masks,
+            video=video,
         )
         return session if entries is None or tool is None else frames_of_tool(session, entries, tool.arm)
 

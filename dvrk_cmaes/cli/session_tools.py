@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+    from dvrk_cmaes.frames.session_video import SessionVideo
 
 
 def chosen_tools(entries: SessionEntries | None, only: Sequence[str], folder: Path) -> list[ToolEntry | None]:
@@ -57,10 +58,17 @@ class SessionTool:
     tool: ToolEntry | None
 
     def read(
-        self, folder: Path, camera: CameraOptions, *, known: Iterable[str], joints: Sequence[Path] = ()
+        self,
+        folder: Path,
+        camera: CameraOptions,
+        *,
+        known: Iterable[str],
+        joints: Sequence[Path] = (),
+        video: SessionVideo | None = None,
     ) -> Session:
         """Read the session with the masks and readings of the tool; arguments as in `CameraOptions.read_session`."""
-        return camera.read_session(folder, known=known, joints=joints, entries=self.entries, tool=self.tool)
+        entries, tool = self.entries, self.tool
+        return camera.read_session(folder, known=known, joints=joints, entries=entries, tool=tool, video=video)
 
 
 def single_tool(folder: Path, options: InstrumentOptions, arm: str | None = None) -> SessionTool:

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
@@ -15,17 +15,20 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    DEFAULT_PROMPTS,
     MOST_SKIPPED,
     OUTPUT,
     CameraOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
+    PromptOptions,
     SessionOption,
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import read_calibration_of, single_tool
 from dvrk_cmaes.cli.terminal import Line, frames_text, show
+from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,13 +58,17 @@ def track(
     video: Annotated[bool, Parameter(group=FOLDER)] = True,
     page: Annotated[bool, Parameter(group=FOLDER)] = True,
     rerun: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    evidence: Annotated[Literal["masks", "images", "both"] | None, Parameter(group=FOLDER)] = None,
+    first_mask: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    prompts: PromptOptions = DEFAULT_PROMPTS,
+    recording: VideoOptions = DEFAULT_VIDEO,
     calibration: SessionOption = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Follow an instrument through the consecutive frames of a session, by masks and readings.
+    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
     The first frame is solved as by `estimate`; the others start from what the readings did since the frame before. No
     frame's result depends on later frames, unless --smooth is given. A lost instrument is searched for, around the
@@ -70,16 +77,23 @@ def track(
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
     lost, 130 interrupted; the same command then goes on.
 
+    Without masks, the instrument is segmented in the first frame alone; the others are followed by the colours along
+    its outline, which are learned on the way.
+
     Example:
 
     `dvrk-cmaes track session --out tracks`
 
+    `dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks`
+
     Parameters
     ----------
     session
-        Session folder, as for `batch`, with consecutive frames.
+        Session folder, as for `batch`, with consecutive frames, whose images may be in its video.mp4. Or a video,
+        beside camera.yaml and joints.csv. Or a ROS recording, which is converted to OUT/session as by `import`.
     out
-        Folder for tracks.jsonl, tracks.csv, session.json, tracks.mp4 and report.html; SESSION/tracks by default.
+        Folder for tracks.jsonl, tracks.csv, session.json, tracks.mp4 and report.html; SESSION/tracks by default, or
+        tracks beside the recording.
     every
         Follow only every N-th frame.
     joints
@@ -103,6 +117,14 @@ def track(
     rerun
         File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
         install "dvrk-cmaes[viewer]").
+    evidence
+        masks, images or both; by default the masks of frames that have one, and the images of the others.
+    first_mask
+        Mask of the first frame, if that has none.
+    prompts
+        Where the instrument is in the first image, if that has no mask: which of two tools is followed.
+    recording
+        The video.
     calibration
         A session.json written by `calibrate` or by this command: its base, offsets and lag are the start.
     camera
@@ -126,15 +148,19 @@ def track(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.track_folder import track_folder
-    from dvrk_cmaes.runs.track_frames import TrackSettings
+    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
-    target = session / "tracks" if out is None else out
-    chosen = single_tool(session, instrument, only)
+    target = out or (session if session.is_dir() else session.parent) / "tracks"
+    readings = None if joints is None or joints == "none" else Path(joints)
+    source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
+    chosen = single_tool(source.folder, instrument, only)
     instrument = chosen.options
     body = instrument.load()
-    files = () if joints is None or joints == "none" else (Path(joints),)
-    found = chosen.read(session, camera, known=body.instrument.joint_names, joints=files)
+    files = () if readings is None else (readings,)
+    read = source.read(chosen, camera, recording, known=body.instrument.joint_names, joints=files)
+    found, used = used_session(read, evidence)
+    found = with_first_mask(found, first_mask)
     settings = TrackSettings(
         method.resolve(),
         instrument.kinematics,
@@ -144,6 +170,8 @@ def track(
         joints != "none",
         fps,
         smooth,
+        used,
+        prompts.resolve(),
     )
     with stopping_on_interrupt() as stop:
         done = track_folder(

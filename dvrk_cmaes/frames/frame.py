@@ -19,6 +19,7 @@ from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.video_file import VideoFrame
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 
@@ -43,7 +44,8 @@ class FrameFiles:
     instrument in the mask, as in ``read_mask``. ``prompts`` state where the instrument is in an image without a mask.
     ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
     states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
-    name; ``other_tools`` are other tools in the frame, whose pixels count neither way.
+    name; ``other_tools`` are other tools in the frame, whose pixels count neither way. ``video`` is the frame's image
+    where that is in a video, and there is no ``image``.
     """
 
     name: str
@@ -60,6 +62,12 @@ class FrameFiles:
     problem: str | None = None
     others: Mapping[str, FrameFiles] = field(default_factory=dict)
     other_tools: tuple[OtherTool, ...] = ()
+    video: VideoFrame | None = None
+
+    @property
+    def has_image(self) -> bool:
+        """Whether the frame has an image."""
+        return self.image is not None or self.video is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +126,10 @@ def read_frame(files: FrameFiles, camera: Camera, *, blank: bool = False) -> Fra
     mask = read_mask(files.mask, label=files.label, pick=files.pick, blank=blank)
     fitted, notes = _fit(camera, mask.shape, files.mask, "mask")
     ignore = _ignored(files, mask.shape, "mask")
-    image = None if files.image is None else read_image(files.image)
+    image = _image_of(files)
     if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
         raise InputError(
-            f"{files.image}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
+            f"{_image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
             f"got {_size(image.shape)}"
         )
     return FrameData(mask, fitted, ignore, image, (*files.notes, *notes))
@@ -137,11 +145,23 @@ def read_frame_image(files: FrameFiles, camera: Camera) -> FrameImage:
     """
     if files.problem is not None:
         raise InputError(files.problem)
-    if files.image is None:
+    image, path = _image_of(files), _image_path(files)
+    if image is None or path is None:
         raise InputError(f"frame {files.name}: expected a mask, got neither mask nor image")
-    image = read_image(files.image)
-    fitted, notes = _fit(camera, image.shape, files.image, "image")
-    return FrameImage(files.image, image, fitted, _ignored(files, image.shape, "image"), (*files.notes, *notes))
+    fitted, notes = _fit(camera, image.shape, path, "image")
+    return FrameImage(path, image, fitted, _ignored(files, image.shape, "image"), (*files.notes, *notes))
+
+
+def _image_path(files: FrameFiles) -> Path | None:
+    """Return the file that a frame's image is in."""
+    return files.video.video.path if files.image is None and files.video is not None else files.image
+
+
+def _image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
+    """Read the image of a frame; None if it has none."""
+    if files.image is None:
+        return None if files.video is None else files.video.image()
+    return read_image(files.image)
 
 
 def _fit(camera: Camera, shape: tuple[int, ...], path: Path | None, what: str) -> tuple[Camera, tuple[str, ...]]:
@@ -178,6 +198,8 @@ def frame_size(files: FrameFiles) -> Size:
         No such file, or no PNG or JPEG.
     """
     path = files.mask or files.image
+    if path is None and files.video is not None:
+        return files.video.window[2:]
     if path is None:
         raise InputError(f"frame {files.name}: expected a mask or an image, got neither")
     expected = "a mask or an image (PNG or JPEG)"

@@ -30,6 +30,7 @@ from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
+from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
@@ -124,6 +125,7 @@ def read_session(
     known: Iterable[str] = (),
     joints: Sequence[Path] = (),
     masks: Path | None = None,
+    video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
@@ -148,6 +150,8 @@ def read_session(
         Files of readings; by default those in the session folder.
     masks
         Folder of the masks; ``masks`` in the session folder by default.
+    video
+        A video that has the images of all frames, of the session layout and one view.
     tolerance
         Largest distance in time between an image and the readings before and after it, ns.
 
@@ -161,8 +165,8 @@ def read_session(
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
     mask_folder = root / "masks" if masks is None else masks
-    if masks is not None or _is_session_layout(root) or not is_published_layout(root):
-        frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, tolerance)
+    if masks is not None or video is not None or _is_session_layout(root) or not is_published_layout(root):
+        frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, video, tolerance)
         notes = ("a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
@@ -177,6 +181,8 @@ def read_session(
     if camera is None and not path.exists() and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
     lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
+    if video is not None:
+        frames = video.fitted(frames, lens.camera)
     golden = root / "golden.json"
     return Session(
         folder=root,
@@ -228,23 +234,31 @@ def _is_session_layout(root: Path) -> bool:
 
 
 def _session_frames(
-    root: Path, mask_folder: Path, known: tuple[str, ...], joints: Sequence[Path], tolerance: int
+    root: Path,
+    mask_folder: Path,
+    known: tuple[str, ...],
+    joints: Sequence[Path],
+    video: SessionVideo | None,
+    tolerance: int,
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
     folders = (mask_folder, root / "images", root / "ignore")
     of_views = [[image_files(folder / view) for folder in folders] for view in views]
     masks, images, ignore = of_views[0]
-    if not any(files for kinds in of_views for files in kinds[:2]):
+    if video is None and not any(files for kinds in of_views for files in kinds[:2]):
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got none")
-    files = [read_joint_file(path, known=known) for path in joints or _joint_files(root)]
+    files = [read_joint_file(path, known=known) for path in joints or _joint_files(root, optional=video is not None)]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
     boxes = read_boxes(root / "boxes.csv") if os.path.lexists(root / "boxes.csv") else {}
+    films = {} if video is None else video.frames(files, tuple(masks))
+    if video is not None:
+        times = {name: video.time_of(film) for name, film in films.items()} if video.keeps_time(files) else times
     image_times = {
         name: times.get(name, time_in_name(name))
-        for name in sorted(set().union(*(files for kinds in of_views for files in kinds[:2])))
+        for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])))
     }
     frames, farthest = [], None
     for name, time in image_times.items():
@@ -261,6 +275,7 @@ def _session_frames(
             time=_seconds_of(files, name, time),
             others=others,
             prompts=boxes.get(name),
+            video=films.get(name),
         )
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)
@@ -283,14 +298,17 @@ def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) 
     return None if known is None else known / NANOSECONDS
 
 
-def _joint_files(root: Path) -> list[Path]:
-    """List the files of readings of a session: its joints.csv, or else the files named after topics of an arm."""
+def _joint_files(root: Path, *, optional: bool = False) -> list[Path]:
+    """List the files of readings of a session: its joints.csv, or else the files named after topics of an arm.
+
+    If they are ``optional``, there may be none; else joints.csv is expected.
+    """
     joints_csv = root / "joints.csv"
     if os.path.lexists(joints_csv):
         return [joints_csv]
     folders = [root, *(path for path in (root / "jaw",) if path.is_dir())]
     dumps = [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]
-    return dumps or [joints_csv]
+    return dumps or ([] if optional else [joints_csv])
 
 
 def _described(files: Sequence[JointFile]) -> tuple[str, ...]:

@@ -14,11 +14,11 @@ from typing import Final
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.video_file import SUFFIXES
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.recording.recording import Recording
 from dvrk_cmaes.recording.video import open_video
 
-_SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
 _SIDES: Final[tuple[Side, ...]] = ("left", "right")
 
 
@@ -56,7 +56,7 @@ def _videos(path: Path, side: Side) -> list[Path]:
     return [
         file
         for file in sorted(path.iterdir())
-        if file.suffix.lower() in _SUFFIXES and side in file.stem.lower().replace("-", "_").replace(".", "_").split("_")
+        if file.suffix.lower() in SUFFIXES and side in file.stem.lower().replace("-", "_").replace(".", "_").split("_")
     ]
 
 

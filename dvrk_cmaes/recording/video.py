@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,8 +11,8 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.video_file import open_capture
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.image_header import MOST_PIXELS
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import encode_png
@@ -21,7 +20,6 @@ from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
-_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
 
 
 @contextmanager
@@ -47,7 +45,7 @@ def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: f
         missing = "--camera" if camera is None else "--joints"
         raise InputError(f"{path}: {missing}: a video needs a camera file and a table of readings; got none")
     lens, readings = read_camera_bytes(camera), read_timed_joints(joints)
-    with _open_capture(path) as capture:
+    with open_capture(path, expected=_EXPECTED) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         notes = (
             f"camera: {camera}",
@@ -56,25 +54,6 @@ def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: f
         )
         images = _images(path, capture, round(start * NANOSECONDS))
         yield Recording(path, images, total if total > 0 else None, lens, readings, notes)
-
-
-@contextmanager
-def _open_capture(path: Path) -> Iterator[Any]:
-    """Open a video with OpenCV's FFmpeg backend, without log output; others take file names for patterns."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)  # OpenCV reads this when FFmpeg is first used
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    try:
-        if not capture.isOpened():
-            raise InputError(f"{path}: expected {_EXPECTED}, got something else or a damaged file")
-        width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        if width * height > MOST_PIXELS:
-            raise InputError(f"{path}: expected at most {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
-        yield capture
-    finally:
-        capture.release()
-        cv2.utils.logging.setLogLevel(level)
 
 
 def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.video_file import Video
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.files import file_digest
@@ -51,6 +53,9 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
     }
     if files.time is not None:
         rest["time"] = files.time
+    if files.video is not None:
+        film = files.video
+        rest["video"] = (_video_digest(film.video), film.number, film.window)
     if files.prompts is not None and files.mask is None:
         rest["prompts"] = files.prompts
     others = {
@@ -70,6 +75,12 @@ def _file_digest(path: Path) -> str:
         return file_digest(path)[:_LENGTH]
     except OSError:
         return UNREADABLE
+
+
+@lru_cache(maxsize=4)
+def _video_digest(video: Video) -> str:
+    """Compute the digest of a video's file, once for all of its frames."""
+    return _file_digest(video.path)
 
 
 def _digest(value: Any) -> str:

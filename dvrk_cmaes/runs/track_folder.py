@@ -5,6 +5,7 @@ The state of the tracker is saved from time to time, so that a run that was inte
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -74,6 +75,11 @@ class _Run:
     def stopped(self) -> bool:
         """Whether the run is to end."""
         return self.stop is not None and self.stop.is_set()
+
+    def followed(self, tracker: Tracker, *, done: int = 0) -> Iterator[tuple[FrameFiles, TrackResult]]:
+        """Follow the frames after the first ``done`` ones."""
+        with_images = self.settings.evidence != "masks"
+        return followed(tracker, self.frames, self.clock, self.session.camera, done=done, with_images=with_images)
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl."""
@@ -157,7 +163,7 @@ def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
     kept, total = len(rows), len(run.frames)
     run.progress(kept, total, None)
     with _lines(run.out, rows) as append:
-        for files, result in followed(tracker, run.frames, run.clock, run.session.camera, done=kept):
+        for files, result in run.followed(tracker, done=kept):
             rows.append(run.row(files, result))
             append(rows[-1])
             run.progress(len(rows), total, result)
@@ -175,12 +181,12 @@ def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
     camera, total = run.session.camera, len(run.frames)
     run.progress(0, 2 * total, None)
     first = run.settings.tracker(camera, run.body)
-    for done, (_, result) in enumerate(followed(first, run.frames, run.clock, camera), start=1):
+    for done, (_, result) in enumerate(run.followed(first), start=1):
         run.progress(done, 2 * total, result)
         if run.stopped:
             return [], first
     tracker = run.settings.recording_tracker(camera, run.body, None if first.lag is None else first.lag.seconds)
-    for done, (_, result) in enumerate(followed(tracker, run.frames, run.clock, camera), start=1):
+    for done, (_, result) in enumerate(run.followed(tracker), start=1):
         run.progress(total + done, 2 * total, result)
         if run.stopped:
             return [], tracker
@@ -239,6 +245,8 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
         "joints": settings.use_joints,
         "frames_a_second": settings.frames_a_second,
         "smooth": settings.smooth,
+        "evidence": settings.evidence,
+        "hints": None if settings.hints is None else dataclasses.asdict(settings.hints),
     }
     return manifest_of(setup, {files.name: frame_digests(files) for files in frames}) | {"track": followed}
 

@@ -54,7 +54,7 @@ def seen_frames(
         if files.mask is not None:
             data = read_frame(files, camera, blank=True)
             image, mask = data.image, data.mask
-        elif files.image is not None:
+        elif files.has_image:
             image = read_frame_image(files, camera).image
         if image is not None and image.shape[1::-1] != size:
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -84,15 +84,13 @@ class GlobalSearch:
 
         ``first`` tells that it is the first image, for which the hints are.
         """
-        masked = self.sight.with_mask(seen, hinted=first, around=self._around(anchor) if first else None)
-        if masked is None or masked.mask is None:
+        mask = self.sight.mask(seen, hinted=first, around=self._around(anchor) if first else None)
+        if mask is None:
             return None
         readings = self._readings(anchor)
         camera, session, config = self.follower.model.camera, self.calibration, self.config
         try:
-            return estimate(
-                masked.mask, camera, readings, self.body, ignore=seen.ignore, session=session, config=config
-            )
+            return estimate(mask, camera, readings, self.body, ignore=seen.ignore, session=session, config=config)
         except InputError:
             return None
 

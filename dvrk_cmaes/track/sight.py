@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -32,7 +32,8 @@ _MARGIN = 0.04  # of the image's width, around an expected silhouette
 class Seen:
     """The arrays of one image that are used, and whether they are those of the image before.
 
-    ``problem`` is why the image says nothing about the pose, None if it may.
+    ``problem`` is why the image says nothing about the pose, None if it may. ``given`` is the mask that was given, even
+    where masks are not evidence: an image that is solved by itself is solved by it.
     """
 
     mask: Mask | None
@@ -40,6 +41,7 @@ class Seen:
     ignore: Mask | None
     problem: str | None
     same: bool
+    given: Mask | None
 
     @property
     def source(self) -> str:
@@ -77,32 +79,33 @@ class Sight:
         by_image = used_mask is None and used_image is not None
         problem = self._check.problem(used_mask, image, ignore, by_image=by_image)
         same = self._check.is_same(used_image if by_image else used_mask)
-        return Seen(used_mask, used_image, ignore, problem, same)
+        return Seen(used_mask, used_image, ignore, problem, same, mask)
 
     def evidence(self, seen: Seen) -> OutlineEvidence | None:
         """Return the evidence of an image; None if it has no mask, and neither colours nor a mask are found in it."""
         if seen.mask is None and self._colours is None:
-            found = self.with_mask(seen)
-            return None if found is None or found.mask is None else MaskEvidence(found.mask, seen.ignore)
+            found = self.mask(seen)
+            return None if found is None else MaskEvidence(found, seen.ignore)
         by_mask = None if seen.mask is None else MaskEvidence(seen.mask, seen.ignore)
         if seen.image is None or self._colours is None or (by_mask is not None and self._kind != "both"):
             return by_mask
         by_colour = ImageEvidence(seen.image, self._colours, seen.ignore)
         return by_colour if by_mask is None else BothEvidence(by_mask, by_colour)
 
-    def with_mask(self, seen: Seen, *, hinted: bool = False, around: Box | None = None) -> Seen | None:
-        """Return an image with a mask, found by its colours if it has none; None if nothing is found, or a guess.
+    def mask(self, seen: Seen, *, hinted: bool = False, around: Box | None = None) -> Mask | None:
+        """Return the mask of an image, found by its colours if none was given; None if nothing is found, or a guess.
 
-        If it is ``hinted``, the hints hold for it. ``around`` is a box that holds the instrument where there are none.
+        If the image is ``hinted``, the hints hold for it. ``around`` is a box that holds the instrument where there are
+        none.
         """
-        if seen.mask is not None or seen.image is None:
-            return None if seen.mask is None else seen
+        if seen.given is not None or seen.image is None:
+            return seen.given
         hints = self._hints if hinted else Hints()
         if hints == Hints() and around is not None:
             hints = Hints(box=around)
         found = segment(seen.image, box=hints.box, points=hints.points, not_points=hints.not_points)
         sure = hinted or found.confidence >= GUESS
-        return replace(seen, mask=found.mask) if found.mask.any() and sure else None
+        return found.mask if found.mask.any() and sure else None
 
     def learn(self, seen: Seen, pixels: Float64, rim: Rim) -> None:
         """Learn the colours of an image along an outline whose points are at ``pixels`` (N, 2)."""

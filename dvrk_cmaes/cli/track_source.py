@@ -1,0 +1,116 @@
+"""What ``dvrk-cmaes track`` follows: a session folder, a video, or a ROS recording, as a session."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from cyclopts import Group, Parameter
+
+from dvrk_cmaes.cli.options import LATEST, check_range
+from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.cli.options import CameraOptions
+    from dvrk_cmaes.cli.session_tools import SessionTool
+    from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.frames.session_video import SessionVideo
+
+VIDEO = Group.create_ordered("Video")
+SESSION_VIDEO = "video.mp4"
+_IMPORTED = "session"
+_TOLERANCE = 0.05  # s, as of import
+
+
+@Parameter(name="*", group=VIDEO)
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions:
+    """Options of a video.
+
+    Parameters
+    ----------
+    layout
+        Where the eyes are in the picture of a stereo video; --side chooses one. By default found from the size of the
+        camera's images.
+    video_start
+        Time of the video's first image on the clock of the readings, in seconds, if these have no column frame.
+    """
+
+    layout: Literal["mono", "side-by-side", "top-bottom"] | None = None
+    video_start: float = 0.0
+
+    def open(self, path: Path, side: Literal["left", "right"]) -> SessionVideo:
+        """Open the video of a session."""
+        from dvrk_cmaes.frames.session_video import SessionVideo
+        from dvrk_cmaes.joints.interpolation import NANOSECONDS
+
+        if not math.isfinite(self.video_start):
+            raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
+        check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
+        start = round(self.video_start * NANOSECONDS)
+        return SessionVideo.open(path, layout=self.layout, side=side, start=start)
+
+
+DEFAULT_VIDEO = VideoOptions()
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is followed: the session ``folder``, and the ``video`` with its images, None if these are files."""
+
+    folder: Path
+    video: Path | None = None
+
+    @staticmethod
+    def of(path: Path, evidence: str | None, out: Path, *, camera: Path | None, joints: Path | None) -> Source:
+        """Find the session of a path; that of a ROS recording is written to a folder in ``out``.
+
+        The video of a session counts where it has no images, and its masks are not all that is asked for.
+
+        Raises
+        ------
+        InputError
+            There is nothing at the path, or it is neither.
+        """
+        from dvrk_cmaes.frames.video_file import SUFFIXES
+        from dvrk_cmaes.recording.bag import SUFFIXES as BAGS
+
+        if path.suffix.lower() in SUFFIXES and not path.is_dir():
+            return Source(path.parent, path)
+        if path.suffix.lower() in BAGS or (path / "metadata.yaml").exists():
+            return Source(_imported(path, out / _IMPORTED, camera, joints))
+        if not path.is_dir():
+            raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
+        video = path / SESSION_VIDEO
+        needed = evidence in ("images", "both") or not (path / "masks").is_dir()
+        return Source(path, video if needed and video.exists() and not (path / "images").is_dir() else None)
+
+    def read(
+        self,
+        tool: SessionTool,
+        camera: CameraOptions,
+        video: VideoOptions,
+        *,
+        known: Iterable[str],
+        joints: Sequence[Path],
+    ) -> Session:
+        """Read the session."""
+        if self.video is None:
+            if video != DEFAULT_VIDEO:
+                raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
+            return tool.read(self.folder, camera, known=known, joints=joints)
+        return tool.read(self.folder, camera, known=known, joints=joints, video=video.open(self.video, camera.side))
+
+
+def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:
+    """Write the session of a ROS recording, in place of an earlier one; returns its folder."""
+    from dvrk_cmaes.recording.bag import open_bag
+    from dvrk_cmaes.recording.topics import TopicRequest
+    from dvrk_cmaes.recording.write_session import Selection, write_session
+
+    with open_bag(path, TopicRequest(), camera=camera, joints=joints) as recording:
+        write_session(recording, folder, selection=Selection(), tolerance=_TOLERANCE, overwrite=folder.exists())
+    return folder

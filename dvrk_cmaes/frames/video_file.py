@@ -1,0 +1,151 @@
+"""Frames of a video file, read one after the other with OpenCV, whole or one eye's part of a stereo picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.files import Side
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.image_header import MOST_PIXELS
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+
+Layout = Literal["mono", "side-by-side", "top-bottom"]
+Window = tuple[int, int, int, int]
+
+SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
+EXPECTED: Final = "a video that OpenCV reads"
+_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
+_SAME_ASPECT = 0.02  # largest relative difference of two aspect ratios that count as one
+
+
+@contextmanager
+def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
+    """Open a video with OpenCV's FFmpeg backend, without log output; others take file names for patterns.
+
+    Raises
+    ------
+    InputError
+        Not a video, or one of too large pictures.
+    """
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)  # OpenCV reads this when FFmpeg is first used
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
+        width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MOST_PIXELS:
+            raise InputError(f"{path}: expected at most {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
+        yield capture
+    finally:
+        capture.release()
+        cv2.utils.logging.setLogLevel(level)
+
+
+class Video:
+    """A video: its size, the times of its frames, and its frames in any order, quickest in that of the video.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no video, has no frames, or its times do not increase.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_file(path, expected=EXPECTED)
+        self.path = path
+        times = []
+        with open_capture(path) as capture:
+            width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+            self.size = width, height
+            while capture.grab():
+                times.append(round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+        if not times:
+            raise InputError(f"{path}: expected {EXPECTED}, got one without frames")
+        late = next((k for k in range(1, len(times)) if times[k] <= times[k - 1]), None)
+        if late is not None:
+            after = times[late - 1] / NANOSECONDS
+            raise InputError(f"{path}: frame {late}: expected a later time than {after:g} s, got none")
+        self.times: tuple[int, ...] = tuple(times)
+        """Of the frames, ns after the beginning."""
+        self._capture: Any = None
+        self._next = 0
+
+    def image(self, number: int) -> NDArray[np.uint8]:
+        """Decode a frame, (H, W, 3) uint8 BGR; InputError if that is not possible."""
+        if self._capture is None or number < self._next:
+            self._capture, self._next = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG), 0
+        while self._next < number and self._capture.grab():
+            self._next += 1
+        found, pixels = self._capture.read()
+        self._next += 1
+        if not found:
+            raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
+        return np.asarray(pixels, np.uint8)
+
+    def window(self, camera: Camera | None, layout: Layout | None, side: Side) -> Window:
+        """Return left, top, width and height of one eye's picture, px.
+
+        ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``.
+
+        Raises
+        ------
+        InputError
+            The video's size fits the camera in no layout.
+        """
+        width, height = self.size
+        if layout is None:
+            layout = "mono" if camera is None else self._layout(camera)
+        second = side == "right"
+        if layout == "side-by-side":
+            return second * (width - width // 2), 0, width // 2, height
+        if layout == "top-bottom":
+            return 0, second * (height - height // 2), width, height // 2
+        return 0, 0, width, height
+
+    def _layout(self, camera: Camera) -> Layout:
+        """Find the layout in which a picture has the aspect of a camera's images."""
+        width, height = self.size
+        aspect = camera.width / camera.height
+        fitting: tuple[tuple[Layout, float], ...] = (
+            ("mono", width / height),
+            ("side-by-side", width / (2 * height)),
+            ("top-bottom", 2 * width / height),
+        )
+        for layout, own in fitting:
+            if abs(own / aspect - 1) < _SAME_ASPECT:
+                return layout
+        raise InputError(
+            f"{self.path}: expected the calibration's {camera.width} x {camera.height}, or two such pictures side by "
+            f"side or one above the other, got {width} x {height}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class VideoFrame:
+    """A frame of a video, by its number from zero; of its picture, the ``window`` (left, top, width, height), px."""
+
+    video: Video
+    number: int
+    window: Window
+
+    def image(self) -> NDArray[np.uint8]:
+        """Decode the frame's window, (H, W, 3) uint8 BGR."""
+        left, top, width, height = self.window
+        return np.ascontiguousarray(self.video.image(self.number)[top : top + height, left : left + width])
+
+    def within(self, window: Window) -> VideoFrame:
+        """Return the frame with another window."""
+        return replace(self, window=window)
