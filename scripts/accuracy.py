@@ -10,6 +10,7 @@
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
+    python scripts/accuracy.py perturbed SESSION...    real images: back from poses that are moved and turned
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
@@ -43,6 +44,7 @@ from accuracy_errors import error_report, frame_errors, frame_rows
 from accuracy_halves import halved, halves_report
 from accuracy_lag import find_lags, lag_report
 from accuracy_lies import doubt_report, falsified_cases, load_others
+from accuracy_perturbed import perturbed_report
 from accuracy_rig import rig_report
 from accuracy_session import Outcome, Trial, original_trials, read_bases, run_trials, session_report
 from accuracy_session_lies import falsified_report, falsified_session_cases, falsified_trials
@@ -56,6 +58,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.track.sight import KINDS
 
 Report = Mapping[str, Sequence[Mapping[str, Any]]]
 
@@ -131,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
     )
+    parser.add_argument("--evidence", choices=KINDS, help="for track: follow by masks (default), images or both")
     parser.add_argument("--smooth", action="store_true", help="for track: smooth")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
@@ -259,7 +263,13 @@ def track(arguments: argparse.Namespace) -> Report:
         calibration=None if arguments.session is None else read_calibration(arguments.session),
         use_joints=not arguments.no_joints,
         smooth=arguments.smooth,
+        evidence=arguments.evidence,
     )
+
+
+def perturbed(arguments: argparse.Namespace) -> Report:
+    """Report how often images bring moved poses back."""
+    return perturbed_report(arguments.sessions, arguments.instrument, _config(arguments), frames=arguments.frames)
 
 
 def cables(arguments: argparse.Namespace) -> Report:
@@ -304,6 +314,7 @@ COMMANDS: Final = {
     "session-lies": session_lies,
     "lag": lag,
     "track": track,
+    "perturbed": perturbed,
     "cables": cables,
     "rig": rig,
     "arms": arms,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_video import SessionVideo, own_video
 from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.track_clock import TrackClock
-from dvrk_cmaes.runs.track_frames import TrackSettings, followed
+from dvrk_cmaes.runs.track_frames import TrackSettings, followed, used_session
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track import Tracker
@@ -50,21 +51,33 @@ class FollowedSession:
 
 def follow(folder: str, body: Body, settings: TrackSettings, *, frames: int | None = None) -> FollowedSession:
     """Follow the first ``frames`` frames of a session, or all."""
-    session = read_session(folder, known=body.instrument.joint_names)
+    session, settings = read_recording(Path(folder), body, settings)
     chosen = session.frames[:: settings.every][:frames]
     clock = TrackClock.of(session, chosen, settings.frames_a_second, use_joints=settings.use_joints)
     tracker = settings.tracker(session.camera, body)
-    results = _all(tracker, chosen, clock, session)
+    with_images = settings.evidence != "masks"
+    results = _all(tracker, chosen, clock, session, with_images=with_images)
     if settings.smooth:
         tracker = settings.recording_tracker(session.camera, body, None if tracker.lag is None else tracker.lag.seconds)
-        _all(tracker, chosen, clock, session)
+        _all(tracker, chosen, clock, session, with_images=with_images)
         results = tracker.smoothed()
     return FollowedSession(session, chosen, results, tracker)
 
 
-def _all(tracker: Tracker, frames: Sequence[FrameFiles], clock: TrackClock, session: Session) -> list[TrackResult]:
+def read_recording(folder: Path, body: Body, settings: TrackSettings) -> tuple[Session, TrackSettings]:
+    """Read a session with the masks and images that are used, and return the settings that say which these are."""
+    path = None if settings.evidence in (None, "masks") else own_video(folder)
+    video = None if path is None else SessionVideo.open(path)
+    session = read_session(folder, known=body.instrument.joint_names, video=video)
+    session, evidence = used_session(session, settings.evidence)
+    return session, replace(settings, evidence=evidence)
+
+
+def _all(
+    tracker: Tracker, frames: Sequence[FrameFiles], clock: TrackClock, session: Session, *, with_images: bool
+) -> list[TrackResult]:
     results = []
-    for _, result in followed(tracker, frames, clock, session.camera):
+    for _, result in followed(tracker, frames, clock, session.camera, with_images=with_images):
         results.append(result)
         if len(results) % _PROGRESS == 0:
             print(f"{session.folder.name}: {len(results)} of {len(frames)} frames", file=sys.stderr, flush=True)

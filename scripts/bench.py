@@ -30,6 +30,7 @@ from bench_render import render_report, scale_report
 from bench_track import track_report
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.track.sight import KINDS
 
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
 FRAMES: Final = ("made/clean", "made/easy", "made/medium", "made/hard", "real/easy", "real/medium")
@@ -83,7 +84,9 @@ def _track(arguments: argparse.Namespace) -> dict[str, Any]:
     """Report the command track."""
     sessions = arguments.sessions if arguments.sessions is not SESSIONS else RECORDINGS
     frames = 5 if arguments.quick else arguments.frames
-    return track_report(arguments.instrument, sessions, frames=frames, steps=arguments.steps)
+    return track_report(
+        arguments.instrument, sessions, frames=frames, steps=arguments.steps, evidence=arguments.evidence
+    )
 
 
 def _page(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -148,6 +151,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--sessions", type=Path, nargs="+", default=SESSIONS, metavar="SESSION", help="sessions, for estimate and track"
+    )
+    parser.add_argument(
+        "--evidence", choices=KINDS, nargs="+", default=["masks"], help="for track: evidence (default: %(default)s)"
     )
     parser.add_argument(
         "--steps", type=int, default=None, metavar="N", help="for track: steps after which memory is measured"

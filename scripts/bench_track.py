@@ -8,53 +8,75 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from accuracy_track import read_recording
+from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.track.sight import EvidenceKind
 
 _FIRST_STEPS = 1000  # after which memory is compared
 
 
-def track_report(instrument: str, sessions: Sequence[Path], *, frames: int | None, steps: int | None) -> dict[str, Any]:
-    """Measure the time of a step for each session and, with ``steps``, the memory of a tracker after so many."""
-    report: dict[str, Any] = {"following, ms a step": [_latency(instrument, folder, frames) for folder in sessions]}
+def track_report(
+    instrument: str,
+    sessions: Sequence[Path],
+    *,
+    frames: int | None,
+    steps: int | None,
+    evidence: Sequence[EvidenceKind],
+) -> dict[str, Any]:
+    """Measure the time of a step by session and kind of evidence, and, with ``steps``, the memory after so many."""
+    rows = [_latency(instrument, folder, frames, kind) for folder in sessions for kind in evidence]
+    report: dict[str, Any] = {"following, ms a step": rows}
     if steps is not None:
         report["memory"] = [_memory(instrument, sessions[0], steps)]
     return report
 
 
-def _latency(instrument: str, folder: Path, frames: int | None) -> dict[str, Any]:
-    """Follow a session whose masks are read beforehand; steps with a global search are counted apart."""
+def _latency(instrument: str, folder: Path, frames: int | None, evidence: EvidenceKind) -> dict[str, Any]:
+    """Follow a session whose masks and images are read beforehand; steps with a global search are counted apart."""
     body = prepare(instrument)
-    session = read_session(folder, known=body.instrument.joint_names)
+    session, settings = read_recording(folder, body, TrackSettings(EstimateConfig(), evidence=evidence))
     chosen = session.frames[:frames]
     clock = TrackClock.of(session, chosen, FRAMES_A_SECOND)
-    masks = [read_frame(files, session.camera, blank=True).mask for files in chosen]
-    tracker = TrackSettings(EstimateConfig()).tracker(session.camera, body)
+    read = [_read(files, session.camera, evidence) for files in chosen]
+    tracker = settings.tracker(session.camera, body)
     readings = iter(clock.readings)
     waiting = next(readings, None)
     elapsed, cpu, searched = [], [], []
-    for files, mask in zip(chosen, masks, strict=True):
+    for files, (mask, image) in zip(chosen, read, strict=True):
         at = clock.times[files.name]
         while waiting is not None and waiting[0] <= at + 1e-9:
             tracker.add_readings(*waiting)
             waiting = next(readings, None)
         began = time.process_time()
-        result = tracker.step(at, mask)
+        result = tracker.step(at, mask, image)
         cpu.append(1e3 * (time.process_time() - began))
         elapsed.append(1e3 * result.seconds)
         searched.append(result.searched)
     usual = ~np.array(searched)
-    row: dict[str, Any] = {"session": folder.name, "steps": int(usual.sum())}
+    row: dict[str, Any] = {"session": folder.name, "evidence": evidence, "steps": int(usual.sum())}
     if usual.any():
         names = ("median", "95 %", "99 %", "worst")
         row |= dict(zip(names, np.percentile(np.array(elapsed)[usual], [50, 95, 99, 100]).tolist(), strict=True))
-        row["CPU, median"] = float(np.median(np.array(cpu)[usual]))
+        row["CPU, median"], row["CPU, 99 %"] = np.percentile(np.array(cpu)[usual], [50, 99]).tolist()
     return row | {"first": elapsed[0], "searched": int(np.sum(searched))}
+
+
+def _read(
+    files: FrameFiles, camera: Camera, evidence: EvidenceKind
+) -> tuple[NDArray[np.bool_] | None, NDArray[np.uint8] | None]:
+    """Read the mask and the image of a frame that the evidence needs."""
+    if files.mask is None:
+        return None, read_frame_image(files, camera).image
+    data = read_frame(files, camera, blank=True)
+    return data.mask, None if evidence == "masks" else data.image
 
 
 def _memory(instrument: str, folder: Path, steps: int) -> dict[str, Any]:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_video import SessionVideo
 
 VIDEO = Group.create_ordered("Video")
-SESSION_VIDEO = "video.mp4"
 _IMPORTED = "session"
 _TOLERANCE = 0.05  # s, as of import
 
@@ -75,6 +74,7 @@ class Source:
         InputError
             There is nothing at the path, or it is neither.
         """
+        from dvrk_cmaes.frames.session_video import own_video
         from dvrk_cmaes.frames.video_file import SUFFIXES
         from dvrk_cmaes.recording.bag import SUFFIXES as BAGS
 
@@ -84,9 +84,8 @@ class Source:
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
             raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
-        video = path / SESSION_VIDEO
         needed = evidence in ("images", "both") or not (path / "masks").is_dir()
-        return Source(path, video if needed and video.exists() and not (path / "images").is_dir() else None)
+        return Source(path, own_video(path) if needed else None)
 
     def read(
         self,

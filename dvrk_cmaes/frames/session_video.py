@@ -13,7 +13,14 @@ from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.video_file import Layout, Video, VideoFrame
 from dvrk_cmaes.joints.rows import JointFile
 
+_NAME = "video.mp4"
 _DIGITS = 6  # of the name of a frame that is only numbered
+
+
+def own_video(folder: Path) -> Path | None:
+    """Return the video of a session folder; None if it has none, or a folder of images."""
+    path = folder / _NAME
+    return path if path.exists() and not (folder / "images").is_dir() else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,10 @@ class OutlineEvidence(Protocol):
         """Return the farthest distances, px, at which edges are looked for after each drawing of the outline."""
         ...
 
+    def wider(self) -> OutlineEvidence:
+        """Return the evidence for a search around the prediction, which may look for edges farther away."""
+        ...
+
     def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
         """Measure how far the points of a rim, now at ``pixels`` (N, 2), lie outside the image's edge.
 
@@ -77,6 +81,10 @@ class MaskEvidence:
     def reaches(self, config: TrackConfig) -> tuple[float, ...]:
         """Return the same distance for all drawings."""
         return (config.reach_px,) * config.draws
+
+    def wider(self) -> OutlineEvidence:
+        """Return the same evidence: where edges are is known everywhere."""
+        return self
 
     def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
         """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the mask."""
@@ -127,6 +135,10 @@ class BothEvidence:
     def reaches(self, config: TrackConfig) -> tuple[float, ...]:
         """Return the distances of the other evidence."""
         return self._other.reaches(config)
+
+    def wider(self) -> OutlineEvidence:
+        """Return both with the other evidence's wider one."""
+        return BothEvidence(self._mask, self._other.wider())
 
     def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
         """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the edges."""

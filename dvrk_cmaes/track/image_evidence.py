@@ -7,6 +7,7 @@ the line's own colours on both sides.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -28,6 +29,8 @@ PARTS: Final = 2
 """Parts of the instrument whose colours are learned apart: the shaft, and what follows it."""
 
 _REACHES = (1.0, 0.5)  # of the farthest distance, after each drawing
+_WIDER = (4.0, 4.0, 2.0, 2.0)  # the same before these, in a search around the prediction
+_STEPS = 12.0  # pixels of the image as it is sampled, farthest distance; beyond it the image is reduced
 _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
 _LEAST_ROOM = 3.0  # px within the instrument and beside it
 _LEAST_ODDS = 0.4  # mean log-odds of the pixels on either side of an edge
@@ -45,27 +48,73 @@ def _parts_of(rim: Rim) -> NDArray[np.intp]:
     return np.minimum(rim.link, PARTS - 1)
 
 
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """An image (h, w, 3) at a reduced size, and its pixels that have a say (h, w), None for all."""
+
+    image: NDArray[np.uint8]
+    seen: Bool | None
+
+    @staticmethod
+    def of(image: NDArray[np.uint8], ignore: Bool | None, scale: int) -> _Level:
+        """Reduce an image by a scale."""
+        if scale == 1:
+            return _Level(image, None if ignore is None else ~ignore)
+        size = (image.shape[1] // scale, image.shape[0] // scale)
+        small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        if ignore is None:
+            return _Level(small, None)
+        there = cv2.resize(ignore.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        return _Level(small, there == 0)
+
+
 class ImageEvidence:
     """The colours of an image (H, W, 3), BGR, given a model of colours; ``ignore`` (H, W) are pixels without a say."""
 
-    def __init__(self, image: NDArray[np.uint8], model: ColourModel, ignore: Bool | None = None) -> None:
+    def __init__(
+        self, image: NDArray[np.uint8], model: ColourModel, ignore: Bool | None = None, *, wide: bool = False
+    ) -> None:
         self._image = np.ascontiguousarray(image)
         self._model = model
-        self._seen = None if ignore is None else ~ignore
+        self._ignore = ignore
+        self._wide = wide
+        self._levels: dict[int, _Level] = {}
 
     def reaches(self, config: TrackConfig) -> tuple[float, ...]:
         """Return ever smaller distances."""
-        return tuple(share * config.reach_px for share in _REACHES)
+        shares = (*_WIDER, *_REACHES) if self._wide else _REACHES
+        return tuple(share * config.reach_px for share in shares)
+
+    def wider(self) -> ImageEvidence:
+        """Return the evidence that begins with edges far away, in the image reduced to a quarter, then to a half."""
+        return ImageEvidence(self._image, self._model, self._ignore, wide=True)
+
+    def _level(self, scale: int) -> _Level:
+        """Return the image reduced by a scale."""
+        if scale not in self._levels:
+            self._levels[scale] = _Level.of(self._image, self._ignore, scale)
+        return self._levels[scale]
 
     def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
         """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the edge."""
-        count = int(np.ceil(reach))
-        odds, _ = self._odds(pixels, rim, np.arange(-count - MOST_ROOM, count + MOST_ROOM + 1, dtype=np.float32))
+        scale = 1
+        while reach > _STEPS * scale:
+            scale *= 2
+        if scale == 1:
+            return self._measured(pixels, rim, reach, scale)
+        found = self._measured((pixels + 0.5) / scale - 0.5, rim, reach / scale, scale)
+        return EdgeDistances(found.distance * scale, found.found, found.variance * scale**2)
+
+    def _measured(self, pixels: Float64, rim: Rim, reach: float, scale: int) -> EdgeDistances:
+        """Measure the distances in the image reduced by a scale, in its pixels."""
+        count, room, level = int(np.ceil(reach)), rim.room.at_scale(scale), self._level(scale)
+        along = np.arange(-count - MOST_ROOM, count + MOST_ROOM + 1, dtype=np.float32)
+        odds, _ = self._odds(level, pixels, rim, along)
         total = np.zeros((len(pixels), odds.shape[1] + 1), np.float32)
         np.cumsum(odds, axis=1, out=total[:, 1:])
         # an edge at place k lies between samples k - 1 and k
         rows, place = np.arange(len(pixels))[:, None], np.arange(MOST_ROOM, MOST_ROOM + 2 * count + 1)
-        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in (rim.room.inside, rim.room.outside))
+        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in (room.inside, room.outside))
         at_edge = total[:, MOST_ROOM : MOST_ROOM + 2 * count + 1]
         within = at_edge - total[rows, place - inside]
         beside = total[rows, place + outside] - at_edge
@@ -81,48 +130,49 @@ class ImageEvidence:
         )
         told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_ROOM)
         found = told[:, 0] & (variance < _LARGEST_STD**2)
-        mean, fine = self._refined(pixels, rim.normals, mean)
+        mean, fine = _refined(level.image, pixels, rim.normals, mean)
         variance = np.where(fine, _FINE_STD**2, variance + _COARSE_STD**2)
         return EdgeDistances(np.where(found, -mean, 0.0).astype(np.float64), found, variance.astype(np.float64))
 
     def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
         """Return the share of the outline beside which there are the instrument's colours."""
         along = np.arange(_BESIDE, MOST_ROOM + 1, dtype=np.float32)
-        odds, valid = self._odds(pixels, rim, along)
+        odds, valid = self._odds(self._level(1), pixels, rim, along)
         valid &= along <= rim.room.outside[:, None] - 1
         count = valid.sum(axis=1)
         told = count >= _LEAST_ROOM
         like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
         return float(rim.lengths[like].sum() / rim.lengths[told].sum()) if told.any() else 1.0
 
-    def _odds(self, pixels: Float64, rim: Rim, along: Float32) -> tuple[Float32, Bool]:
+    def _odds(self, level: _Level, pixels: Float64, rim: Rim, along: Float32) -> tuple[Float32, Bool]:
         """Return the log-odds of instrument (N, K) at distances along lines, and where there are any, (N, K)."""
-        colours, valid = pixels_along(self._image, pixels, rim.normals, along, self._seen)
+        colours, valid = pixels_along(level.image, pixels, rim.normals, along, level.seen)
         bins = bins_of(colours)
         bins += (_parts_of(rim) * self._model.bins).astype(np.int32)[:, None]
         odds = self._model.log_odds.ravel().take(bins)
         odds *= valid
         return odds, valid
 
-    def _refined(self, pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
-        """Find the exact places of edges (N,) on lines, and whether that is possible, (N,).
 
-        The colour of a pixel at the edge is mixed of those on both sides in proportion to its parts.
-        """
-        at, direction = pixels.astype(np.float32), normals.astype(np.float32)
-        along = np.arange(-_WINDOW - 1, _WINDOW + 2, dtype=np.float32)
-        fine = np.ones(len(place), np.bool_)
-        for _ in range(_REFINEMENTS):
-            u, v = (at[:, k, None] + direction[:, k, None] * (place[:, None] + along) for k in (0, 1))
-            values = cv2.remap(self._image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-            outer = values[:, -1]
-            change = values[:, 0] - outer
-            contrast = np.einsum("nc,nc->n", change, change)
-            share = np.einsum("nkc,nc->nk", values[:, 1:-1] - outer[:, None], change)
-            share = np.clip(share / np.maximum(contrast, 1.0)[:, None], 0.0, 1.0)
-            fine &= contrast > _LEAST_CONTRAST**2
-            place = np.where(fine, place + share.sum(axis=1) - (_WINDOW + 0.5), place)
-        return place, fine
+def _refined(image: NDArray[np.uint8], pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
+    """Find the exact places of edges (N,) on lines in an image, and whether that is possible, (N,).
+
+    The colour of a pixel at the edge is mixed of those on both sides in proportion to its parts.
+    """
+    at, direction = pixels.astype(np.float32), normals.astype(np.float32)
+    along = np.arange(-_WINDOW - 1, _WINDOW + 2, dtype=np.float32)
+    fine = np.ones(len(place), np.bool_)
+    for _ in range(_REFINEMENTS):
+        u, v = (at[:, k, None] + direction[:, k, None] * (place[:, None] + along) for k in (0, 1))
+        values = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+        outer = values[:, -1]
+        change = values[:, 0] - outer
+        contrast = np.einsum("nc,nc->n", change, change)
+        share = np.einsum("nkc,nc->nk", values[:, 1:-1] - outer[:, None], change)
+        share = np.clip(share / np.maximum(contrast, 1.0)[:, None], 0.0, 1.0)
+        fine &= contrast > _LEAST_CONTRAST**2
+        place = np.where(fine, place + share.sum(axis=1) - (_WINDOW + 0.5), place)
+    return place, fine
 
 
 def learned(image: NDArray[np.uint8], pixels: Float64, rim: Rim, ignore: Bool | None = None) -> ColourModel:

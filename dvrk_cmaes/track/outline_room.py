@@ -12,7 +12,9 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 MOST_ROOM: Final = 10
-"""Longest piece, px, of a line on either side of the outline that is looked at."""
+"""Longest piece of a line on either side of the outline that is looked at, in pixels of the image as it is sampled."""
+
+_LARGEST_SCALE = 4  # of an image that is sampled at a reduced size
 
 _BESIDE = 2.0  # px, farthest distance from a line of a point at which the outline crosses it
 _OPPOSED = -0.2  # cosine between normals, below which a point lies on another side of the instrument
@@ -21,7 +23,7 @@ _NEXT = 1.0  # px along the line, within which a point is the same crossing
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Lengths (N,), px, of N lines within the silhouette and beside it, at most `MOST_ROOM`."""
+    """Lengths (N,), px, of N lines within the silhouette and beside it, as far as they are looked at."""
 
     inside: Float32
     outside: Float32
@@ -35,8 +37,12 @@ class Room:
         across = tangents @ at.T - np.einsum("nd,nd->n", tangents, at)[:, None]
         row, column = np.nonzero((np.abs(across) < _BESIDE) & (outwards @ outwards.T < _OPPOSED))
         distance = along[row, column]
-        room = np.full((2, len(at)), MOST_ROOM, np.float32)
+        room = np.full((2, len(at)), _LARGEST_SCALE * MOST_ROOM, np.float32)
         for side, away in zip(room, (-distance, distance), strict=True):
             beyond = away > _NEXT
             np.minimum.at(side, row[beyond], away[beyond])
         return Room(room[0], room[1])
+
+    def at_scale(self, scale: int) -> Room:
+        """Return the lengths in an image reduced by ``scale``, at most `MOST_ROOM`."""
+        return Room(*(np.minimum(side / np.float32(scale), MOST_ROOM) for side in (self.inside, self.outside)))

@@ -33,7 +33,7 @@ _DOUBTFUL = 0.25  # part of an image without support that one with doubtful supp
 _OUT_OF_VIEW = 0.1  # the same of an image in which the instrument is not expected to be seen
 _SEARCH_AFTER = 2.0  # images without support before a global search
 _MOST_WAIT = 32.0  # images between global searches
-_CERTAIN = 0.85  # least such difference of a pose that was found around a wrong prediction
+_CERTAIN = {"mask": 0.85, "image": 0.6}  # least such difference of a pose that was found around a wrong prediction
 _CLEARLY = 0.1  # difference of the shares of supported outline less unexplained edges
 _HELD = (3e-3, 0.08, 0.2, 0.2)
 
@@ -65,7 +65,8 @@ def search_around(
     starts = [around]
     if np.abs(change_between(moved, pose)).max() > 1e-4 or np.abs(joints - bent).max() > 1e-3:
         starts.append(held)
-    found = [one for start in starts if (one := follower.corrected(start, evidence)) is not None]
+    wider = evidence.wider()
+    found = [one for start in starts if (one := follower.corrected(start, wider)) is not None]
     return max(found, key=lambda one: one[1].supported - one[1].unexplained, default=None)
 
 
@@ -166,6 +167,6 @@ def is_better(fit: Fit, other: Fit) -> bool:
     return fit.supported - fit.unexplained > other.supported - other.unexplained + _CLEARLY
 
 
-def is_certain(fit: Fit) -> bool:
-    """Whether a pose that was found around a wrong prediction fits so well that it is no local optimum."""
-    return fit.supported - fit.unexplained >= _CERTAIN
+def is_certain(fit: Fit, source: str) -> bool:
+    """Whether a pose that was found around a wrong prediction fits its mask or image too well for a local optimum."""
+    return fit.supported - fit.unexplained >= _CERTAIN[source]

@@ -322,7 +322,8 @@ class Tracker:
         main = fits[0]
         if main is None or not is_convincing(main[1], self._config.track):
             around = search_around(self._follower, before[0], self._hypotheses[0], evidence)
-            if around is not None and is_certain(around[1]) and (main is None or is_better(around[1], main[1])):
+            certain = around is not None and is_certain(around[1], seen.source)
+            if around is not None and certain and (main is None or is_better(around[1], main[1])):
                 main = fits[0] = around
                 self._step = None
         supported = main is not None and is_supported(main[1], self._config.track)

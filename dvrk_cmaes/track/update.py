@@ -131,7 +131,7 @@ class OutlineUpdate:
             return None
         effect = seen.jacobian @ loadings
         expected = np.einsum("nd,nd->n", effect @ covariance, effect)
-        width = c.outlier_sigmas * np.sqrt(sigma**2 + np.minimum(expected, c.reach_px**2))
+        width = c.outlier_sigmas * np.sqrt(sigma**2 + np.minimum(expected, reach**2))
         residuals = self._residuals(seen.pixels, rim, evidence, sigma, width, reach)
         weight = residuals.weight * rim.lengths / (sigma**2 * c.correlation_px * c.frame_correlation)
         information = seen.jacobian.T @ (seen.jacobian * weight[:, None])
