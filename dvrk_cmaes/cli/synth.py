@@ -110,7 +110,7 @@ def synth(
     images
         Write images as well.
     mp4
-        Write the images of --motion video as video.mp4, not as files in images/.
+        Write the images of --motion video, of one eye, as video.mp4, not as files in images/.
     overwrite
         Replace an existing synthetic session.
     camera
@@ -125,10 +125,8 @@ def synth(
         raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
     if cables is not None and motion != "video":
         raise InputError(f"--cables: expected it with --motion video only, got --motion {motion}")
-    if mp4 and (motion != "video" or not images):
-        raise InputError("--mp4: expected it with --motion video and --images only")
-    if stereo and motion == "video":
-        raise InputError("--stereo: expected --motion rcm or free with it, got --motion video")
+    if mp4 and (motion != "video" or not images or stereo):
+        raise InputError("--mp4: expected it with --motion video, --images and one eye only")
     if not _BASELINES[0] <= baseline <= _BASELINES[1]:
         raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
     if arms > 1 and (stereo or motion != "rcm"):

@@ -25,6 +25,7 @@ from dvrk_cmaes.synth.views import NOTHING, pixel_rays, trace_rays
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
+_TISSUE_DEPTH: Final = 0.16  # m
 _BREATH: Final = 3.7  # s, period of the breathing
 _PULSE: Final = 0.85  # s
 _PULSE_SHARE: Final = 0.25  # of the motion
@@ -79,13 +80,23 @@ class RecordingImages:
         Seeds of the random numbers.
     interval
         Time between two frames, s.
+    baseline
+        How far the camera is to the right of the one that sees the same tissue with a baseline of 0, m.
     """
 
     def __init__(
-        self, camera: Camera, truths: Sequence[Truth], level: ImageLevel, seed: Sequence[int], interval: float
+        self,
+        camera: Camera,
+        truths: Sequence[Truth],
+        level: ImageLevel,
+        seed: Sequence[int],
+        interval: float,
+        baseline: float = 0.0,
     ) -> None:
         self._camera, self._truths, self._level = camera, truths, level
         self._seed, self._interval = tuple(seed), interval
+        self._noise = int(baseline > 0)  # each camera has its own
+        self._shift = camera.fx * baseline / _TISSUE_DEPTH
         self._scale = camera.width / 640
         self._rays = pixel_rays(camera)
         self._light = vignette(camera)[..., None]
@@ -113,7 +124,7 @@ class RecordingImages:
             Direction in the image, rad, of the shadow that a segmenter takes for the instrument.
         """
         truth, time = self._truths[number], number * self._interval
-        rng = np.random.default_rng([*self._seed, 1, number])
+        rng = np.random.default_rng([*self._seed, 1, number, self._noise])
         image = self._moved_tissue(time)
         image *= 1 - self._level.shadow * self._shadow(coverage, shadow)[..., None]
         if coverage.any():
@@ -135,7 +146,7 @@ class RecordingImages:
     def _moved_tissue(self, time: float) -> Float32:
         """Return the tissue behind the instrument at a time, s, (H, W, 3)."""
         height, width = self._camera.height, self._camera.width
-        if not self._level.motion:
+        if not self._level.motion and not self._shift:
             m = self._margin
             return self._tissue[m : m + height, m : m + width].copy()
         v, u = np.mgrid[: height + _NODES : _NODES, : width + _NODES : _NODES].astype(np.float32)
@@ -145,9 +156,9 @@ class RecordingImages:
         size = self._level.motion * self._scale
         shift_u = size * (0.6 * np.sin(breath[0]) + pulse + 0.4 * np.sin(along_u * u + breath[1]))
         shift_v = size * (0.6 * np.sin(breath[1]) + 0.4 * np.sin(along_v * v + breath[0]))
-        nodes = np.dstack([u + shift_u, v + shift_v]).astype(np.float32) + np.float32(self._margin)
+        nodes = np.dstack([u + shift_u + self._shift, v + shift_v]).astype(np.float32) + np.float32(self._margin - 0.5)
         fine = cv2.resize(nodes, None, fx=_NODES, fy=_NODES, interpolation=cv2.INTER_LINEAR)
-        offset = (_NODES - 1) // 2 + 1  # a resized grid begins half a cell before its first node
+        offset = _NODES // 2  # the first node of a resized grid lies half a pixel before
         places = fine[offset : offset + height, offset : offset + width]
         across, down = np.ascontiguousarray(places[..., 0]), np.ascontiguousarray(places[..., 1])
         moved = cv2.remap(self._tissue, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)

@@ -15,6 +15,7 @@ from dvrk_cmaes.synth.truth import Truth
 _SHAFT_PASSES: Final = (0.3, 0.42)  # shares of the recording between which another shaft passes
 _TISSUE_COVERS: Final = (0.78, 0.86)  # between which tissue covers the tips
 _SHAFT_WIDTH: Final = 0.044  # of the image's width, half that of the other shaft
+_SHAFT_DEPTH: Final = 0.06  # m
 _TISSUE: Final = 34.0  # px at 640 x 480, radius
 
 
@@ -26,12 +27,19 @@ class Occluder:
     region: NDArray[np.bool_]
 
 
-def passing_occluder(camera: Camera, truth: Truth, share: float, rng: np.random.Generator) -> Occluder | None:
-    """Draw what passes before the instrument at a share of the recording, 0 to 1; None if nothing does."""
+def passing_occluder(
+    camera: Camera, truth: Truth, share: float, rng: np.random.Generator, baseline: float = 0.0
+) -> Occluder | None:
+    """Draw what passes before the instrument at a share of the recording, 0 to 1; None if nothing does.
+
+    ``baseline`` m is how far the camera is to the right of the first one, from which the other shaft appears farther to
+    the left.
+    """
     shape = (camera.height, camera.width)
     begin, end = _SHAFT_PASSES
     if begin < share < end:
         v, u = np.mgrid[: shape[0], : shape[1]]
+        u = u + camera.fx * baseline / _SHAFT_DEPTH
         along = (u - shape[1] / 2) * np.cos(0.5) + (v - shape[0] / 2) * np.sin(0.5)
         place = ((share - begin) / (end - begin) - 0.5) * 1.4 * shape[1]
         return Occluder("shaft", np.asarray(np.abs(along - place) < _SHAFT_WIDTH * shape[1]))

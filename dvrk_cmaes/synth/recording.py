@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -62,12 +62,16 @@ class RecordedFrame:
     shadow: float | None
 
 
-def recorded_frames(plan: SessionPlan, truths: list[Truth], rng: np.random.Generator) -> Iterator[RecordedFrame]:
-    """Yield the frames of a recording with given true poses."""
+def recorded_frames(
+    plan: SessionPlan, truths: list[Truth], rng: np.random.Generator, baseline: float = 0.0
+) -> Iterator[RecordedFrame]:
+    """Yield the frames of a recording with given true poses in a camera, ``baseline`` m to the right of the first."""
     level, scale = MOTION_LEVELS[plan.level.name], plan.camera.width / 640
     shadow: float | None = None
     for k, truth in enumerate(truths):
-        occluder = passing_occluder(plan.camera, truth, k / len(truths), rng) if level.occluders else None
+        occluder: Occluder | None = None
+        if level.occluders:
+            occluder = passing_occluder(plan.camera, truth, k / len(truths), rng, baseline)
         hidden = None if occluder is None else occluder.region
         coverage = exact_coverage(plan.body, plan.camera, truth)
         mask = np.asarray(coverage > 0.5)
@@ -86,7 +90,8 @@ def recorded_frames(plan: SessionPlan, truths: list[Truth], rng: np.random.Gener
 def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none", overwrite: bool = False) -> None:
     """Make a recording and write it to the folder ``out``, completely or, after an error, not at all.
 
-    ``pictures`` says whether images are drawn, and written as ``images/FRAME.jpg`` or as one ``video.mp4``.
+    ``pictures`` says whether images are drawn, and written as ``images/FRAME.jpg`` or, of one view, as ``video.mp4``.
+    The truth is in the left camera, whose masks and images are those of a recording of one view.
 
     Raises
     ------
@@ -108,11 +113,12 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
         digits = max(4, len(str(plan.frames - 1)))
         columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
         rows, golden = [",".join(["frame", "time", *columns])], {}
-        with _picture_writer(folder, plan, truths, pictures) as draw:
-            for k, frame in enumerate(recorded_frames(plan, truths, rng)):
+        with ExitStack() as opened:
+            views = [opened.enter_context(_view(folder, plan, truths, pictures, rng))]
+            if plan.baseline is not None:
+                views.append(opened.enter_context(_right_view(folder, plan, truths, pictures)))
+            for k, (frame, *_) in enumerate(zip(*views, strict=True)):
                 name = f"{k:0{digits}d}"
-                write_image(folder / "masks" / f"{name}.png", frame.mask)
-                draw(k, name, frame)
                 cells = [f"{readings[joint][k]:.6f}" for joint in columns]
                 rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
                 truth = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
@@ -126,29 +132,51 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
 
 
 @contextmanager
-def _picture_writer(
-    folder: Path, plan: SessionPlan, truths: list[Truth], pictures: Pictures
-) -> Iterator[Callable[[int, str, RecordedFrame], None]]:
-    """Give a function that draws and writes the image of a frame, from its number, its name, and the frame."""
-    if pictures == "none":
-        yield lambda number, name, frame: None
-        return
+def _view(
+    folder: Path,
+    plan: SessionPlan,
+    truths: list[Truth],
+    pictures: Pictures,
+    rng: np.random.Generator,
+    baseline: float = 0.0,
+) -> Iterator[Iterator[RecordedFrame]]:
+    """Give the frames of a view with given true poses in its camera; mask and image of each are written as it is made.
+
+    The view is the right one if it has a ``baseline``, m.
+    """
     level = IMAGE_LEVELS[plan.level.name]
     seed = (plan.seed, list(LEVELS).index(plan.level.name), 5)
-    images = RecordingImages(plan.camera, truths, level, seed, 1 / FRAMES_A_SECOND)
+    images = None
+    if pictures != "none":
+        images = RecordingImages(plan.camera, truths, level, seed, 1 / FRAMES_A_SECOND, baseline)
+    part = "" if plan.baseline is None else "right" if baseline else "left"
+    digits = max(4, len(str(plan.frames - 1)))
     size = (plan.camera.width, plan.camera.height)
     with whole_video(folder / VIDEO, size, FRAMES_A_SECOND) if pictures == "video" else nullcontext() as video:
 
-        def write(number: int, name: str, frame: RecordedFrame) -> None:
-            path = folder / "images" / f"{name}.jpg"
-            image = images.draw(number, frame.coverage, frame.occluder, frame.shadow)
-            if video is None:
-                write_image(path, image, quality=level.quality)
-            else:
-                encoded = np.frombuffer(encoded_image(path, image, quality=level.quality), np.uint8)
-                video.write(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+        def written() -> Iterator[RecordedFrame]:
+            for number, frame in enumerate(recorded_frames(plan, truths, rng, baseline)):
+                write_image(folder / "masks" / part / f"{number:0{digits}d}.png", frame.mask)
+                if images is not None:
+                    path = folder / "images" / part / f"{number:0{digits}d}.jpg"
+                    image = images.draw(number, frame.coverage, frame.occluder, frame.shadow)
+                    if video is None:
+                        write_image(path, image, quality=level.quality)
+                    else:
+                        encoded = np.frombuffer(encoded_image(path, image, quality=level.quality), np.uint8)
+                        video.write(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+                yield frame
 
-        yield write
+        yield written()
+
+
+def _right_view(
+    folder: Path, plan: SessionPlan, truths: list[Truth], pictures: Pictures
+) -> AbstractContextManager[Iterator[RecordedFrame]]:
+    """Give the frames of the right eye, with mistakes of their own, as `_view` does."""
+    seen = [replace(truth, camera_from_root=plan.right_from_left @ truth.camera_from_root) for truth in truths]
+    rng = np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), 4])
+    return _view(folder, plan, seen, pictures, rng, plan.baseline or 0.0)
 
 
 def _with_shadow(camera: Camera, truth: Truth, mask: Bool, direction: float, scale: float) -> Bool:

@@ -12,12 +12,14 @@ import pytest
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes.cli import main
+from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.frames.view_frames import read_views
+from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS, moving_arm
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, ImageLevel, RecordingImages
-from dvrk_cmaes.synth.passing import Occluder
+from dvrk_cmaes.synth.passing import Occluder, passing_occluder
 from dvrk_cmaes.synth.recording import Pictures, write_recording
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
@@ -165,4 +167,64 @@ def test_command_writes_images_files_or_a_video(tmp_path: Path, capsys: pytest.C
     first = cv2.imread(str(tmp_path / "files" / "images" / "0000.jpg"))
     assert np.abs(seen[0][1].astype(int) - first).mean() < 8
     assert main(["synth", str(tmp_path / "not"), "--mp4"]) == 2
-    assert "--mp4: expected it with --motion video and --images only" in capsys.readouterr().err
+    assert "--mp4: expected it with --motion video, --images and one eye only" in capsys.readouterr().err
+
+
+# two eyes
+
+
+@pytest.fixture(scope="module")
+def stereo(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of two eyes in which another shaft passes."""
+    folder = tmp_path_factory.mktemp("stereo") / "recording"
+    plan = SessionPlan(bundled_body, SMALL, LEVELS["medium"], "video", FRAMES, 1, {}, baseline=0.0053)
+    write_recording(folder, plan, pictures="files")
+    return folder
+
+
+def test_left_eye_is_that_of_a_recording_of_one_view(bundled_body: Body, stereo: Path, tmp_path: Path) -> None:
+    one = written(bundled_body, tmp_path / "one", "files", "medium")
+    for part in ("masks", "images"):
+        assert contents(stereo / part, "left") == contents(one, part)
+    assert (stereo / "golden.json").read_bytes() == (one / "golden.json").read_bytes()
+
+
+def test_masks_of_both_eyes_show_the_true_pose(bundled_body: Body, stereo: Path) -> None:
+    session = read_session(stereo)
+    assert session.rig is not None
+    for files in session.frames:
+        truth = session.truth.frames[files.name]
+        joints = np.array([[truth.joints[name] for name in bundled_body.instrument.joint_names]])
+        data = read_views(files, session.rig)
+        assert isinstance(data, FrameData)
+        for view, mask in zip(session.rig.views, (data.mask, data.others["right"].mask), strict=True):
+            pose = view.view_from_camera @ truth.camera_from_root
+            drawn = Renderer(bundled_body, view.camera).masks(pose[None], joints)[0]
+            assert (drawn & mask).sum() > 0.85 * mask.sum()
+
+
+def test_farther_things_are_shifted_less_from_eye_to_eye(truths: list[Truth]) -> None:
+    left, right = (
+        RecordingImages(SMALL, truths, STILL, (1,), 1 / 30, baseline).draw(0, nothing(), None, None)
+        for baseline in (0.0, 0.0053)
+    )
+    rows = slice(60, 180)  # the light is that of each eye, so places are found by correlation
+    part = np.ascontiguousarray(left[rows, 120:240])
+    found = cv2.minMaxLoc(cv2.matchTemplate(np.ascontiguousarray(right[rows]), part, cv2.TM_CCOEFF_NORMED))
+    assert found[1] > 0.9
+    assert 120 - found[3][0] == pytest.approx(SMALL.fx * 0.0053 / 0.16, abs=1)
+    shaft = [passing_occluder(SMALL, truths[0], 0.36, np.random.default_rng(0), baseline) for baseline in (0.0, 0.0053)]
+    assert None not in shaft
+    middles = [np.nonzero(each.region[120])[0].mean() for each in shaft if each is not None]
+    assert middles[0] - middles[1] == pytest.approx(SMALL.fx * 0.0053 / 0.06, abs=1)
+
+
+def test_command_writes_both_eyes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["--motion", "video", "--level", "clean", "--frames", "2", "--stereo"]
+    assert main(["synth", str(tmp_path / "made"), *line]) == 0
+    for part, suffix in (("masks", "png"), ("images", "jpg")):
+        for eye in ("left", "right"):
+            assert sorted(contents(tmp_path / "made" / part, eye)) == [f"000{k}.{suffix}" for k in (0, 1)]
+    assert (tmp_path / "made" / "right.yaml").is_file()
+    assert main(["synth", str(tmp_path / "not"), *line, "--mp4"]) == 2
+    assert "one eye only" in capsys.readouterr().err
