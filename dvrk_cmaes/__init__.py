@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.estimation import estimate
     from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
     from dvrk_cmaes.frames.session_folder import Session, read_session
+    from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.instrument import Instrument, load_instrument
     from dvrk_cmaes.instrument.model import JawTip, Link, Shaft
     from dvrk_cmaes.joints.lag import Lag
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.results.links import LinkModel
     from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result, ViewCheck
     from dvrk_cmaes.results.tracked import TrackResult
+    from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
@@ -54,13 +56,14 @@ _HOMES = {
     "FoundLag": "track.lag",
     "FrameData": "frames.frame",
     "FrameFiles": "frames.frame",
+    "Hints": "segment.segmentation",
     "InputError": "errors",
     "Instrument": "instrument",
     "JawTip": "instrument.model",
     "Lag": "joints.lag",
     "LagCurve": "calibration.lag",
-    "Link": "instrument.model",
     "LeaveOneOutPrediction": "calibration.frame_task",
+    "Link": "instrument.model",
     "LinkModel": "results.links",
     "LookAtRange": "config",
     "LossWeights": "config",
@@ -72,14 +75,15 @@ _HOMES = {
     "Renderer": "silhouette",
     "Result": "results.result",
     "ResultsFolder": "results.folder",
+    "Rig": "camera",
     "SearchConfig": "config",
     "Session": "frames.session_folder",
-    "Rig": "camera",
     "SessionCables": "calibration.session_cables",
     "SessionCalibration": "calibration",
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration",
+    "SessionVideo": "frames.session_video",
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
     "SolvedSession": "calibration",
@@ -109,6 +113,7 @@ __all__ = [
     "FoundLag",
     "FrameData",
     "FrameFiles",
+    "Hints",
     "InputError",
     "Instrument",
     "JawTip",
@@ -135,6 +140,7 @@ __all__ = [
     "SessionCamera",
     "SessionConfig",
     "SessionFrame",
+    "SessionVideo",
     "Shaft",
     "SilhouetteConfig",
     "SolvedSession",
