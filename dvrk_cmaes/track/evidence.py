@@ -32,11 +32,19 @@ class EdgeDistances:
     variance: Float64
 
 
+@dataclass(frozen=True)
+class Pass:
+    """What is done after one drawing of the outline: ``steps`` of the correction, by edges within ``reach`` px."""
+
+    reach: float
+    steps: int
+
+
 class OutlineEvidence(Protocol):
     """What one image says about where the outline lies: the edges of a mask, or the colours of the image."""
 
-    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
-        """Return the farthest distances, px, at which edges are looked for after each drawing of the outline."""
+    def passes(self, config: TrackConfig) -> tuple[Pass, ...]:
+        """Return what is done after each drawing of the outline."""
         ...
 
     def wider(self) -> OutlineEvidence:
@@ -78,9 +86,9 @@ class MaskEvidence:
             self._valid = np.asarray(dilated[window] == 0, np.uint8)
         self._blurred = cv2.GaussianBlur(self._mask * np.uint8(255), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
 
-    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
-        """Return the same distance for all drawings."""
-        return (config.reach_px,) * config.draws
+    def passes(self, config: TrackConfig) -> tuple[Pass, ...]:
+        """Return the same for all drawings."""
+        return (Pass(config.reach_px, config.steps),) * config.draws
 
     def wider(self) -> OutlineEvidence:
         """Return the same evidence: where edges are is known everywhere."""
@@ -132,9 +140,9 @@ class BothEvidence:
         self._mask = mask
         self._other = other
 
-    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
-        """Return the distances of the other evidence."""
-        return self._other.reaches(config)
+    def passes(self, config: TrackConfig) -> tuple[Pass, ...]:
+        """Return the passes of the other evidence."""
+        return self._other.passes(config)
 
     def wider(self) -> OutlineEvidence:
         """Return both with the other evidence's wider one."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
-from dvrk_cmaes.track.evidence import EdgeDistances
+from dvrk_cmaes.track.evidence import EdgeDistances, Pass
 from dvrk_cmaes.track.image_lines import pixels_along
 from dvrk_cmaes.track.outline_model import Rim
 from dvrk_cmaes.track.outline_room import MOST_ROOM
@@ -28,17 +28,17 @@ Float32 = NDArray[np.float32]
 PARTS: Final = 2
 """Parts of the instrument whose colours are learned apart: the shaft, and what follows it."""
 
-_REACHES = (1.0, 0.5)  # of the farthest distance, after each drawing
-_WIDER = (4.0, 4.0, 2.0, 2.0)  # the same before these, in a search around the prediction
-_STEPS = 12.0  # pixels of the image as it is sampled, farthest distance; beyond it the image is reduced
+_PASSES = ((1.0, 2), (0.5, 1))  # for each drawing, farthest distance as a share of the largest, and steps
+_WIDER = ((4.0, 2), (4.0, 2), (2.0, 2), (2.0, 2))  # the same before these, in a search around the prediction
+_FARTHEST = 12.0  # pixels of the image as it is sampled; to look farther, the image is reduced
 _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
 _LEAST_ROOM = 3.0  # px within the instrument and beside it
 _LEAST_ODDS = 0.4  # mean log-odds of the pixels on either side of an edge
 _LARGEST_STD = 3.0  # px
-_REFINEMENTS = 2
+_REFINEMENTS = 2  # of the exact place of an edge
 _WINDOW = 1  # px on either side of an edge within which its exact place is found
 _LEAST_CONTRAST = 24.0  # difference of the colours of the sides, for the exact place
-_FINE_STD, _COARSE_STD = 0.3, 1.0  # px
+_FINE_STD, _COARSE_STD = 0.8, 2.0  # px, of an edge's place where it is exact, and where it is not
 _BLUR = 1.2  # px from the outline, within which pixels have colours of both sides
 _BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
 
@@ -80,10 +80,10 @@ class ImageEvidence:
         self._wide = wide
         self._levels: dict[int, _Level] = {}
 
-    def reaches(self, config: TrackConfig) -> tuple[float, ...]:
-        """Return ever smaller distances."""
-        shares = (*_WIDER, *_REACHES) if self._wide else _REACHES
-        return tuple(share * config.reach_px for share in shares)
+    def passes(self, config: TrackConfig) -> tuple[Pass, ...]:
+        """Return passes with ever smaller distances."""
+        passes = (*_WIDER, *_PASSES) if self._wide else _PASSES
+        return tuple(Pass(share * config.reach_px, steps) for share, steps in passes)
 
     def wider(self) -> ImageEvidence:
         """Return the evidence that begins with edges far away, in the image reduced to a quarter, then to a half."""
@@ -98,7 +98,7 @@ class ImageEvidence:
     def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
         """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the edge."""
         scale = 1
-        while reach > _STEPS * scale:
+        while reach > _FARTHEST * scale:
             scale *= 2
         if scale == 1:
             return self._measured(pixels, rim, reach, scale)

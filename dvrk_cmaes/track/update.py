@@ -80,13 +80,14 @@ class OutlineUpdate:
         state, spread_of = prior, prior.covariance
         off: Float64 = np.zeros(prior.layout.size)
         reach = c.reach_px
-        for draw, reach in enumerate(evidence.reaches(c)):
+        for draw, each in enumerate(evidence.passes(c)):
+            reach = each.reach
             if draw:
                 drawn = self._model.draw_anew(rim, *self._motion.pose(state, anchor), _KEPT_WITHIN_IMAGE)
                 if drawn is None:
                     return None
                 rim = drawn
-            for _ in range(c.steps):
+            for _ in range(each.steps):
                 found = self._linearised(state, anchor, evidence, rim, sigma, spread_of, reach)
                 if found is None:
                     return None

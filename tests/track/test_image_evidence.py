@@ -96,9 +96,10 @@ def test_instrument_that_goes_on_beside_its_outline_is_unexplained() -> None:
 
 def test_lines_end_where_they_cross_the_outline_again() -> None:
     rim = outline(60, 66)
-    room = Room.of(rim.pixels, rim.normals)
+    room = Room.of(rim.pixels, rim.normals).at_scale(1)
     assert np.allclose(room.inside, 6)
     assert np.allclose(room.outside, MOST_ROOM)
+    assert np.allclose(rim.room.at_scale(2).inside, 3)
 
 
 def test_mask_and_image_together_are_nearer_than_the_worse_of_them() -> None:
