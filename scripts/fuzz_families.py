@@ -150,8 +150,9 @@ FAMILIES: tuple[Family, ...] = (
         "video",
         "bytes",
         "video.avi",
-        (["import", "video.avi", *_CAMERA, "--joints", "times.csv", "--out", "made"], ["inspect", "video.avi"]),
+        (["import", "video.avi", *_CAMERA, "--joints", "times.csv", "--out", "made"],),
     ),
+    Family("video, by name", "bytes", "video.avi", (["inspect", "video.avi"],), refuses=False),
     Family("options", "options", "", (_ESTIMATE, [*_BATCH, "new"], _TRACK, *_EXPORTS)),
 )
 OPTIONS = (

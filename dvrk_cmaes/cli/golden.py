@@ -24,7 +24,7 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.evaluate.pose_error import Tolerance
+    from dvrk_cmaes.evaluate.pose_error import Measured, Tolerance
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.instrument.arm import Arm
     from dvrk_cmaes.runs.golden import FrameCheck
@@ -246,6 +246,11 @@ def _tracked(items: Iterable[T], count: int) -> Iterable[T]:
     return track(items, "Estimating", total=count, console=console, disable=not console.is_terminal)
 
 
+def _error_cell(error: Measured | None) -> str:
+    """Format an error, marked if it exceeds its tolerance; a dash for a quantity that the golden pose does not have."""
+    return "- " if error is None else f"{error.error:.2f}{'!' if error.exceeds else ' '}"
+
+
 def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checked: Sequence[str]) -> Iterator[Line]:
     """Yield one line of errors for each frame, then all errors of each frame that is not within tolerance."""
     from dvrk_cmaes.evaluate.pose_check import table
@@ -256,9 +261,7 @@ def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checke
     yield Line(f"{'frame':<{width}}  {'status':<8}" + "".join(f"{name:>12}" for name in quantities), "bold")
     for one in checks:
         cells = {row.measured.quantity: row.measured for row in one.check.rows}
-        shown = "".join(
-            f"{f'{cells[name].error:.2f}' + ('!' if cells[name].exceeds else ' '):>12}" for name in quantities if cells
-        )
+        shown = "".join(f"{_error_cell(cells.get(name)):>12}" for name in quantities if cells)
         style = "" if one.check.right else STATUS_STYLES["failed"]
         yield Line(f"{one.result.frame:<{width}}  {one.result.status:<8}{shown}{one.check.no_pose}".rstrip(), style)
     for one in checks:

@@ -23,6 +23,8 @@ T = TypeVar("T")
 Float64 = NDArray[np.float64]
 
 _MAX = sys.float_info.max
+_LARGEST = 1e12  # of the numbers of an array; products of larger ones overflow
+_FARTHEST = 1000.0  # m, of the translation of a transform
 _RIGID = 1e-4  # tolerance of R R^T = 1, for files that state few digits
 _NOT_CONVERTED = (ValidationError, UnicodeEncodeError, RecursionError)  # lone surrogates, and too many levels
 _EXPECTED: Mapping[Any, str] = {
@@ -136,6 +138,10 @@ def _read_array(kind: Any, value: object) -> Float64:
         raise ValueError(f"{' rows of '.join(map(str, kind.shape))} finite numbers")
     if kind is Transform and not _is_rigid(array):
         raise ValueError("a rotation and a translation over 0 0 0 1")
+    if kind is Transform and np.abs(array[:3, 3]).max() > _FARTHEST:
+        raise ValueError(f"a translation of at most {_FARTHEST:g} m")
+    if np.abs(array).max() > _LARGEST:
+        raise ValueError(f"{' rows of '.join(map(str, kind.shape))} numbers of at most {_LARGEST:g} in magnitude")
     return array
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -224,3 +225,44 @@ def test_results_of_other_programs_need_no_seconds(tmp_path: Path, capfd: pytest
         (tmp_path / f"{number}.json").write_text(json.dumps(kept))
     assert run_command(capfd, "consistency", tmp_path).code in (0, 3)
     assert run_command(capfd, "export", tmp_path, "--to", "csv", "--out", tmp_path / "made").code == 0
+
+
+def result_with_pose(folder: Path, **changes: object) -> Path:
+    """Write a results folder of one frame with changed fields."""
+    (folder / "frames").mkdir(parents=True)
+    document = canned("0000").to_dict() | changes
+    (folder / "frames" / "0000.json").write_text(json.dumps(document))
+    return folder
+
+
+@pytest.mark.parametrize("number", [1e308, -1e308, 1e13, 1001.0])
+@pytest.mark.parametrize("command", [["consistency"], ["export", "--to", "csv", "--out", "made"], ["compare", "other"]])
+def test_results_with_far_away_poses_are_refused_in_one_line(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: list[str],
+    number: float,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    pose = canned("0000").to_dict()["camera_from_root"]
+    pose[0][3] = number
+    result_with_pose(tmp_path / "results", camera_from_root=pose)
+    result_with_pose(tmp_path / "other")
+    ran = run_command(capsys, command[0], "results", *command[1:])
+    assert ran.code == 2
+    expected = "results/frames/0000.json: camera_from_root: expected a translation of at most 1000 m, got [["
+    assert ran.refusal.startswith(expected)
+    assert not (tmp_path / "made").exists()
+
+
+def test_golden_poses_with_far_away_tips_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = Path(shutil.copytree(DEMO, tmp_path / "session"))
+    golden = json.loads((session / "golden.json").read_text())
+    golden["frames"]["0001"]["tips_camera_m"][0][2] = 1e308
+    (session / "golden.json").write_text(json.dumps(golden))
+    ran = run_command(capsys, "golden", "check", str(session))
+    assert ran.code == 2
+    assert "frame 0001: tips_camera_m[0]: expected 3 numbers of at most 1e+12 in magnitude" in ran.refusal

@@ -128,3 +128,19 @@ def test_missing_frames_are_named(kept: Path, run: Run) -> None:
     assert run("record", kept, "--golden", kept / "camera.yaml" / "golden.json").refusal.startswith(
         f"{kept / 'camera.yaml'}: expected a folder to write to, but"
     )
+
+
+def test_golden_pose_without_a_joint_is_compared_by_the_others(kept: Path, run: Run) -> None:
+    demo = bundled_path("demo")
+    shutil.copy(demo / "masks" / "0000.png", kept / "masks")
+    rows = (demo / "joints.csv").read_text().splitlines()
+    (kept / "joints.csv").write_text("\n".join(row for row in rows if row.split(",")[0] in ("frame", SURE, "0000")))
+    frames = dict(read_golden(demo / "golden.json").frames)
+    whole, part = frames[SURE], frames["0000"]
+    joints = {name: value for name, value in part.joints.items() if name != "wrist_pitch"}
+    known = {SURE: whole, "0000": FrameTruth(part.camera_from_root, joints, part.tips)}
+    write_golden(kept / "golden.json", SessionTruth(known))
+    checked = run("check", kept)
+    assert checked.code == 0, checked.err
+    (row,) = [line for line in checked.out.splitlines() if line.startswith("0000")]
+    assert row.split().count("-") >= 1

@@ -25,7 +25,7 @@ SLOW = {"URDF": 60, "camera": 120, "golden.json": 100, "options": 200}
 NAMES = (
     *("mask", "mask, JPEG", "image", "camera", "camera, OpenCV", "readings", "readings, NumPy", "settings", "URDF"),
     *("mesh, DAE", "mesh, STL", "package", "texture", "tool", "result", "result, resumed", "run.json", "summary.json"),
-    *("session.json", "golden.json", "tracks", "checkpoint", "track's run.json", "video", "options"),
+    *("session.json", "golden.json", "tracks", "checkpoint", "track's run.json", "video", "video, by name", "options"),
 )
 
 
