@@ -172,7 +172,9 @@ def _open(file: Path, threads: int) -> OnnxModel:
     check_file(file, expected="a model (ONNX)")
     try:
         with native_messages():
-            session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+            session = onnxruntime.InferenceSession(  # a second try with the same provider would print lines to stdout
+                str(file), options, providers=["CPUExecutionProvider"], enable_fallback=False
+            )
     except Exception as error:  # onnxruntime's errors have no common base class
         raise InputError(f"{file}: {_describe_load_error(file, error, onnxruntime.__version__)}") from None
     return OnnxModel(

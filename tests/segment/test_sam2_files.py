@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import random
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import onnx
 import onnx.parser
 import onnxruntime
 import pytest
+from helpers.places import SCRIPTS
 from helpers.sam2_graphs import FAMILIES, decoder, encoder, write_export
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -144,6 +146,29 @@ def test_damaged_model_is_named(tmp_path: Path, content: bytes | None) -> None:
         f"{tmp_path}: no decoder: expected encoder and decoder of one export, got first.onnx (encoder of samexporter), "
         "second.onnx: expected a model, got a file that is damaged, cut off or something else; download it again"
     )
+
+
+def test_models_with_damaged_bytes_are_refused_in_one_line_or_run(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    from fuzz_damage import damaged_bytes
+
+    write_export(tmp_path, "samexporter")
+    messages = []
+    for number in range(100):
+        chance = random.Random(number)
+        file = chance.choice(sorted(tmp_path.glob("*.onnx")))
+        whole = file.read_bytes()
+        file.write_bytes(damaged_bytes(whole, chance))
+        try:
+            Sam2(tmp_path, threads=1).segment(IMAGE, box=(0, 0, 63, 47))
+        except DvrkCmaesError as error:
+            messages.append(str(error))
+        file.write_bytes(whole)
+    assert 20 < len(messages) < 100
+    assert [message for message in messages if len(message.splitlines()) != 1] == []
+    assert capfd.readouterr() == ("", "")  # neither onnxruntime's own lines nor those of its retries
 
 
 def only(tmp_path: Path, model: onnx.ModelProto) -> str:
