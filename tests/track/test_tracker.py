@@ -201,7 +201,11 @@ def test_base_that_moved_is_found_again(world: MovingWorld, first: Result) -> No
         (lambda t, w: t.step(0.0, w.masks[0][:-1]), "mask: expected 320 x 240 pixels as the camera has"),
         (lambda t, w: t.step(0.0, w.masks[0], ignore=w.masks[0][1:]), "ignore: expected 320 x 240 pixels"),
         (lambda t, w: t.add_readings(0.0, {"elbow": 1.0}), "readings: unknown joint 'elbow'; expected one of: "),
-        (lambda t, w: t.add_readings(0.0, {"jaw": np.inf}), "readings: jaw: expected a finite number, got inf"),
+        (lambda t, w: t.add_readings(0.0, {"jaw": np.inf}), "readings: jaw: expected a finite number in rad, got inf"),
+        (
+            lambda t, w: t.add_readings(0.0, {"jaw": 1e308}),
+            "readings: jaw: expected radians (at most 2 pi), got 1e+308",
+        ),
         (lambda t, w: t.add_readings(np.inf, {}), "readings: time: expected a finite number of seconds, got inf"),
         (lambda t, w: t.smoothed(), "smoothed: expected a tracker that records"),
         (lambda t, w: t.restore({}), "checkpoint: expected the state of a tracker"),
