@@ -107,13 +107,16 @@ class Sight:
         sure = hinted or found.confidence >= GUESS
         return found.mask if found.mask.any() and sure else None
 
-    def learn(self, seen: Seen, pixels: Float64, rim: Rim) -> None:
-        """Learn the colours of an image along an outline whose points are at ``pixels`` (N, 2)."""
+    def learn(self, seen: Seen, pixels: Float64, rim: Rim, *, anew: bool) -> None:
+        """Learn the colours of an image along an outline whose points are at ``pixels`` (N, 2).
+
+        ``anew`` forgets the colours before.
+        """
         if seen.image is None:
             return
         found = learned(seen.image, pixels, rim, seen.ignore)
         share = self._config.colour_share
-        self._colours = found if self._colours is None else self._colours.mixed(found, share)
+        self._colours = found if anew or self._colours is None else self._colours.mixed(found, share)
 
     def box_of(self, rim: Rim) -> Box:
         """Return a box around an outline with a margin."""

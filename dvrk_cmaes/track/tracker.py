@@ -281,12 +281,12 @@ class Tracker:
         status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
         return replace(self._result(time, status, result.reasons), searched=True)
 
-    def _learn(self, seen: Seen) -> None:
-        """Learn the colours of an image along the outline of the best hypothesis."""
+    def _learn(self, seen: Seen, *, anew: bool = False) -> None:
+        """Learn the colours of an image along the outline of the best hypothesis; ``anew`` forgets those before."""
         outline = None if seen.image is None else self._follower.outline(self._hypotheses[0])
         if outline is not None:
             rim, pixels = outline
-            self._sight.learn(seen, pixels, rim)
+            self._sight.learn(seen, pixels, rim, anew=anew)
 
     def _begin(self, time: float, result: Result) -> None:
         """Start all modes of a single frame's result as hypotheses."""
@@ -380,6 +380,7 @@ class Tracker:
             self._step = None
         else:
             self._begin(time, result)
+            self._learn(seen, anew=True)
             reason += ", away from where the readings say: readings jumped, or the base moved"
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
 
