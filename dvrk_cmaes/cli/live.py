@@ -42,7 +42,7 @@ class LiveTopics:
         Topic of the images; sensor_msgs/CompressedImage if its name ends in /compressed, else sensor_msgs/Image.
     mask_topic
         Topic of the instrument's masks, which a segmenter publishes with the times of the images: mono8, above 127 is
-        instrument. By default masks are found in the images, which takes a good part of a second for each.
+        instrument. By default the images are followed by their colours.
     camera_topic
         Topic of the camera (sensor_msgs/CameraInfo); by default camera_info in the namespace of the images.
     joints_topic

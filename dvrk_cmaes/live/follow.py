@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from threading import Event
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.live.connection import Connection, Report
@@ -19,7 +15,6 @@ from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.overlay import LiveOverlay
-from dvrk_cmaes.segment import segment
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.tracker import Tracker
 
@@ -67,7 +62,6 @@ def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event
         inputs,
         outputs,
         report,
-        find_mask=None if setup.topics.mask else _find_mask,
         draw=LiveOverlay(setup.body, camera) if setup.overlay else None,
     )
     return loop.run(stop)
@@ -80,11 +74,3 @@ def _received(inputs: Inputs, stop: Event) -> Camera | None:
         if camera is not None:
             return camera
     return None
-
-
-def _find_mask(image: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
-    """Find the instrument in an image by the built-in segmentation; None if nothing is found."""
-    try:
-        return segment(image).mask
-    except DvrkCmaesError:
-        return None

@@ -19,7 +19,6 @@ from dvrk_cmaes.live.outputs import Outputs, StepResult
 
 Pixels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
-FindMask = Callable[[Pixels], Mask | None]
 DrawOverlay = Callable[[Pixels, StepResult], Pixels]
 
 _WAIT: Final = 0.1  # s, for an image, before silence is looked for
@@ -55,8 +54,6 @@ class LiveLoop:
         Where images and readings come from, and where results go.
     report
         Takes lines for the user.
-    find_mask
-        Finds the instrument in an image where there is no topic of masks; None to find none.
     draw
         Draws a result over its image; None to publish no overlay.
     longest_silence
@@ -70,7 +67,6 @@ class LiveLoop:
         outputs: Outputs,
         report: Report,
         *,
-        find_mask: FindMask | None = None,
         draw: DrawOverlay | None = None,
         longest_silence: float = 1.0,
     ) -> None:
@@ -79,7 +75,6 @@ class LiveLoop:
         self._inputs = inputs
         self._outputs = outputs
         self._report = report
-        self._find_mask = find_mask
         self._draw = draw
         self._longest_silence = longest_silence
 
@@ -108,8 +103,6 @@ class LiveLoop:
                 self._report(str(error))
         mask = frame.mask()
         pixels = frame.pixels(grey=mask is not None and self._draw is None)  # its colours are needed by nobody then
-        if mask is None and pixels is not None and self._find_mask is not None:
-            mask = self._find_mask(pixels)
         result = self._tracker.step(frame.time / NANOSECONDS, mask=mask, image=pixels)
         self.counts.followed += 1
         overlay = None if self._draw is None or pixels is None else self._draw(pixels, result)

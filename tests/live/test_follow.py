@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,8 @@ def camera_info() -> dict[str, Any]:
     }
 
 
-def send_frame(server: RosbridgeServer, k: int) -> None:
-    """Send a frame of the demo with its image, mask and readings, at the k-th time."""
+def send_frame(server: RosbridgeServer, k: int, *, masked: bool = True) -> None:
+    """Send a frame of the demo with its image, its mask if ``masked``, and its readings, at the k-th time."""
     files = read_session(DEMO).frames[1]
     assert files.image is not None
     assert files.mask is not None
@@ -58,24 +59,27 @@ def send_frame(server: RosbridgeServer, k: int) -> None:
     pixels = cv2.imread(str(files.image))
     size = {"width": pixels.shape[1], "height": pixels.shape[0], "step": 3 * pixels.shape[1], "encoding": "bgr8"}
     server.send("/left/image", {"header": header(k), **size, "data": base64.b64encode(pixels.tobytes()).decode()})
-    mask = base64.b64encode(Path(files.mask).read_bytes()).decode()
-    server.send("/left/mask/compressed", {"header": header(k), "format": "png", "data": mask})
+    if masked:
+        mask = base64.b64encode(Path(files.mask).read_bytes()).decode()
+        server.send("/left/mask/compressed", {"header": header(k), "format": "png", "data": mask})
 
 
-def test_pose_of_known_frame_is_published() -> None:
+@pytest.mark.parametrize("masked", [True, False], ids=["by masks", "by images"])
+def test_pose_of_known_frame_is_published(masked: bool) -> None:
     server, lines = RosbridgeServer(), list[str]()
     server.start()
     connection = RosbridgeConnection("127.0.0.1", server.port, lines.append)
     assert connection.open(20)
     stop = threading.Event()
-    setup = LiveSetup(TOPICS, FrameNames(), prepare("lnd"), lag=0.0, overlay=True)
+    topics = TOPICS if masked else replace(TOPICS, mask=None)
+    setup = LiveSetup(topics, FrameNames(), prepare("lnd"), lag=0.0, overlay=True)
     thread = threading.Thread(target=follow, args=(setup, connection, lines.append, stop), daemon=True)
     thread.start()
-    wait_for(lambda: len(server.subscribed) == 4, 30)
+    wait_for(lambda: len(server.subscribed) == (4 if masked else 3), 30)
     server.send("/left/camera_info", camera_info())
     wait_for(lambda: any(line.startswith("camera: 640 x 480 px") for line in lines), 30)
     for k in range(1, 3):
-        send_frame(server, k)
+        send_frame(server, k, masked=masked)
         wait_for(lambda k=k: len(server.received.get(OVERLAY, [])) == k, 60)  # type: ignore[misc]
     stop.set()
     thread.join(30)

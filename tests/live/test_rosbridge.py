@@ -99,7 +99,6 @@ def live() -> Iterator[Live]:
         inputs,
         outputs,
         lines.append,
-        find_mask=lambda image: image[:, :, 0] > 127,
         draw=lambda image, _: image,
         longest_silence=0.5,
     )
@@ -164,12 +163,12 @@ def test_topics_are_subscribed_and_advertised_with_types(live: Live) -> None:
     }
 
 
-def test_tracker_gets_image_mask_and_readings(live: Live) -> None:
+def test_tracker_gets_image_and_readings(live: Live) -> None:
     follow(live, BEGIN, number=3)
     ((time, mask, seen),) = live.tracker.steps
     assert time == pytest.approx(BEGIN / SECOND, abs=1e-6)
     assert np.array_equal(seen, pixels(3))
-    assert np.array_equal(mask, pixels(3)[:, :, 0] > 127)
+    assert mask is None  # there is no topic of masks
     arm, own = (dict(found) for _, found in live.tracker.readings)
     assert arm == pytest.approx(dict(zip(ARM, sweep(BEGIN), strict=True)))
     assert own == {"jaw": 0.5}
