@@ -5,7 +5,6 @@ The state of the tracker is saved from time to time, so that a run that was inte
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -246,7 +245,7 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
         "frames_a_second": settings.frames_a_second,
         "smooth": settings.smooth,
         "evidence": settings.evidence,
-        "hints": None if settings.hints is None else dataclasses.asdict(settings.hints),
+        "hints": None if settings.hints is None else settings.hints.to_dict(),
     }
     return manifest_of(setup, {files.name: frame_digests(files) for files in frames}) | {"track": followed}
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,14 @@ class Hints:
     box: Box | None = None
     points: Sequence[Pixel] = ()
     not_points: Sequence[Pixel] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        return {
+            "box": None if self.box is None else list(self.box),
+            "points": [list(point) for point in self.points],
+            "not_points": [list(point) for point in self.not_points],
+        }
 
 
 def check_prompts(

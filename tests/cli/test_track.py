@@ -73,6 +73,10 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     video = cv2.VideoCapture(str(out / "tracks.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == len(rows)
     video.release()
+    written = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    again = run_command(capsys, "track", str(recording), "--out", str(out), "--every", "2", "--lag", "0")
+    assert again.code == ran.code, again.err
+    assert {name: (out / name).read_bytes() for name in ("tracks.jsonl", "session.json")}.items() <= written.items()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "<b><bdi>session</bdi></b> · 4 frames" in page
     assert all(f'id="chart-{name}"' in page for name in ("joints", "offsets", "residual", "tips", "speed", "spread"))
