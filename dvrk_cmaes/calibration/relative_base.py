@@ -56,8 +56,7 @@ class RelativeBase:
         )
 
 
-def describe_arms(calibrations: Mapping[str, SessionCalibration]) -> dict[str, Any]:
-    """Return the document of a session's arms: the first one is the reference, in whose base the others' are given."""
+def relative_bases(calibrations: Mapping[str, SessionCalibration]) -> dict[str, RelativeBase]:
+    """Return the bases of all arms but the first, by name, in the base of the first."""
     reference, *others = calibrations
-    bases = {arm: RelativeBase.between(calibrations[reference], calibrations[arm]) for arm in others}
-    return {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}}
+    return {arm: RelativeBase.between(calibrations[reference], calibrations[arm]) for arm in others}

@@ -80,8 +80,8 @@ class StoredFrame:
             As `gather_evidence`: no view shows the instrument.
         """
         places = {} if data.rig is None else {view.name: view.view_from_camera for view in data.rig.views}
-        first = "left" if data.rig is None else data.rig.names[0]
-        shown = {name: one for name, one in {first: data, **data.others}.items() if _shows(one)} or {first: data}
+        first = next(iter(data.of_views))
+        shown = {name: one for name, one in data.of_views.items() if _shows(one)} or {first: data}
         views = []
         for name, one in shown.items():
             tips = keypoints if name == first else None

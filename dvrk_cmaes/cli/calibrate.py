@@ -198,18 +198,14 @@ def _is_doubtful(solved: SolvedSession) -> bool:
 
 def _write_arms(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
-    from dvrk_cmaes.calibration.relative_base import RelativeBase, describe_arms
+    from dvrk_cmaes.calibration.relative_base import relative_bases
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.folder import ARMS
 
-    write_json(out / ARMS, describe_arms(calibrations))
-    first, *others = calibrations
+    reference, bases = next(iter(calibrations)), relative_bases(calibrations)
+    write_json(out / ARMS, {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}})
     if not quiet:
-        show(
-            Line(f"base of {arm} from that of {first}: {RelativeBase.between(calibrations[first], one).describe()}")
-            for arm, one in calibrations.items()
-            if arm in others
-        )
+        show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

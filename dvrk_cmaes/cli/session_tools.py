@@ -103,12 +103,10 @@ def read_calibration_of(path: Path | None, arm: str | None = None) -> SessionCal
     from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.results.folder import SESSION
 
-    if path is None:
-        return None
-    if path.is_dir():
-        own = path / arm / SESSION if arm is not None else path / SESSION
-        return read_calibration(own if arm is None or own.exists() else path / SESSION)
-    return read_calibration(path)
+    if path is not None and path.is_dir():
+        own = path / (arm or "") / SESSION
+        path = own if own.exists() else path / SESSION
+    return None if path is None else read_calibration(path)
 
 
 def write_common(

@@ -87,6 +87,11 @@ class FrameData:
     rig: Rig | None = None
     others: Mapping[str, FrameData] = field(default_factory=dict)
 
+    @property
+    def of_views(self) -> dict[str, FrameData]:
+        """The data of all views by name, the main one first, which is named left in a frame without a rig."""
+        return {"left" if self.rig is None else self.rig.names[0]: self, **self.others}
+
 
 @dataclass(frozen=True, eq=False)
 class FrameImage:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.arms_overlay import draw_arms, drawings
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.images import match_size, read_image, read_mask
@@ -17,7 +18,6 @@ from dvrk_cmaes.io.atomic import encoded_image, write_bytes
 from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import ResultsFolder
 from dvrk_cmaes.results.paths import overlay_path, result_path
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
 
@@ -30,10 +30,12 @@ def write_arms(
     arms see them. Overlays that are newer than the results are kept. Errors as in `dvrk_cmaes.io.atomic.write_bytes`.
     """
     results = {arm: folder.frames for arm, folder in folders.items()}
+    frames = {arm: {files.name: files for files in session.frames} for arm, session in sessions.items()}
+    cameras = {arm: session.camera for arm, session in sessions.items()}
     for name in sorted({name for of_arm in results.values() for name in of_arm}):
         overlay = overlay_path(out, name)
         if not _is_newer(overlay, [result_path(folder.folder, name) for folder in folders.values()]):
-            drawn = _drawn(name, results, bodies, sessions)
+            drawn = _drawn(drawings(results, bodies, name), name, frames, cameras)
             if drawn is not None:
                 write_bytes(overlay, encoded_image(overlay, drawn))
     return write_arms_page(out, folders)
@@ -48,21 +50,24 @@ def _is_newer(path: Path, others: list[Path]) -> bool:
 
 
 def _drawn(
+    shown: Sequence[ArmDrawing],
     name: str,
-    results: Mapping[str, Mapping[str, Result]],
-    bodies: Mapping[str, Body],
-    sessions: Mapping[str, Session],
+    frames: Mapping[str, Mapping[str, FrameFiles]],
+    cameras: Mapping[str, Camera],
 ) -> NDArray[np.uint8] | None:
-    """Draw the tools of all arms in a frame; None if neither its image nor a mask can be read."""
-    shown = drawings(results, bodies, name)
-    of_frame = [(sessions[one.arm], files) for one in shown for files in sessions[one.arm].frames if files.name == name]
-    image, mask = _image(of_frame[0][1]) if of_frame else None, _all_masks([files for _, files in of_frame])
+    """Draw the tools of all arms in a frame; None if neither its image nor a mask can be read.
+
+    ``frames`` are the files by arm and frame, ``cameras`` the cameras by arm.
+    """
+    seen = [one.arm for one in shown if name in frames[one.arm]]
+    files = [frames[arm][name] for arm in seen]
+    image, mask = _image(files[0]) if files else None, _all_masks(files)
     if mask is None and image is not None:
         mask = np.zeros(image.shape[:2], np.bool_)
     if mask is None:
         return None
     try:
-        camera, _ = match_size(of_frame[0][0].camera, mask.shape, "mask")
+        camera, _ = match_size(cameras[seen[0]], mask.shape, "mask")
     except InputError:
         return None
     return draw_arms(shown, mask, camera, image)

@@ -180,9 +180,8 @@ def estimate_frame(
     ignore: Any = data.ignore
     keypoints: Any = files.keypoints
     if data.rig is not None:
-        of_views = {data.rig.names[0]: data, **data.others}
-        masks = {name: one.mask for name, one in of_views.items()}
-        ignore = {name: one.ignore for name, one in of_views.items()}
+        masks = {name: one.mask for name, one in data.of_views.items()}
+        ignore = {name: one.ignore for name, one in data.of_views.items()}
         keypoints = {data.rig.names[0]: files.keypoints}
     return estimate(
         masks,
@@ -216,7 +215,7 @@ def seen_in(data: FrameData) -> list[DrawnView]:
     """Return the views of a frame that have a mask, to be drawn; the only view of a frame without a rig."""
     if data.rig is None:
         return [DrawnView("", data.mask, data.camera, np.eye(4), data.image, data.ignore)]
-    of_views = {data.rig.names[0]: data, **data.others}
+    of_views = data.of_views
     return [
         DrawnView(view.name, of_views[view.name].mask, view.camera, view.view_from_camera, of_views[view.name].image)
         for view in data.rig.views
