@@ -78,10 +78,15 @@ class Clock:
         middle = np.array([self.middle + self.series.origin])
         return Delay(float(lag.at(middle, self.series.unit)[0]), lag.drift)
 
-    def model_at(self, model: SessionModel, delay: Delay) -> SessionModel:
-        """Return the model with the readings of the times of the images less the lag."""
-        read = self.read_times(delay)
-        outer, joints = self.series.at(OUTER_JOINTS, read), self.series.at(model.names, read - delay.joints)
+    def model_at(self, model: SessionModel, delay: Delay, *, smoothed: bool = False) -> SessionModel:
+        """Return the model with the readings of the times of the images less the lag.
+
+        To compare lags, readings must be ``smoothed`` where they may be interpolated: otherwise a lag between two rows
+        would agree better than one at a row, because it averages the noise of both.
+        """
+        read, spline = self.read_times(delay), smoothed and self.interpolable
+        outer = self.series.at(OUTER_JOINTS, read, smoothed=spline)
+        joints = self.series.at(model.names, read - delay.joints, smoothed=spline)
         return model.of_readings(outer, joints, model.deviations, model.inflation, model.correction)
 
     def seconds(self, delay: Delay) -> Float64:

@@ -31,6 +31,7 @@ _LEAST_AT_LAG = 4  # frames that must have readings at a lag
 _LEAST_SHARE = 0.5  # of the frames that must have readings at a lag
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
 _REFINEMENTS = 4
+_MOVES = 4  # of the start of a refinement whose minimum lies farther away than half a step of the search
 _LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
 _IMPROVEMENT = 0.5  # largest ratio of mean misfits at which a lag of readings that cannot be interpolated is applied
 _SIGNIFICANT = 2.0  # standard deviations
@@ -144,7 +145,7 @@ def _consensus_at(
     if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
         return None
     return find_consensus(
-        clock.model_at(model, delay).subset(has),
+        clock.model_at(model, delay, smoothed=True).subset(has),
         [modes[int(i)] for i in has],
         offset_std,
         hypothesis_frames=_HYPOTHESIS_FRAMES,
@@ -183,9 +184,14 @@ class LagRefiner:
         """
         if self._step and not self._clock.interpolable:
             return Refined(self.delay.value, float(self._step / np.sqrt(12)))
-        found = self._minimum(lambda value: replace(self.delay, value=value), self.delay.value, self._step)
-        if found is not None:
+        for _ in range(_MOVES):
+            start = self.delay.value
+            found = self._minimum(lambda value: replace(self.delay, value=value), start, self._step)
+            if found is None:
+                return None
             self.delay = replace(self.delay, value=found.value)
+            if abs(found.value - start) < 0.49 * self._step:
+                break
         return found
 
     def refine_drift(self) -> Refined | None:
@@ -223,8 +229,7 @@ class LagRefiner:
         best = int(np.argmin([cost(value).sum() for value in values]))
         if best in (0, len(values) - 1):
             return None
-        # Whole steps only: between two readings, noise of the readings themselves would be averaged, and the cost less.
-        found = self._minimum(at, float(values[best]), self._step, iterations=1)
+        found = self._minimum(at, float(values[best]), self._step)
         return None if found is None or found.std > _LARGEST_STD * self._clock.series.interval else found
 
     def _cost(self, at: Callable[[float], Delay], low: float, high: float) -> Callable[[float], Float64] | None:
@@ -241,7 +246,7 @@ class LagRefiner:
         clock, model, fits = self._clock.subset(has), self._model.subset(has), self._fits.subset(has)
 
         def cost(value: float) -> Float64:
-            solution = solve(clock.model_at(model, at(value)), fits, self._calibration, self._prior)
+            solution = solve(clock.model_at(model, at(value), smoothed=True), fits, self._calibration, self._prior)
             return robust_costs(solution.misfit, 6 + len(model.names))
 
         return cost
@@ -253,14 +258,13 @@ class LagRefiner:
         step: float,
         *,
         weight: float = 0.0,
-        iterations: int = _REFINEMENTS,
     ) -> Refined | None:
         """Find the minimum of the cost and of a prior about zero with a weight, at most half a step from the start."""
         cost = self._cost(at, start - step, start + step)
         if cost is None:
             return None
         value, width = start, step
-        for _ in range(iterations):
+        for _ in range(_REFINEMENTS):
             before, here, after = cost(value - width), cost(value), cost(value + width)
             curvature = float((before - 2 * here + after).sum()) / width**2 + 2 * weight
             if not curvature > 0:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag, Unit
@@ -36,8 +37,11 @@ class ReadingSeries:
     interval: float
     origin: float = 0.0
 
-    def at(self, names: Sequence[str], times: Float64) -> Float64:
+    def at(self, names: Sequence[str], times: Float64, *, smoothed: bool = False) -> Float64:
         """Interpolate the readings of J joints linearly at times (N,).
+
+        A straight line averages the noise of two readings in its middle, and not at its ends. ``smoothed`` takes a
+        cubic spline instead that has the readings as its control points: it averages nearly the same noise everywhere.
 
         Returns (N, J), NaN outside the series, and in gaps of more than three times the usual spacing of the joint's
         readings and, with times, of more than a tenth of a second.
@@ -47,6 +51,9 @@ class ReadingSeries:
             if name in self.times:
                 out[:, k] = np.interp(times, self.times[name], self.values[name], left=np.nan, right=np.nan)
                 out[self._in_gap(name, times), k] = np.nan
+                if smoothed:
+                    there = ~np.isnan(out[:, k])
+                    out[there, k] = _smoothed(self.times[name], self.values[name], times[there])
         return out
 
     def _in_gap(self, name: str, times: Float64) -> NDArray[np.bool_]:
@@ -161,3 +168,16 @@ class ReadingSeries:
             values[name] = np.array([row[name] for row in rows if name in row], dtype=np.float64)
         interval = float(np.median(np.diff(clock)))
         return cls(unit, times, values, dict(zip(labels, clock.tolist(), strict=True)), interval)
+
+
+def _smoothed(stamps: Float64, values: Float64, times: Float64) -> Float64:
+    """Evaluate the cubic spline with readings (M,) at times (M,) as control points at times (N,) between them."""
+    if len(stamps) < 2:
+        return np.interp(times, stamps, values)
+    rows = np.stack([stamps, values], axis=1)
+    control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
+    spline = BSpline(np.arange(-3.0, len(stamps) + 3.0), control, 3)
+    at = np.interp(times, stamps, np.arange(float(len(stamps))))
+    place, slope = spline(at).T, spline.derivative()(at).T
+    # of unevenly spaced readings, the spline is there at a slightly other time
+    return np.asarray(place[1] + (times - place[0]) * slope[1] / slope[0])

@@ -22,11 +22,19 @@ ROWS, FPS = 240, 30.0
 
 
 def moving_world(
-    lag: float, seed: int, *, count: int = ROWS, every: int = 6, drift: float = 0.0, wrist: float = 0.0
+    lag: float,
+    seed: int,
+    *,
+    count: int = ROWS,
+    every: int = 6,
+    drift: float = 0.0,
+    wrist: float = 0.0,
+    noise: float = 0.3,
 ) -> tuple[World, Clock, list[list[Mode]]]:
     """Make a smooth motion read at 30 Hz, and frames at every 6th row whose images are ``lag`` rows late.
 
-    The lag is that of the middle frame and drifts; the readings of wrist and jaw are ``wrist`` rows later still.
+    The lag is that of the middle frame and drifts; the readings of wrist and jaw are ``wrist`` rows later still. The
+    noise of the readings is in standard deviations of the model's.
     """
     rng = np.random.default_rng(seed)
     blank = make_world(2, seed)
@@ -38,8 +46,8 @@ def moving_world(
         middle = np.array([0, 0, 0.14, 0, 0, 0, 0.8])
         return middle + amplitude * np.sin(2 * np.pi * at[:, None] / FPS / period + phase)
 
-    noise = np.array([*blank.model.deviations.outer, *blank.model.deviations.joints])
-    values = true_readings(rows.astype(float)) + 0.3 * noise * rng.standard_normal((count, 7))
+    deviations = np.array([*blank.model.deviations.outer, *blank.model.deviations.joints])
+    values = true_readings(rows.astype(float)) + noise * deviations * rng.standard_normal((count, 7))
     frames = np.arange(12, count - 24, every, dtype=float)
     series = ReadingSeries(
         "frames",
@@ -86,6 +94,21 @@ def test_lag_is_found_to_a_fraction_of_a_frame(lag: float) -> None:
     assert found is not None
     assert found.value == pytest.approx(lag, abs=0.3)
     assert 0 < found.std < 0.3
+
+
+def test_noise_of_the_readings_does_not_draw_the_lag_to_the_middle_between_two_rows() -> None:
+    found = [refiner_near(0.0, *moving_world(0.0, seed, noise=1.5)).refine_value() for seed in range(8)]
+    errors = [abs(one.value) for one in found if one is not None]
+    assert len(errors) == 8
+    assert np.median(errors) < 0.12
+
+
+def test_refinement_goes_on_from_a_search_that_was_a_frame_off() -> None:
+    world, clock, modes = moving_world(1.1, seed=1)
+    for start in (0.0, 2.0):
+        found = refiner_near(start, world, clock, modes).refine_value()
+        assert found is not None
+        assert found.value == pytest.approx(1.1, abs=0.2)
 
 
 def test_stated_standard_deviation_covers_the_error() -> None:

@@ -108,3 +108,22 @@ def test_readings_of_a_frame_are_those_of_its_time_less_the_lag(tmp_path: Path) 
     assert series.of_frame("0003", Lag(None, seconds=0.5)) == {}
     with pytest.raises(InputError, match="expected a lag in seconds"):
         series.of_frame("0003", Lag(2.0))
+
+
+def test_smoothed_readings_have_the_same_noise_at_rows_and_between_them() -> None:
+    rng = np.random.default_rng(0)
+    rows = np.arange(4000.0)
+    series = ReadingSeries("frames", {"yaw": rows}, {"yaw": rng.standard_normal(4000)}, {"0000": 0.0}, 1.0)
+    spread = [float(np.std(series.at(("yaw",), rows[2:-2] + by, smoothed=True))) for by in (0.0, 0.25, 0.5)]
+    assert spread == pytest.approx([spread[0]] * 3, rel=0.06)
+    straight = [float(np.std(series.at(("yaw",), rows[2:-2] + by))) for by in (0.0, 0.5)]
+    assert straight[1] < 0.75 * straight[0]
+
+
+@pytest.mark.parametrize("stamps", [np.arange(20.0), np.cumsum(np.random.default_rng(1).uniform(0.7, 1.3, 20))])
+def test_smoothed_readings_of_a_steady_motion_are_exact(stamps: np.ndarray) -> None:
+    series = ReadingSeries("frames", {"yaw": stamps}, {"yaw": 0.3 + 0.02 * stamps}, {"0000": 0.0}, 1.0)
+    times = np.linspace(stamps[0], stamps[-1], 101)
+    assert series.at(("yaw",), times, smoothed=True)[:, 0] == pytest.approx(0.3 + 0.02 * times, abs=1e-12)
+    outside = np.array([stamps[0] - 0.1, stamps[-1] + 0.1])
+    assert np.isnan(series.at(("yaw",), outside, smoothed=True)).all()
