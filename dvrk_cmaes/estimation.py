@@ -23,6 +23,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_in_views import find_pose_in_views
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
+from dvrk_cmaes.pose.parallel import single_blas_thread
 from dvrk_cmaes.pose.seen_views import SeenView, seen_views
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
@@ -30,6 +31,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
 
 
+@single_blas_thread()
 def estimate(
     mask: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None],
     camera: Camera | Rig,

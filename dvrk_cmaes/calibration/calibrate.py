@@ -27,7 +27,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.parallel import map_threaded
+from dvrk_cmaes.pose.parallel import map_threaded, single_blas_thread
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
@@ -50,6 +50,7 @@ class SolvedSession:
     leave_one_out: dict[str, LeaveOneOutPrediction]
 
 
+@single_blas_thread()
 def calibrate_session(
     frames: Sequence[SessionFrame],
     instrument: Instrument | Body | str = "lnd",
