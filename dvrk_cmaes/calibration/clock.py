@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Lags, lags_between
@@ -22,6 +22,7 @@ RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
 _STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
 _FRAME_SECONDS = 1 / 30  # between images that have no times
 _MOST_STEPS = 61
+_CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
 _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
 
 
@@ -65,6 +66,11 @@ class Clock:
         return cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
 
     @property
+    def _unit_seconds(self) -> float:
+        """Length of the unit of the series, s; images that are only counted are 1 / 30 s apart."""
+        return 1.0 if self.series.unit == "s" else _FRAME_SECONDS
+
+    @property
     def half_duration(self) -> float:
         """Half of the time between the first and the last image."""
         return float(np.ptp(self.times)) / 2
@@ -78,21 +84,34 @@ class Clock:
         middle = np.array([self.middle + self.series.origin])
         return Delay(float(lag.at(middle, self.series.unit)[0]), lag.drift)
 
-    def model_at(self, model: SessionModel, delay: Delay, *, smoothed: bool = False) -> SessionModel:
-        """Return the model with the readings of the times of the images less the lag.
+    def model_at(self, model: SessionModel, delay: Delay) -> SessionModel:
+        """Return the model with the readings of the times of the images less the lag."""
+        return self._model_at(model, delay, model.deviations, smoothed=False)
 
-        To compare lags, readings must be ``smoothed`` where they may be interpolated: otherwise a lag between two rows
-        would agree better than one at a row, because it averages the noise of both.
+    def model_to_compare(self, model: SessionModel, delay: Delay, *, lasting: bool = True) -> SessionModel:
+        """Return the model of `model_at` by which lags are compared.
+
+        Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
+        than one at a row, because it averages the noise of both. The errors of joints that cables move are ``lasting``
+        for seconds, so that frames close to each other count as one for these joints: play in the cables would
+        otherwise be taken for a lag.
         """
+        count = len(self.times)
+        spacing = 2 * self.half_duration / max(count - 1, 1) * self._unit_seconds
+        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count))) if lasting else 1.0
+        own = model.deviations
+        outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
+        return self._model_at(model, delay, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
+
+    def _model_at(self, model: SessionModel, delay: Delay, deviations: Deviations, *, smoothed: bool) -> SessionModel:
         read, spline = self.read_times(delay), smoothed and self.interpolable
         outer = self.series.at(OUTER_JOINTS, read, smoothed=spline)
         joints = self.series.at(model.names, read - delay.joints, smoothed=spline)
-        return model.of_readings(outer, joints, model.deviations, model.inflation, model.correction)
+        return model.of_readings(outer, joints, deviations, model.inflation, model.correction)
 
     def seconds(self, delay: Delay) -> Float64:
         """Return the times (N,), s, at which the arm was read; images that are only counted are 1 / 30 s apart."""
-        factor = 1.0 if self.series.unit == "s" else _FRAME_SECONDS
-        return factor * self.read_times(delay)
+        return self._unit_seconds * self.read_times(delay)
 
     def lags(self, names: Sequence[str], readings: Float64, width: Float64, delay: Delay) -> Lags:
         """Return how far C joints stay behind their readings (N, C) at the times of the frames less the lag.

@@ -145,7 +145,7 @@ def _consensus_at(
     if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
         return None
     return find_consensus(
-        clock.model_at(model, delay, smoothed=True).subset(has),
+        clock.model_to_compare(model, delay).subset(has),
         [modes[int(i)] for i in has],
         offset_std,
         hypothesis_frames=_HYPOTHESIS_FRAMES,
@@ -222,20 +222,23 @@ class LagRefiner:
             return replace(self.delay, joints=value)
 
         reach = _JOINT_STEPS * self._step
-        cost = self._cost(at, -reach - self._step, reach + self._step)
+        cost = self._cost(at, -reach - self._step, reach + self._step, lasting=False)
         if cost is None:
             return None
         values = self._step * np.arange(-_JOINT_STEPS, _JOINT_STEPS + 1)
         best = int(np.argmin([cost(value).sum() for value in values]))
         if best in (0, len(values) - 1):
             return None
-        found = self._minimum(at, float(values[best]), self._step)
+        found = self._minimum(at, float(values[best]), self._step, lasting=False)
         return None if found is None or found.std > _LARGEST_STD * self._clock.series.interval else found
 
-    def _cost(self, at: Callable[[float], Delay], low: float, high: float) -> Callable[[float], Float64] | None:
+    def _cost(
+        self, at: Callable[[float], Delay], low: float, high: float, *, lasting: bool = True
+    ) -> Callable[[float], Float64] | None:
         """Return the frames' robust costs, in the order of their times, as a function of a value.
 
-        The value may be from ``low`` to ``high``; None if too few frames have readings at both.
+        The value may be from ``low`` to ``high``; None if too few frames have readings at both. ``lasting`` errors of
+        cables are those of `Clock.model_to_compare`.
         """
         if not (self._clock.interpolable and self._step > 0):
             return None
@@ -246,7 +249,9 @@ class LagRefiner:
         clock, model, fits = self._clock.subset(has), self._model.subset(has), self._fits.subset(has)
 
         def cost(value: float) -> Float64:
-            solution = solve(clock.model_at(model, at(value), smoothed=True), fits, self._calibration, self._prior)
+            solution = solve(
+                clock.model_to_compare(model, at(value), lasting=lasting), fits, self._calibration, self._prior
+            )
             return robust_costs(solution.misfit, 6 + len(model.names))
 
         return cost
@@ -258,9 +263,10 @@ class LagRefiner:
         step: float,
         *,
         weight: float = 0.0,
+        lasting: bool = True,
     ) -> Refined | None:
         """Find the minimum of the cost and of a prior about zero with a weight, at most half a step from the start."""
-        cost = self._cost(at, start - step, start + step)
+        cost = self._cost(at, start - step, start + step, lasting=lasting)
         if cost is None:
             return None
         value, width = start, step

@@ -211,6 +211,16 @@ def test_wrist_has_a_lag_of_its_own(wrist: float) -> None:
     assert found.value == pytest.approx(wrist, abs=max(2.5 * found.std, 0.3))
 
 
+@pytest.mark.parametrize(("every", "factor"), [(6, 10**0.5), (60, 1.0)])
+def test_errors_of_cables_in_frames_close_to_each_other_count_once_when_lags_are_compared(
+    every: int, factor: float
+) -> None:
+    world, clock, _ = moving_world(0.0, seed=0, every=every)
+    own, compared = world.model.deviations, clock.model_to_compare(world.model, Delay()).deviations
+    assert compared.outer == pytest.approx(own.outer * [1, 1, 1, factor])
+    assert compared.joints == pytest.approx(own.joints * factor)
+
+
 def test_model_at_a_lag_has_the_readings_of_that_time() -> None:
     world, clock, _ = moving_world(0.0, seed=0)
     model = clock.model_at(world.model, Delay(2.5))
