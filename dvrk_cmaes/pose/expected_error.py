@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import gamma
+from scipy.special import gammaincinv
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import apply, frame_along, moved
@@ -64,7 +64,7 @@ def largest_distance(covariance: Float64) -> float:
     if mean <= 0:
         return 0.0
     variance = 2 * float((covariance**2).sum())
-    return float(np.sqrt(gamma.ppf(INTERVAL, mean**2 / variance, scale=variance / mean)))
+    return float(np.sqrt(gammaincinv(mean**2 / variance, INTERVAL) * (variance / mean)))
 
 
 def expected_error(instrument: Instrument, pose: Float64, joints: Float64, covariance: Float64) -> ExpectedError:
