@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -143,3 +145,20 @@ def test_number_of_nodes_and_loose_modules() -> None:
 def test_forms_of_imports(statement: str, modules: list[str]) -> None:
     nodes = ast.walk(ast.parse(statement))
     assert [name for node in nodes for name in imported_modules(node, PACKAGE / "camera" / "files.py")] == modules
+
+
+def test_commands_start_without_what_is_slow_to_import() -> None:
+    """Each takes a second of processor time, in every worker process too."""
+    run = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys, dvrk_cmaes.cli.app, dvrk_cmaes.runs.batch, dvrk_cmaes.runs.calibrate_folder, "
+            "dvrk_cmaes.runs.golden, dvrk_cmaes.runs.track_folder; "
+            "print({'matplotlib', 'rerun', 'scipy.stats', 'trimesh'} & {*sys.modules})",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout == "set()\n"

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -83,6 +82,8 @@ class RerunFile:
     """Logs the frames of a recording, in order, to a ``rerun.RecordingStream``."""
 
     def __init__(self, stream: Any, camera: Camera, instrument: Instrument) -> None:
+        import trimesh
+
         self._rerun, self._stream, self._instrument = _library(), stream, instrument
         self._status: str | None = None
         rr = self._rerun

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,16 @@ def render_template(
     """Render a template with page.css, styles and scripts of some names, more rules, and the values it names."""
     code = "\n".join(map(_text, scripts))
     style = "\n".join([*map(_text, ("page.css", *styles)), *rules])
+    return (
+        _environment()
+        .get_template(name)
+        .render(script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values)
+    )
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    """Return the environment of all templates, which keeps those that were compiled."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -38,9 +49,7 @@ def render_template(
         "short": short,
         "mark": mark_path,
     }
-    return environment.get_template(name).render(
-        script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values
-    )
+    return environment
 
 
 def _text(name: str) -> str:
