@@ -22,6 +22,7 @@ from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.toml_file import read_config
+from dvrk_cmaes.io.video_file import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import run_batch
 from dvrk_cmaes.synth.files import write_camera_info
@@ -254,6 +255,7 @@ def _write_robot(folder: Path) -> None:
 
 
 def _write_video(path: Path, times: Path) -> None:
+    quiet_ffmpeg()
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (160, 120))  # type: ignore[attr-defined]
     for number in range(FRAMES):
         writer.write(np.full((120, 160, 3), 40 * number, np.uint8))

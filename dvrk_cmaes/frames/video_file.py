@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.image_header import MOST_PIXELS
+from dvrk_cmaes.io.video_file import quiet_ffmpeg
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
 Layout = Literal["mono", "side-by-side", "top-bottom"]
@@ -25,7 +25,6 @@ Window = tuple[int, int, int, int]
 
 SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
 EXPECTED: Final = "a video that OpenCV reads"
-_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
 _SAME_ASPECT = 0.02  # largest relative difference of two aspect ratios that count as one
 
 
@@ -40,7 +39,7 @@ def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
     """
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)  # OpenCV reads this when FFmpeg is first used
+    quiet_ffmpeg()
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():

@@ -1,16 +1,24 @@
-"""Videos that are written beside their place and renamed when they are complete."""
+"""Videos that are written beside their place and renamed when they are complete, and FFmpeg without log output."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import cv2
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.io.atomic import written_beside
+
+_QUIET: Final = "-8"  # FFmpeg's AV_LOG_QUIET
+
+
+def quiet_ffmpeg() -> None:
+    """Let FFmpeg print nothing of its own; to be called before each use, as OpenCV reads this at FFmpeg's first."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _QUIET)
 
 
 @contextmanager
@@ -24,6 +32,7 @@ def whole_video(path: Path, size: tuple[int, int], frames_a_second: float) -> It
     DvrkCmaesError
         OpenCV cannot encode the video.
     """
+    quiet_ffmpeg()
     with written_beside(path, "a video") as beside:
         video = cv2.VideoWriter(str(beside), cv2.VideoWriter.fourcc(*"mp4v"), frames_a_second, size)
         if not video.isOpened():
