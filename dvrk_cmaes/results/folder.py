@@ -34,8 +34,10 @@ class ResultsFolder:
     session: dict[str, Any] | None
 
 
-def read_results(folder: str | Path) -> ResultsFolder:
+def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
     """Read the results in ``frames`` or, without such a subfolder, in the folder itself, and the session's documents.
+
+    Without ``summary``, summary.json is not read.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def read_results(folder: str | Path) -> ResultsFolder:
     return ResultsFolder(
         folder=root,
         frames=_by_name(paths),
-        summary=_document(root / SUMMARY, "the summary of a session's results (summary.json)"),
+        summary=_document(root / SUMMARY, "the summary of a session's results (summary.json)") if summary else None,
         session=_document(root / SESSION, "a session calibration (session.json)"),
     )
 

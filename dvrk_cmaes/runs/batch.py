@@ -39,8 +39,10 @@ from dvrk_cmaes.runs.manifest import (
 from dvrk_cmaes.runs.output import (
     POSES,
     complete_results,
+    has_results,
     locked,
     refuse_foreign_results,
+    refuse_occupied_places,
     refuse_strange_results,
     remove_results,
     remove_temporary_files,
@@ -170,6 +172,7 @@ def run_batch(
     )
     started = time.monotonic()
     with locked(folder):
+        refuse_occupied_places(folder)
         if resume:
             refuse_foreign_results(folder)
         else:
@@ -208,7 +211,7 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
     """
     out = Path(out)
     manifest = _manifest(out)
-    results = read_results(out) if _has_results(out) else None
+    results = read_results(out, summary=False) if has_results(out) else None  # a summary that is there is replaced
     if results is not None:
         limit = manifest["config"].get("trust", {}).get("largest_base_deg", TrustConfig.largest_base_deg)
         results = replace(results, frames=compare_frames(out, results.frames, limit))
@@ -227,7 +230,7 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
 def _summarize_shard(folder: Path, timing: RunTiming | None) -> dict[str, Any]:
     """Summarize the results of a shard, without writing anything."""
     manifest = _manifest(folder)
-    results = read_results(folder).frames if _has_results(folder) else {}
+    results = read_results(folder, summary=False).frames if has_results(folder) else {}
     return summarize(results, manifest, timing, whole=False)
 
 
@@ -236,10 +239,6 @@ def _manifest(folder: Path) -> Manifest:
     if manifest is None:
         raise InputError(f"{folder}: expected results of a batch, got none")
     return manifest
-
-
-def _has_results(folder: Path) -> bool:
-    return any((folder / "frames").glob("*.json"))
 
 
 def _prepare(

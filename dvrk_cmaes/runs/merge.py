@@ -12,6 +12,7 @@ from typing import Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import not_written
 from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.manifest import (
@@ -21,7 +22,13 @@ from dvrk_cmaes.runs.manifest import (
     with_frames,
     write_manifest,
 )
-from dvrk_cmaes.runs.output import locked, refuse_foreign_results, remove_temporary_files
+from dvrk_cmaes.runs.output import (
+    has_results,
+    locked,
+    refuse_foreign_results,
+    refuse_occupied_places,
+    remove_temporary_files,
+)
 from dvrk_cmaes.runs.worklist import shard_of, shards_folder
 
 
@@ -47,7 +54,10 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
     with ExitStack() as locks:
         for folder in (out, *folders):
             locks.enter_context(locked(folder))
+        refuse_occupied_places(out)
         refuse_foreign_results(out)
+        if folders and has_results(out):
+            read_results(out, summary=False)  # a damaged one is refused before anything is written
         remove_temporary_files(out)
         _merge_manifests(out, folders)
         try:
@@ -71,7 +81,7 @@ def _merge_manifests(out: Path, folders: Sequence[Path]) -> None:
             check_same_settings(folder, merged, manifest)
             manifest = with_frames(merged, manifest["frames"])
         merged = manifest
-    if merged is not None:
+    if merged is not None and merged != read_manifest(out):
         write_manifest(out, merged)
 
 

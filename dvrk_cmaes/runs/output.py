@@ -27,6 +27,7 @@ LOCK: Final = ".lock"
 POSES: Final = "poses.csv"
 PAGE: Final = "report.html"
 _FOLDERS: Final = ("frames", "overlays", "layers", "masks")
+_SUFFIXES: Final = (".json", ".jpg", ".png")
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")  # names of the temporary files of io.atomic
 
 
@@ -99,9 +100,25 @@ def remove_results(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
+def has_results(out: Path) -> bool:
+    """Whether a folder has results of frames."""
+    return any((out / "frames").glob("*.json"))
+
+
+def refuse_occupied_places(out: Path) -> None:
+    """Raise `InputError` if a folder lies in the place of a file of a batch, or a file in that of a folder."""
+    for name in _FOLDERS:
+        if (out / name).exists() and not (out / name).is_dir():
+            raise InputError(f"{out / name}: expected a folder to write to, but a file is there")
+    inner = (path for name in _FOLDERS for path in (out / name).glob("*") if path.suffix in _SUFFIXES)
+    for path in (*(out / name for name in (MANIFEST, POSES, SUMMARY, PAGE)), *inner):
+        if path.is_dir():
+            raise InputError(f"{path}: expected a file, or none yet, but a folder is there")
+
+
 def refuse_foreign_results(out: Path) -> None:
     """Raise `InputError` if a folder has results that are not those of a batch."""
-    if not (out / MANIFEST).exists() and (out / "frames").is_dir() and any((out / "frames").glob("*.json")):
+    if not (out / MANIFEST).exists() and has_results(out):
         raise InputError(f"{out}: it has results, but not of a batch (no {MANIFEST}); choose another --out")
 
 

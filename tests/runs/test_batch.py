@@ -208,6 +208,33 @@ def test_folder_with_other_results_is_refused(batch: Batch, two: Path, tmp_path:
     assert other.read_text() == "{}"
 
 
+@pytest.mark.parametrize("name", ["frames/0001.json", "overlays/0001.jpg", "summary.json", "report.html"])
+def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path, tmp_path: Path, name: str) -> None:
+    batch(two, pattern="0002")
+    there = tmp_path / "out" / name
+    there.unlink(missing_ok=True)
+    (there / "inner").mkdir(parents=True)
+    before = {path: path.lstat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
+    for resume in (True, False):
+        assert refusal(batch, two, resume=resume) == f"{there}: expected a file, or none yet, but a folder is there"
+    assert {path: path.lstat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
+
+
+def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "layers").write_text("mine")
+    assert refusal(batch, two) == f"{tmp_path / 'out' / 'layers'}: expected a folder to write to, but a file is there"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["layers"]
+
+
+def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) -> None:
+    batch(two)
+    whole = comparable(tmp_path / "out")
+    (tmp_path / "out" / "summary.json").write_bytes(b"\xff")
+    assert batch(two).ran == 0
+    assert comparable(tmp_path / "out") == whole
+
+
 def test_pattern_selects_frames(batch: Batch, two: Path, tmp_path: Path) -> None:
     assert list(batch(two, pattern="*2").document["frames"]) == ["0002"]
     assert list(batch(two).document["frames"]) == ["0001", "0002"]

@@ -118,6 +118,32 @@ def test_shards_with_other_settings_are_not_merged(batch: Batch, tmp_path: Path)
     assert not (out / "frames").exists()
 
 
+def test_damaged_result_is_refused_before_anything_is_merged(batch: Batch, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    batch(out, shard=Shard(1, 2))
+    merge_shards(out)
+    batch(out, shard=Shard(2, 2))
+    (out / "frames" / "0002.json").write_text("{")
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    with pytest.raises(InputError, match=r"0002\.json"):
+        merge_shards(out)
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == {
+        path: time for path, time in before.items() if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("shards", [1, 2])
+def test_damaged_summary_is_replaced_by_a_merge(
+    batch: Batch, whole: dict[str, str], tmp_path: Path, shards: int
+) -> None:
+    out = tmp_path / "out"
+    for k in range(shards):
+        batch(out, shard=Shard(k + 1, shards))
+    (out / "summary.json").write_bytes(b"\xff")
+    merge_shards(out)
+    assert comparable(out) == whole
+
+
 def test_shard_in_use_is_not_merged(batch: Batch, tmp_path: Path) -> None:
     out = tmp_path / "out"
     part = batch(out, shard=Shard(1, 2)).folder
