@@ -28,16 +28,18 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 from fuzz_damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
 from fuzz_families import FAMILIES, OPTIONS, Family, write_material
-from fuzz_kills import KillReport, fuzz_kills
+from fuzz_kills import FAULTS, KillReport, fuzz_kills
 from fuzz_tracker import TrackerReport, fuzz_tracker
 
 from dvrk_cmaes.cli import main as run_command_line
+from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.results.file import read_result
 
 SLOW, LARGE = 30.0, 1500.0  # s, MB
@@ -71,13 +73,14 @@ def main() -> int:
     parser.add_argument("--only", type=int, metavar="K", help="only the try with this number")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the damage (default: %(default)s)")
     parser.add_argument("--processes", action="store_true", help="run the whole program in a process for each try")
+    parser.add_argument("--fault", choices=FAULTS, action="append", help="of kills, only this one; may be repeated")
     arguments = parser.parse_args()
     if arguments.what != "inputs":
         report: TrackerReport | KillReport
         if arguments.what == "tracker":
             report = fuzz_tracker(arguments.steps, arguments.seed)
         else:
-            report = fuzz_kills(arguments.tries, arguments.seed)
+            report = fuzz_kills(arguments.tries, arguments.seed, faults=arguments.fault or FAULTS)
         print(report)
         return 1 if report.violations else 0
     numbers = range(arguments.tries) if arguments.only is None else [arguments.only]
@@ -181,27 +184,34 @@ def restore(material: Path, place: Path) -> None:
     """Make a folder a copy of the material again, by the files that differ."""
     place.mkdir(exist_ok=True)
     wanted, there = contents(material), contents(place)
-    for name in there:
+    for name in [name for name, status in there.items() if wanted.get(name) != status]:
         path = place / name
-        if wanted.get(name) != there[name] and os.path.lexists(path):
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-    for name in sorted(wanted):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)  # gone with its folder
+    for name in sorted(name for name, status in wanted.items() if there.get(name) != status):
         source, path = material / name, place / name
         if source.is_dir():
-            path.mkdir(exist_ok=True)
-        elif not os.path.lexists(path):
+            path.mkdir()
+        else:
             shutil.copy2(source, path, follow_symlinks=False)
 
 
 def contents(folder: Path) -> dict[str, tuple[int, int]]:
     """Return size and time of change of everything in a folder, by its path."""
-    found = {}
-    for path in folder.rglob("*"):
-        status = path.lstat()
-        found[str(path.relative_to(folder))] = (0, 0) if path.is_dir() else (status.st_size, status.st_mtime_ns)
+    found: dict[str, tuple[int, int]] = {}
+    left = [""]
+    while left:
+        below = left.pop()
+        with os.scandir(folder / below) as entries:
+            for entry in entries:
+                name, status = below + entry.name, entry.stat(follow_symlinks=False)
+                if entry.is_dir(follow_symlinks=False):
+                    found[name] = (0, 0)
+                    left.append(f"{name}/")
+                else:
+                    found[name] = (status.st_size, status.st_mtime_ns)
     return found
 
 
@@ -246,7 +256,11 @@ def in_a_process(command: list[str]) -> Outcome:
 
 @contextlib.contextmanager
 def stubbed(material: Path) -> Iterator[None]:
-    """Replace the estimate of a frame by a stored result, and worker processes by calls, so that reading is tested."""
+    """Replace what is slow and reads no file, in this process.
+
+    The estimate of a frame is a stored result, worker processes are calls, drawings are not enlarged, and a command
+    line that was parsed before is not parsed again.
+    """
     stored = read_result(material / "results" / "frames" / "0000.json")
 
     def estimate(*_: Any, frame: str = "", **__: Any) -> Any:
@@ -256,9 +270,16 @@ def stubbed(material: Path) -> Iterator[None]:
         for task in tasks:
             yield task, call(task)
 
+    @lru_cache(maxsize=100)
+    def parsed(tokens: tuple[str, ...]) -> Callable[[], Any]:
+        command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
+        return partial(command, *bound.args, **bound.kwargs)
+
     with (
         mock.patch("dvrk_cmaes.runs.frame.estimate", estimate),
         mock.patch("dvrk_cmaes.runs.batch.run_in_processes", run_in_processes),
+        mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
+        mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
     ):
         yield
 

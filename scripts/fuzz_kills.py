@@ -1,12 +1,13 @@
 """Commands that are killed, whose disk is full, whose clock is set back, or that run twice at once into one folder.
 
-After each, the same command is run again: it must end well, and the files must be those of a run without a fault.
+After a few faults in the same folder, the command is run to its end: it must end well, and the files must be those of a
+run without a fault. Before that, all documents and pictures must be whole, and no process may be left.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
+import itertools
 import os
 import random
 import resource
@@ -17,47 +18,53 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import psutil
 from fuzz_families import write_material
+from fuzz_written import damaged_files, written
 
 _QUICK: Final = ["--config", "quick.toml"]
 _VIDEO: Final = ["import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv"]
 COMMANDS: Final[dict[str, tuple[list[str], str]]] = {
     "batch": (["batch", "session", *_QUICK, "--workers", "2", "--out", "made"], "made"),
-    "calibrate": (["calibrate", "session", *_QUICK, "--workers", "2", "--out", "made"], "made"),
+    "calibrate": (["calibrate", "session", *_QUICK, "--workers", "2", "--results", "results", "--out", "made"], "made"),
     "track": (["track", "session", *_QUICK, "--out", "made"], "made"),
-    "import": (
-        [*_VIDEO, "--overwrite", "--out", "made"],
-        "made",
-    ),
+    "import": ([*_VIDEO, "--overwrite", "--out", "made"], "made"),
     "export": (["export", "results", "--to", "csv", "--out", "made"], "made"),
     "golden record": (["golden", "record", "session", *_QUICK, "--overwrite"], "session/golden.json"),
 }
 """Command lines, and the file or folder that each writes, in the folder of the material."""
 
-FAULTS: Final = ("kill", "kill", "kill worker", "kill both", "terminate", "full disk", "clock", "twice")
+KILLS: Final = ("kill", "kill worker", "kill both", "terminate")
+FAULTS: Final = (*KILLS, "full disk", "clock", "twice")
+_OF_WORKERS: Final = ("kill worker", "kill both")
+_WITH_WORKERS: Final = ("batch", "calibrate")
+_IN_A_ROW: Final = 4  # faults, at most
 _DONE: Final = (0, 3)  # exit codes
 _LONGEST: Final = 300.0  # s, of a command
 _ORPHANS: Final = 10.0  # s, after which the workers of a killed command must have ended
-_TIMES: Final = ("seconds", "timing", "run", "frame_seconds")
 _SHOWN: Final = 300  # characters of a message
 
 
 @dataclass
 class KillReport:
-    """Tries by command and fault, and violations."""
+    """Faults by command, and violations."""
 
     tries: Counter[str] = field(default_factory=Counter)
     violations: list[str] = field(default_factory=list)
 
+    @property
+    def faults(self) -> int:
+        """Number of faults."""
+        return sum(self.tries.values())
+
     def __str__(self) -> str:
         counts = ", ".join(f"{name} {count}" for name, count in sorted(self.tries.items()))
-        head = f"kills: {sum(self.tries.values())} tries, {len(self.violations)} violations"
+        head = f"kills: {self.faults} tries, {len(self.violations)} violations"
         return "\n".join([head, f"  {counts}", *self.violations])
 
 
@@ -70,6 +77,15 @@ class _Ended:
     seconds: float
 
 
+@dataclass(frozen=True)
+class _Undisturbed:
+    """A command without a fault: what it wrote, and how long it ran, s."""
+
+    name: str
+    files: dict[str, Any]
+    seconds: float
+
+
 def fuzz_kills(
     tries: int,
     seed: int,
@@ -77,55 +93,74 @@ def fuzz_kills(
     faults: Sequence[str] = FAULTS,
     material: Path | None = None,
 ) -> KillReport:
-    """Run a number of tries over commands and faults, whose times are random; ``material`` is that of the families."""
+    """Let a number of faults happen at random times; ``material`` is that of the families.
+
+    A command has one to four faults in a row in the same folder, and is then run to its end.
+    """
     report, chance = KillReport(), random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
         if material is None:
             material = Path(folder, "material")
             material.mkdir()
             write_material(material)
-        references: dict[str, tuple[dict[str, Any], float]] = {}
-        for number in range(tries):
-            name = commands[number % len(commands)]
+        runs = {name: _undisturbed(_copied(material, Path(folder, "try")), name) for name in commands}
+        for name in itertools.cycle(commands):
+            left = tries - report.faults
+            if left <= 0:
+                return report
             place = _copied(material, Path(folder, "try"))
-            if name not in references:
-                ended = _run(place, name)
-                if ended.code not in _DONE:
-                    raise SystemExit(f"fuzz: {name} without a fault ended with {ended.code}: {ended.err[-_SHOWN:]}")
-                references[name] = written(place / COMMANDS[name][1]), ended.seconds
-                place = _copied(material, Path(folder, "try"))
-            fault = chance.choice(faults)
-            report.tries[f"{name} / {fault}"] += 1
-            for violation in _attempt(place, name, fault, *references[name], chance):
-                report.violations.append(f"  try {number}: {name}, {fault}: {violation}")
-                print(report.violations[-1], file=sys.stderr, flush=True)
+            for violation in _attempt(
+                place, runs[name], faults, report, min(left, chance.randint(1, _IN_A_ROW)), chance
+            ):
+                report.violations.append(f"  {report.faults} faults, {name}: {violation}")
+            print(report, file=sys.stderr, flush=True)
     return report
 
 
+def _undisturbed(place: Path, name: str) -> _Undisturbed:
+    """Run a command without a fault."""
+    ended = _run(place, name)
+    if ended.code not in _DONE:
+        raise SystemExit(f"fuzz: {name} without a fault ended with {ended.code}: {ended.err[-_SHOWN:]}")
+    return _Undisturbed(name, written(place / COMMANDS[name][1]), ended.seconds)
+
+
 def _attempt(
-    place: Path, name: str, fault: str, expected: dict[str, Any], usual: float, chance: random.Random
-) -> list[str]:
-    """Run a command with a fault, then without; return what was violated."""
-    made = place / COMMANDS[name][1]
+    place: Path, usual: _Undisturbed, faults: Sequence[str], report: KillReport, count: int, chance: random.Random
+) -> Iterator[str]:
+    """Run a command with some faults one after the other, then without; yield what was violated."""
+    made = place / COMMANDS[usual.name][1]
+    chosen = [one for one in faults if usual.name in _WITH_WORKERS or one not in _OF_WORKERS] or ["kill"]
+    for _ in range(count):
+        fault = chance.choice(chosen)
+        found = _suffer(place, usual, fault, chance)
+        if found is None:  # it had ended before
+            break
+        report.tries[f"{usual.name} / {fault}"] += 1
+        yield from (f"{fault}: {violation}" for violation in (*found, *damaged_files(made)))
+    again = _run(place, usual.name)
+    yield from _refused(again)
+    if again.code in _DONE:
+        there = written(made)
+        different = sorted(path for path in {*usual.files, *there} if usual.files.get(path) != there.get(path))
+        if different:
+            yield f"other files than without a fault: {', '.join(different)[:_SHOWN]}"
+
+
+def _suffer(place: Path, usual: _Undisturbed, fault: str, chance: random.Random) -> list[str] | None:
+    """Run a command with a fault; returns what was violated, or None if it was to be killed and had ended before."""
+    name = usual.name
     match fault:
         case "full disk":
             ended = _run(place, name, largest=chance.choice((0, 100, 1000, 10_000)))
-            found = _said_wrong(ended) if ended.code not in _DONE else []
+            return _said_wrong(ended) if ended.code not in _DONE else []
         case "clock":
             found = _refused(_run(place, name))
-            _date_forward(made)
+            _date_forward(place / COMMANDS[name][1])
+            return found
         case "twice":
-            found = _twice(place, name, chance.uniform(0, usual))
-        case _:
-            found = _killed(place, name, fault, chance.uniform(0, usual))
-    found += damaged_files(made)
-    again = _run(place, name)
-    found += _refused(again)
-    if again.code in _DONE:
-        there = written(made)
-        different = sorted(path for path in {*expected, *there} if expected.get(path) != there.get(path))
-        found += [f"other files than without a fault: {', '.join(different)[:_SHOWN]}"] if different else []
-    return found
+            return _twice(place, name, chance.uniform(0, usual.seconds))
+    return _killed(place, name, fault, chance.uniform(0, usual.seconds))
 
 
 def _start(place: Path, name: str, largest: int | None = None) -> subprocess.Popen[str]:
@@ -161,11 +196,15 @@ def _run(place: Path, name: str, largest: int | None = None) -> _Ended:
     return _Ended(process.returncode, text, time.monotonic() - began)
 
 
-def _killed(place: Path, name: str, fault: str, seconds: float) -> list[str]:
-    """Kill a running command, its first worker, or both, or terminate it; a violation if processes are left."""
+def _killed(place: Path, name: str, fault: str, seconds: float) -> list[str] | None:
+    """Kill a running command, its first worker, or both, or terminate it; a violation if processes are left.
+
+    Returns None if it ends before.
+    """
     process = _start(place, name)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(seconds)
+        return None
     if fault in ("kill worker", "kill both"):
         workers = [one for one in _group(process.pid) if one.pid != process.pid]
         for worker in workers[:1]:
@@ -229,50 +268,11 @@ def _said_wrong(ended: _Ended) -> list[str]:
     return [] if last.startswith("dvrk-cmaes: ") else [f"its last line is {last!r}"]
 
 
-def damaged_files(made: Path) -> list[str]:
-    """Return which files of a command are not whole; temporary ones do not count."""
-    found = []
-    for path in [made] if made.is_file() else sorted(made.rglob("*.json")):
-        if not path.name.startswith("."):
-            try:
-                json.loads(path.read_text())
-            except ValueError as error:
-                found.append(f"{path.name} is damaged: {error}")
-    return found
-
-
 def _date_forward(made: Path) -> None:
     """Date files a day into the future, as after a clock was set back."""
     tomorrow = time.time() + 86400
     for path in (made, *made.rglob("*")) if made.is_dir() else (made,):
         os.utime(path, (tomorrow, tomorrow))
-
-
-def written(made: Path) -> dict[str, Any]:
-    """Return the contents of a file or of a folder's files by name, without times; of a page and a video, nothing."""
-    files = [made] if made.is_file() else [path for path in made.rglob("*") if path.is_file()]
-    return {str(path.relative_to(made.parent)): _content(path) for path in files if path.name != ".lock"}
-
-
-def _content(path: Path) -> Any:
-    match path.suffix:
-        case ".html" | ".mp4":
-            return None
-        case ".json":
-            return _without_times(json.loads(path.read_text()))
-        case ".jsonl":
-            return [_without_times(json.loads(line)) for line in path.read_text().splitlines()]
-        case ".csv":
-            rows = [line.split(",") for line in path.read_text().splitlines()]
-            skipped = {k for k, name in enumerate(rows[0]) if name == "seconds"}
-            return [[cell for k, cell in enumerate(row) if k not in skipped] for row in rows]
-    return path.read_bytes()
-
-
-def _without_times(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_times(inner) for name, inner in value.items() if name not in _TIMES}
-    return [_without_times(inner) for inner in value] if isinstance(value, list) else value
 
 
 def _copied(material: Path, place: Path) -> Path:

@@ -86,9 +86,7 @@ def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
     assert set(report.statuses) == {"ok", "doubtful", "lost"}
 
 
-@pytest.mark.parametrize(
-    ("command", "fault"), [("export", "kill"), ("import", "full disk"), ("golden record", "kill"), ("track", "kill")]
-)
+@pytest.mark.parametrize(("command", "fault"), [("batch", "kill both"), ("export", "full disk"), ("track", "kill")])
 def test_command_with_a_fault_ends_with_the_same_files_when_run_again(material: Path, command: str, fault: str) -> None:
     from fuzz_kills import fuzz_kills
 
@@ -97,8 +95,16 @@ def test_command_with_a_fault_ends_with_the_same_files_when_run_again(material: 
     assert report.tries == {f"{command} / {fault}": 1}
 
 
+def test_faults_follow_each_other_until_there_are_enough(material: Path) -> None:
+    from fuzz_kills import fuzz_kills
+
+    report = fuzz_kills(3, 1, ["export"], ["clock", "full disk"], material)
+    assert report.violations == []
+    assert report.faults == 3
+
+
 def test_files_that_are_damaged_or_differ_are_seen(tmp_path: Path) -> None:
-    from fuzz_kills import damaged_files, written
+    from fuzz_written import damaged_files, written
 
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "a.json").write_text('{"x": 1, "seconds": 2}')
@@ -113,6 +119,8 @@ def test_files_that_are_damaged_or_differ_are_seen(tmp_path: Path) -> None:
     (tmp_path / "made" / "a.json").write_text('{"x": 1, "sec')
     (message,) = damaged_files(tmp_path / "made")
     assert message.startswith("a.json is damaged")
+    (tmp_path / "made" / "c.jpg").write_bytes(b"cut off")
+    assert len(damaged_files(tmp_path / "made")) == 2
 
 
 def test_all_families_are_tested(material: Path) -> None:
