@@ -2,14 +2,17 @@
 
 An arm moves to and fro. Stretches of good input, in which the instrument must be found again, follow stretches in which
 masks, images, readings and times are damaged one by one or together. Damage is what can be told from a valid input:
-readings that are wrong but possible are no part of it.
+readings that are wrong but possible are no part of it. The images are small and the searches short, so that many steps
+can be made.
 """
 
 from __future__ import annotations
 
 import math
 import random
+import sys
 import time as clock
+import tomllib
 import traceback
 import warnings
 from collections import Counter
@@ -18,10 +21,13 @@ from typing import Any, Final
 
 import numpy as np
 import psutil
+from fuzz_families import QUICK
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.toml_file import updated
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -31,7 +37,8 @@ from dvrk_cmaes.track import Tracker
 
 Mask = NDArray[np.bool_]
 
-CAMERA: Final = Camera(320, 240, 513, 513, 161, 119)
+CAMERA: Final = Camera(160, 120, 256.5, 256.5, 80.5, 59.5)
+SETTINGS: Final = updated(EstimateConfig(), tomllib.loads(QUICK), where="fuzz_tracker.py")
 FRAMES: Final = 60
 DAMAGED, GOOD = (1, 60), (40, 80)  # steps of a stretch, least and most
 LEAST_IOU: Final = 0.85  # of silhouette and mask, from which on the instrument counts as found again
@@ -39,6 +46,7 @@ TRUE_MM: Final = 3.0  # largest error of the tips of the true mode; images this 
 _LEVEL: Final = MotionLevel(1.5, 0.0, 4.0, 0.0, 0.0, 0.0, False, False)
 _VALUES: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e6, 100.0, -7.0)
 _SAMPLES: Final = 200  # steps between samples of the memory
+_REPORTED: Final = 5000  # steps between reports
 _SHOWN: Final = 10  # violations
 
 
@@ -70,7 +78,8 @@ class TrackerReport:
         lines = [
             f"tracker: {self.steps} steps, {self.refused} inputs refused, {len(self.violations)} violations",
             f"  statuses: {', '.join(f'{name} {count}' for name, count in sorted(self.statuses.items()))}",
-            f"  memory: {self.megabytes[-1]:.0f} MB, grown by {100 * self.growth:.1f} %",
+            f"  memory: {self.megabytes[min(1000 // _SAMPLES, len(self.megabytes) - 1)]:.1f} MB after 1,000 steps, "
+            f"{self.megabytes[-1]:.1f} MB now, grown by {100 * self.growth:.1f} % since a tenth of the steps",
             f"  {self.seconds:.0f} s of processor time",
         ]
         if back:
@@ -85,7 +94,7 @@ class TrackerReport:
 def fuzz_tracker(steps: int, seed: int) -> TrackerReport:
     """Run a tracker for a number of steps; the same seed gives the same input."""
     report, world, chance = TrackerReport(), _World.made(), random.Random(seed)
-    tracker = Tracker(CAMERA, world.body, lag=0.0)
+    tracker = Tracker(CAMERA, world.body, config=SETTINGS, lag=0.0)
     feed, began = _Feed(world, tracker, report, chance), clock.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # NumPy's, of numbers that overflow, are violations too
@@ -235,6 +244,8 @@ class _Feed:
         self._report.steps += 1
         if self._report.steps % _SAMPLES == 0 or not self._report.megabytes:
             self._report.megabytes.append(self._process.memory_info().rss / 1e6)
+        if self._report.steps % _REPORTED == 0:
+            print(self._report, file=sys.stderr, flush=True)
         try:
             result = self._tracker.step(time, mask, image, ignore)
         except InputError as error:

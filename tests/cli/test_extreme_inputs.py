@@ -179,6 +179,28 @@ def test_jpeg_with_wrong_bits_is_refused_without_libjpegs_lines(
     assert capfd.readouterr().err == ""
 
 
+def test_png_with_wrong_bits_is_refused_without_libpngs_lines(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = (DEMO / "masks" / "0000.png").read_bytes()
+    for place in range(data.index(b"IDAT"), len(data) - 12, len(data) // 20):
+        (tmp_path / "x.png").write_bytes(data[:place] + bytes([data[place] ^ 16]) + data[place + 1 :])
+        with pytest.raises(InputError):
+            read_mask(tmp_path / "x.png")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("number", ["1e308", "-1e308", "1e-308"])
+@pytest.mark.parametrize("key", ["fx", "cx", "width"])
+def test_extreme_number_of_a_camera_is_refused_without_warnings(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], key: str, number: str
+) -> None:
+    values = {"fx": "900", "fy": "900", "cx": "320", "cy": "240", "width": "640", "height": "480"} | {key: number}
+    (tmp_path / "camera.yaml").write_text("\n".join(f"{name}: {value}" for name, value in values.items()))
+    refusal = run_command(capfd, *frame(camera=tmp_path / "camera.yaml")).refusal
+    assert refusal.startswith(f"{tmp_path / 'camera.yaml'}: ")
+
+
 def test_inspect_says_what_is_wrong_on_stderr_beside_json(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.json").write_text("{")
     ran = run_command(capfd, "inspect", tmp_path / "x.json", "--json")
