@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import stat
 from collections.abc import Iterator
@@ -72,6 +73,8 @@ def read_text(path: str | Path, *, expected: str, largest: int) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's content in hexadecimal; raises OSError where it cannot be read."""
+    """Return the SHA-256 of a regular file's content in hexadecimal; raises OSError where it cannot be read."""
+    if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

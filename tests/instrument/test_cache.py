@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import load_instrument, urdf
 from dvrk_cmaes.io.bundled import bundled_path
 
@@ -64,6 +66,16 @@ def test_changed_mesh_or_urdf_is_read_again(folder: Path, count_reads: list[Path
     source.write_text(source.read_text() + "\n")
     load_instrument(source, use_cache=True)
     assert len(count_reads) == 3
+
+
+def test_pipe_in_place_of_a_mesh_that_was_cached_is_refused(folder: Path) -> None:
+    source = folder / "lnd" / "lnd.urdf"
+    load_instrument(source, use_cache=True)
+    mesh = next((folder / "lnd" / "meshes").glob("jaw_1*"))
+    mesh.unlink()
+    os.mkfifo(mesh)
+    with pytest.raises(InputError, match=mesh.stem):
+        load_instrument(source, use_cache=True)
 
 
 def test_other_options_have_their_own_entry(folder: Path) -> None:
