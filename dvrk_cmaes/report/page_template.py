@@ -15,7 +15,7 @@ from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
 from dvrk_cmaes.report.page_plots import mark_path, short
 from dvrk_cmaes.report.page_session import reason_kind
 
-_TEMPLATES = Path(__file__).resolve().parent / "templates"
+TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
 def render_template(
@@ -25,23 +25,23 @@ def render_template(
     code = "\n".join(map(_text, scripts))
     style = "\n".join([*map(_text, ("page.css", *styles)), *rules])
     return (
-        _environment()
+        environment()
         .get_template(name)
         .render(script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values)
     )
 
 
 @cache
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
     """Return the environment of all templates, which keeps those that were compiled."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
+    made.filters |= {
         "fixed": fixed,
         "kind": reason_kind,
         "signed": signed,
@@ -49,11 +49,11 @@ def _environment() -> jinja2.Environment:
         "short": short,
         "mark": mark_path,
     }
-    return environment
+    return made
 
 
 def _text(name: str) -> str:
-    return (_TEMPLATES / name).read_text(encoding="utf-8")
+    return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:
