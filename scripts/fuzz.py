@@ -16,50 +16,24 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
 import os
 import random
-import resource
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-from unittest import mock
 
 from fuzz_damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
 from fuzz_families import FAMILIES, OPTIONS, Family, write_material
 from fuzz_kills import FAULTS, KillReport, fuzz_kills
+from fuzz_runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
 from fuzz_tracker import TrackerReport, fuzz_tracker
 
-from dvrk_cmaes.cli import main as run_command_line
-from dvrk_cmaes.cli.app import app
-from dvrk_cmaes.results.file import read_result
-
-SLOW, LARGE = 30.0, 1500.0  # s, MB
+LARGE = 1500.0  # MB
 _LONGEST_LINE = 1000
 _PLACES = 0.1  # share of the tries in which something else than a file is in its place
 _JSON = ("inspect", "--json")  # which reports on stdout as well
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Exit code and output of a command line, seconds of processor time, and largest memory in MB if it is measured."""
-
-    code: int
-    out: str
-    err: str
-    seconds: float
-    megabytes: float = 0.0
-
-
-Runner = Callable[[list[str]], Outcome]
 
 
 def main() -> int:
@@ -213,75 +187,6 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
                 else:
                     found[name] = (status.st_size, status.st_mtime_ns)
     return found
-
-
-def in_this_process(command: list[str]) -> Outcome:
-    """Run a command line in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with tempfile.TemporaryFile() as native:
-        stderr = os.dup(2)
-        os.dup2(native.fileno(), 2)
-        began = time.process_time()
-        try:
-            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-                code = run_command_line(command)
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-        native.seek(0)
-        printed = native.read().decode(errors="replace")
-    return Outcome(code, out.getvalue(), printed + err.getvalue(), time.process_time() - began)
-
-
-def in_a_process(command: list[str]) -> Outcome:
-    """Run a command line in a process of its own, whose files are limited to 100 MB; it is killed after 60 s."""
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "dvrk_cmaes", *command],
-            stdout=out,
-            stderr=err,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (10**8, 10**8)),
-        )
-        alarm = signal.signal(signal.SIGALRM, lambda *_: process.kill())
-        signal.alarm(int(2 * SLOW))
-        _, status, used = os.wait4(process.pid, 0)
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, alarm)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        err.seek(0)
-        seconds = used.ru_utime + used.ru_stime
-        return Outcome(process.returncode, out.read(), err.read(), seconds, used.ru_maxrss / 1e3)
-
-
-@contextlib.contextmanager
-def stubbed(material: Path) -> Iterator[None]:
-    """Replace what is slow and reads no file, in this process.
-
-    The estimate of a frame is a stored result, worker processes are calls, drawings are not enlarged, and a command
-    line that was parsed before is not parsed again.
-    """
-    stored = read_result(material / "results" / "frames" / "0000.json")
-
-    def estimate(*_: Any, frame: str = "", **__: Any) -> Any:
-        return replace(stored, frame=frame)
-
-    def run_in_processes(tasks: Sequence[Any], call: Callable[[Any], Any], **_: Any) -> Iterator[tuple[Any, Any]]:
-        for task in tasks:
-            yield task, call(task)
-
-    @lru_cache(maxsize=100)
-    def parsed(tokens: tuple[str, ...]) -> Callable[[], Any]:
-        command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
-        return partial(command, *bound.args, **bound.kwargs)
-
-    with (
-        mock.patch("dvrk_cmaes.runs.frame.estimate", estimate),
-        mock.patch("dvrk_cmaes.runs.batch.run_in_processes", run_in_processes),
-        mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
-        mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
-    ):
-        yield
 
 
 if __name__ == "__main__":

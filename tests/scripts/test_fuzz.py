@@ -11,7 +11,7 @@ import pytest
 from helpers.places import SCRIPTS
 
 if TYPE_CHECKING:
-    from fuzz import Outcome
+    from fuzz_runs import Outcome
 
 TRIES = 12
 """Tries of a family by any of its commands."""
@@ -33,8 +33,8 @@ NAMES = (
 def material(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(SCRIPTS))
-        from fuzz import stubbed
         from fuzz_families import write_material
+        from fuzz_runs import stubbed
 
         folder = tmp_path_factory.mktemp("material")
         write_material(folder)
@@ -44,8 +44,9 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_damage_is_refused_in_one_line_or_read_as_valid(material: Path, tmp_path: Path, name: str) -> None:
-    from fuzz import attempt, in_this_process
+    from fuzz import attempt
     from fuzz_families import FAMILIES
+    from fuzz_runs import in_this_process
 
     (family,) = (one for one in FAMILIES if one.name == name)
     quick = any(command[0] == "inspect" for command in family.commands)
@@ -133,8 +134,9 @@ def test_undamaged_material_is_accepted(material: Path, tmp_path: Path) -> None:
     import contextlib
     import shutil
 
-    from fuzz import in_this_process, violation_of
+    from fuzz import violation_of
     from fuzz_families import FAMILIES
+    from fuzz_runs import in_this_process
 
     for number, family in enumerate(FAMILIES):
         shutil.copytree(material, tmp_path / str(number))
@@ -143,6 +145,20 @@ def test_undamaged_material_is_accepted(material: Path, tmp_path: Path) -> None:
                 outcome = in_this_process([*command])
                 assert outcome.code != 2, (family.name, outcome.err)
                 assert violation_of(outcome, command, changed=False, unreadable=False) is None
+
+
+def test_command_that_hangs_is_a_violation(material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fuzz_runs
+    from fuzz import violation_of
+
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    monkeypatch.setattr(fuzz_runs, "SLOW", 0.5)
+    monkeypatch.setattr("dvrk_cmaes.cli.app.app", lambda *_, **__: pipe.read_text())
+    outcome = fuzz_runs.in_this_process(["inspect"])
+    found = violation_of(outcome, ["inspect"], changed=False, unreadable=False)
+    assert found is not None
+    assert "not ended after 1 s" in found
 
 
 @pytest.mark.parametrize(
@@ -160,7 +176,8 @@ def test_undamaged_material_is_accepted(material: Path, tmp_path: Path) -> None:
     ],
 )
 def test_violations_are_seen(material: Path, code: int, out: str, err: str, changed: bool, told: str | None) -> None:
-    from fuzz import Outcome, violation_of
+    from fuzz import violation_of
+    from fuzz_runs import Outcome
 
     outcome: Outcome = Outcome(code, out, err, 1.0)
     found = violation_of(outcome, ["estimate"], changed=changed, unreadable=False)
