@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.geometry import apply, change_between
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel, Rim
+from dvrk_cmaes.track.outline_model import Rim
+from dvrk_cmaes.track.rig_outline import RigEvidence, RigOutlines, RigRim
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit, OutlineUpdate
 
@@ -37,7 +37,7 @@ class Hypothesis:
     sigma: float
     score: float = 0.0
     relation: str = ""
-    rim: Rim | None = None
+    rim: RigRim | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Located:
 class Follower:
     """Carries hypotheses from one image to the next."""
 
-    def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
+    def __init__(self, config: TrackConfig, motion: MotionModel, model: RigOutlines) -> None:
         self.config = config
         self.motion = motion
         self.model = model
@@ -73,9 +73,10 @@ class Follower:
         state, transition = self.motion.predict(one.state, one.anchor, anchor, elapsed, lag_std)
         return replace(one, state=state, anchor=anchor), transition
 
-    def corrected(self, one: Hypothesis, evidence: OutlineEvidence) -> tuple[Hypothesis, Fit] | None:
+    def corrected(self, one: Hypothesis, evidence: RigEvidence) -> tuple[Hypothesis, Fit] | None:
         """Correct a predicted hypothesis by an image; None if that is impossible, as in `OutlineUpdate`."""
-        rim = self.model.draw_anew(one.rim, *self.motion.pose(one.state, one.anchor), _KEPT_FROM_LAST)
+        pose, joints = self.motion.pose(one.state, one.anchor)
+        rim = self.model.draw_anew(one.rim, pose, joints, _KEPT_FROM_LAST, evidence.views)
         if rim is None:
             return None
         updated = self._update(one.state, one.anchor, evidence, one.sigma, rim)
@@ -86,12 +87,14 @@ class Follower:
         sigma = (1 - _SIGMA_SHARE) * one.sigma + _SIGMA_SHARE * latest
         return replace(one, state=updated.state, sigma=sigma, score=one.score + fit.cost, rim=updated.rim), fit
 
-    def outline(self, one: Hypothesis) -> tuple[Rim, Float64] | None:
-        """Return the outline of a hypothesis and its points (N, 2); None if too little of it is in view."""
+    def outlines(self, one: Hypothesis, views: tuple[int, ...]) -> dict[int, tuple[Rim, Float64]]:
+        """Return the outline of a hypothesis and its points (N, 2) in those views that show enough of it."""
         pose, joints = self.motion.pose(one.state, one.anchor)
-        rim = self.model.draw_anew(one.rim, pose, joints, _KEPT_FROM_LAST)
+        rim = self.model.draw_anew(one.rim, pose, joints, _KEPT_FROM_LAST, views)
         pixels = None if rim is None else self.model.place(rim, pose, joints)
-        return None if rim is None or pixels is None else (rim, pixels)
+        if rim is None or pixels is None:
+            return {}
+        return {view: (rim.parts[view], at) for view, at in rim.split(pixels).items()}
 
     def located(self, one: Hypothesis) -> Located:
         """Return pose, joints and tips of a hypothesis."""

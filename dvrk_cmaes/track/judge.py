@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from dvrk_cmaes.camera import Camera
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.track.hypothesis import Located
 from dvrk_cmaes.track.update import Fit
+
+Float64 = NDArray[np.float64]
 
 
 def is_supported(fit: Fit, config: TrackConfig) -> bool:
@@ -18,14 +26,26 @@ def is_convincing(fit: Fit, config: TrackConfig) -> bool:
     return fit.supported >= config.good_support and fit.unexplained <= config.good_unexplained
 
 
-def doubts_of_fit(fit: Fit, config: TrackConfig, source: str) -> list[str]:
-    """List the reasons, in words, for which a supported pose does not fit its ``source``, mask or image, well."""
+def doubts_of_fit(fit: Fit, config: TrackConfig, source: str, views: Sequence[str]) -> list[str]:
+    """List the reasons, in words, for which a supported pose does not fit its ``source``, mask or image, well.
+
+    ``views`` are the names of the rig's views; a pose has to fit in each of those that were compared.
+    """
     found = []
-    if fit.supported < config.good_support:
-        share = 100 * (1 - fit.supported)
+    for view, (supported, unexplained) in fit.of_views.items():
+        name = f"view {views[view]}: " if len(views) > 1 else ""
+        found += [f"{name}{text}" for text in _doubts_of_view(supported, unexplained, config, source)]
+    return found
+
+
+def _doubts_of_view(supported: float, unexplained: float, config: TrackConfig, source: str) -> list[str]:
+    """List the reasons of one view, given its shares as in `Fit`."""
+    found = []
+    if supported < config.good_support:
+        share = 100 * (1 - supported)
         found.append(f"outline without edge: {share:.0f} % of it has no edge of the {source} near it")
-    if fit.unexplained > config.good_unexplained:
-        share = 100 * fit.unexplained
+    if unexplained > config.good_unexplained:
+        share = 100 * unexplained
         found.append(
             f"edge without outline: {share:.0f} % of the mask's edge has no outline near it"
             if source == "mask"
@@ -34,23 +54,28 @@ def doubts_of_fit(fit: Fit, config: TrackConfig, source: str) -> list[str]:
     return found
 
 
-def doubts_of_pose(located: Located, camera: Camera, config: TrackConfig) -> list[str]:
+def doubts_of_pose(located: Located, rig: Rig, config: TrackConfig) -> list[str]:
     """List the reasons, in words, for which a pose is not known well enough."""
     found = []
     if located.tip_std * 1e3 > config.largest_tip_mm:
         found.append(f"uncertain: the standard deviation of the jaw tips is {located.tip_std * 1e3:.1f} mm")
-    if tips_out_of_view(located, camera):
+    if tips_out_of_view(located.tips, rig):
         found.append("tip out of view: the jaw tips lie outside the image")
     return found
 
 
-def tips_out_of_view(located: Located, camera: Camera) -> bool:
-    """Whether all jaw tips lie outside the image or behind the camera."""
-    tips = located.tips
-    if not len(tips):
-        return False
+def tips_out_of_view(tips: Float64, rig: Rig) -> bool:
+    """Whether all jaw tips (K, 3) lie outside the image, or behind the camera, of every view."""
+    return bool(len(tips)) and not any(
+        _is_tip_in_view(apply(view.view_from_camera, tips) if number else tips, view.camera)
+        for number, view in enumerate(rig.views)
+    )
+
+
+def _is_tip_in_view(tips: Float64, camera: Camera) -> bool:
+    """Whether the tips (K, 3) are before a camera, and one of them in its image."""
     if (tips[:, 2] <= 0).any():
-        return True
+        return False
     pixels = camera.project(tips)
     outside = (pixels < -0.5) | (pixels > [camera.width - 0.5, camera.height - 0.5])
-    return bool(outside.any(axis=1).all())
+    return not bool(outside.any(axis=1).all())

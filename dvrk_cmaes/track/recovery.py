@@ -16,11 +16,11 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.judge import is_supported
 from dvrk_cmaes.track.motion import Anchor
-from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.rig_outline import RigEvidence
+from dvrk_cmaes.track.rig_sight import RigSeen, RigSight
 from dvrk_cmaes.track.start import expected_pose
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit
@@ -49,7 +49,7 @@ def _widened(state: FilterState, sizes: tuple[float, float, float, float]) -> Fi
 
 
 def search_around(
-    follower: Follower, before: Hypothesis, predicted: Hypothesis, evidence: OutlineEvidence
+    follower: Follower, before: Hypothesis, predicted: Hypothesis, evidence: RigEvidence
 ) -> tuple[Hypothesis, Fit] | None:
     """Search for a pose around the prediction, and around the pose before that, and return the better supported.
 
@@ -75,23 +75,23 @@ class GlobalSearch:
     """Solves an image by itself, with the settings of a single frame."""
 
     follower: Follower
-    sight: Sight
+    sight: RigSight
     body: Body
     config: EstimateConfig
     calibration: SessionCalibration | None
 
-    def __call__(self, seen: Seen, anchor: Anchor, *, first: bool = False) -> Result | None:
+    def __call__(self, seen: RigSeen, anchor: Anchor, *, first: bool = False) -> Result | None:
         """Solve an image; None if its mask has no instrument, or nothing but instrument, or no mask is found in it.
 
         ``first`` tells that it is the first image, for which the hints are.
         """
-        mask = self.sight.mask(seen, hinted=first, around=self._around(anchor) if first else None)
-        if mask is None:
+        masks = self.sight.masks(seen, hinted=first, around=self._around(anchor) if first else {})
+        if not masks:
             return None
-        readings = self._readings(anchor)
-        camera, session, config = self.follower.model.camera, self.calibration, self.config
+        rig, ignore, readings = self.follower.model.rig, self.sight.ignored(seen), self._readings(anchor)
+        session, config = self.calibration, self.config
         try:
-            return estimate(mask, camera, readings, self.body, ignore=seen.ignore, session=session, config=config)
+            return estimate(masks, rig, readings, self.body, ignore=ignore, session=session, config=config)
         except InputError:
             return None
 
@@ -102,15 +102,17 @@ class GlobalSearch:
         read = zip(names, anchor.joints.tolist(), anchor.joint_read, strict=True)
         return found | {name: value for name, value, known in read if known}
 
-    def _around(self, anchor: Anchor) -> Box | None:
-        """Return a box around the instrument where readings and calibration make expect it; None without them."""
+    def _around(self, anchor: Anchor) -> dict[int, Box]:
+        """Return boxes, by view, around the instrument where readings and calibration make expect it."""
         if self.calibration is None or not anchor.outer_read:
-            return None
-        rim = self.follower.model.draw(*expected_pose(self.follower, self.config, self.calibration, anchor))
-        return None if rim is None else self.sight.box_of(rim)
+            return {}
+        model = self.follower.model
+        pose, joints = expected_pose(self.follower, self.config, self.calibration, anchor)
+        rim = model.draw(pose, joints, tuple(range(len(model.rig.views))))
+        return {} if rim is None else self.sight.boxes_of(rim)
 
 
-def same_base(follower: Follower, main: Hypothesis, result: Result, evidence: OutlineEvidence) -> Hypothesis | None:
+def same_base(follower: Follower, main: Hypothesis, result: Result, evidence: RigEvidence) -> Hypothesis | None:
     """Return the predicted hypothesis corrected by the nearest mode of a single frame's result, and by the image.
 
     None if no mode is near enough to be of the same base, or the image does not support it.

@@ -92,6 +92,10 @@ class Sight:
         by_colour = ImageEvidence(seen.image, self._colours, seen.ignore)
         return by_colour if by_mask is None else BothEvidence(by_mask, by_colour)
 
+    def is_ready(self, seen: Seen) -> bool:
+        """Whether an image has evidence without being segmented."""
+        return seen.mask is not None or (seen.image is not None and self._colours is not None)
+
     def mask(self, seen: Seen, *, hinted: bool = False, around: Box | None = None) -> Mask | None:
         """Return the mask of an image, found by its colours if none was given; None if nothing is found, or a guess.
 

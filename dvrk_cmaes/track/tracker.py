@@ -1,4 +1,4 @@
-"""Following one instrument through the images of one camera."""
+"""Following one instrument through the images of one camera, or of a rig of several."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm, base_from_root
@@ -26,17 +26,16 @@ from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
-from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
-from dvrk_cmaes.track.images import FROZEN, Mask
 from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported
 from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.recovery import GlobalSearch, Searching, explains, is_better, is_certain, same_base, search_around
-from dvrk_cmaes.track.sight import EvidenceKind, Seen, Sight
+from dvrk_cmaes.track.rig_outline import RigEvidence, RigOutlines
+from dvrk_cmaes.track.rig_sight import Images, Masks, RigSeen, RigSight
+from dvrk_cmaes.track.sight import EvidenceKind
 from dvrk_cmaes.track.smoother import FilterStep, Recorder
 from dvrk_cmaes.track.start import based_on_arm, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -53,7 +52,8 @@ class Tracker:
     Parameters
     ----------
     camera
-        The camera of all images.
+        The camera of all images; or a rig of several views, whose images of one time correct the pose together. Poses
+        are in its first camera.
     body
         The instrument, prepared for rendering (`dvrk_cmaes.prepare`).
     calibration
@@ -69,14 +69,14 @@ class Tracker:
         What of an image is used: ``masks``, ``images`` or ``both``; if it is not given, the mask of an image that has
         one, else its colours, which are learned wherever a pose is trusted.
     hints
-        Where the instrument is in the first image, if that has no mask.
+        Where the instrument is in the first image, of the first view, if that has no mask.
     record
         Keep what `smoothed` needs of every image; memory then grows with the recording.
     """
 
     def __init__(
         self,
-        camera: Camera,
+        camera: Camera | Rig,
         body: Body,
         calibration: SessionCalibration | None = None,
         config: EstimateConfig | None = None,
@@ -91,7 +91,7 @@ class Tracker:
         check_config(settings)
         body = body_by(body, settings.silhouette.method)
         self._config = settings
-        self._camera = camera
+        self._rig = rig = Rig.of_camera(camera) if isinstance(camera, Camera) else camera
         self._calibration = calibration
         self._names = body.instrument.joint_names
         self._arm: Arm = arm if calibration is None else calibration.arm
@@ -101,7 +101,7 @@ class Tracker:
         self._cables = CableMemory.of(calibration)
         model = None if self._cables is None else self._cables.model
         motion = MotionModel(track, len(self._names), used, roll_offset, model)
-        self._follower = Follower(track, motion, OutlineModel(body, camera, track.points))
+        self._follower = Follower(track, motion, RigOutlines(body, rig, track.points))
         self._buffer = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._lags = LagSearch(lambda outer: base_from_root(outer, used, roll_offset=roll_offset))
         if lag is None and calibration is not None and calibration.lag is not None:
@@ -111,7 +111,7 @@ class Tracker:
         self._time: float | None = None
         self._hypotheses: list[Hypothesis] = []
         self._search = Searching()
-        self._sight = Sight(camera, track, evidence, hints)
+        self._sight = RigSight(rig, track, evidence, hints)
         self._solve = GlobalSearch(self._follower, self._sight, body, settings, calibration)
         self._recorder = Recorder() if record else None
         self._step: FilterStep | None = None
@@ -189,10 +189,10 @@ class Tracker:
         """
         self._buffer.add(time, joints)
 
-    def start(self, time: float, result: Result, image: NDArray[np.uint8] | None = None) -> None:
+    def start(self, time: float, result: Result, image: Images | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.
 
-        Colours are learned from its ``image`` (H, W, 3), BGR, if that is given.
+        Colours are learned from its ``image`` (H, W, 3), BGR, or those of the views, if that is given.
 
         Raises
         ------
@@ -213,9 +213,9 @@ class Tracker:
     def step(
         self,
         time: float,
-        mask: Mask | None = None,
-        image: NDArray[np.uint8] | None = None,
-        ignore: Mask | None = None,
+        mask: Masks | None = None,
+        image: Images | None = None,
+        ignore: Masks | None = None,
     ) -> TrackResult:
         """Follow the instrument to the image of a later time.
 
@@ -230,10 +230,14 @@ class Tracker:
         ignore
             (H, W) bool, pixels that count neither way.
 
+        With a rig of several views, each of them is given by name of the view or in the rig's order, None for a view
+        that is missing.
+
         Raises
         ------
         InputError
-            The time is not later than the last, or an array has another size than the camera's images.
+            The time is not later than the last, an array has another size than the camera's images, or there is no such
+            view.
         """
         started = clock.perf_counter()
         self._check_time(time)
@@ -269,7 +273,7 @@ class Tracker:
         expected = None if self._cables is None else self._cables.expected(reading)
         return before.then(reading, moving=not reading.still, expected=expected)
 
-    def _first(self, time: float, seen: Seen) -> TrackResult:
+    def _first(self, time: float, seen: RigSeen) -> TrackResult:
         """Solve the first image by itself."""
         if seen.problem is not None:
             return without_pose(time, seen.problem)
@@ -281,12 +285,11 @@ class Tracker:
         status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
         return replace(self._result(time, status, result.reasons), searched=True)
 
-    def _learn(self, seen: Seen, *, anew: bool = False) -> None:
-        """Learn the colours of an image along the outline of the best hypothesis; ``anew`` forgets those before."""
-        outline = None if seen.image is None else self._follower.outline(self._hypotheses[0])
-        if outline is not None:
-            rim, pixels = outline
-            self._sight.learn(seen, pixels, rim, anew=anew)
+    def _learn(self, seen: RigSeen, *, anew: bool = False) -> None:
+        """Learn the colours of the images along the outlines of the best hypothesis; ``anew`` forgets those before."""
+        views = tuple(view for view, one in seen.clear.items() if one.image is not None)
+        if views:
+            self._sight.learn(seen, self._follower.outlines(self._hypotheses[0], views), anew=anew)
 
     def _begin(self, time: float, result: Result) -> None:
         """Start all modes of a single frame's result as hypotheses."""
@@ -298,7 +301,7 @@ class Tracker:
         self._step = None
         self._time = time
 
-    def _follow(self, time: float, seen: Seen) -> TrackResult:
+    def _follow(self, time: float, seen: RigSeen) -> TrackResult:
         """Predict all hypotheses and correct them by the image."""
         assert self._time is not None
         anchor = self._anchor(time)
@@ -308,13 +311,12 @@ class Tracker:
         self._hypotheses = [one for one, _ in predictions]
         first, transition = predictions[0]
         self._step = FilterStep(first.state, transition, first.state, anchor)
-        problem = seen.problem
-        if problem is None and seen.same and self._follower.has_moved(before[0], self._hypotheses[0]):
-            problem = FROZEN.format(source=seen.source)
-        elif problem is not None and seen.mask is not None:
-            return self._unsupported(time, problem)
-        if problem is not None:
-            return self._unseen(time, problem)
+        if seen.problem is not None and seen.main.mask is not None:
+            return self._unsupported(time, seen.problem)
+        if seen.any_same and self._follower.has_moved(before[0], self._hypotheses[0]):
+            seen = seen.without_frozen()
+        if seen.problem is not None:
+            return self._unseen(time, seen.problem)
         evidence = self._sight.evidence(seen)
         if evidence is None:
             return self._unsupported(time, "lost: no instrument was found in the image")
@@ -329,7 +331,8 @@ class Tracker:
         supported = main is not None and is_supported(main[1], self._config.track)
         searched = False
         if main is None or not is_convincing(main[1], self._config.track):
-            gone = main is None and seen.mask is None and self._follower.outline(self._hypotheses[0]) is None
+            in_view = main is not None or self._follower.outlines(self._hypotheses[0], tuple(seen.clear))
+            gone = seen.source == "image" and not in_view
             searched = self._search.missed(doubtful=supported, out_of_view=gone)
             found = self._searched(time, anchor, seen, evidence) if searched else None
             if found is not None:
@@ -340,11 +343,11 @@ class Tracker:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
         return replace(result, searched=searched)
 
-    def _supported(self, time: float, seen: Seen, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
+    def _supported(self, time: float, seen: RigSeen, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
         """Keep the corrected hypotheses, decide between them, and judge the best one."""
         track, decision = self._config.track, decide(fits)
         self._hypotheses, fit = decision.kept, decision.fit
-        reasons = [*decision.reasons, *doubts_of_fit(fit, track, seen.source)]
+        reasons = [*decision.reasons, *doubts_of_fit(fit, track, seen.source, self._rig.names)]
         if decision.switched:
             self._step = None
             self._lags.clear()
@@ -368,7 +371,7 @@ class Tracker:
         certain = found.tip_std_mm is None or found.tip_std_mm <= self._config.track.largest_tip_mm
         return found if certain else replace(found, status="lost")
 
-    def _searched(self, time: float, anchor: Anchor, seen: Seen, evidence: OutlineEvidence) -> TrackResult | None:
+    def _searched(self, time: float, anchor: Anchor, seen: RigSeen, evidence: RigEvidence) -> TrackResult | None:
         """Search an image globally, and go on from what is found; None if that does not explain the image."""
         result = self._solve(seen, anchor)
         reason = "found again by a global search"
@@ -401,7 +404,7 @@ class Tracker:
         """Describe the best hypothesis."""
         best = self._hypotheses[0]
         located = self._follower.located(best)
-        doubts = tuple(doubts_of_pose(located, self._camera, self._config.track))
+        doubts = tuple(doubts_of_pose(located, self._rig, self._config.track))
         if status == "ok" and doubts:
             status = "doubtful"
         found = TrackResult(time, status, (*reasons, *doubts) if status != "ok" else (), None, {}, None, None, None)

@@ -1,7 +1,8 @@
-"""Correction of the predicted state by the evidence of one image: iterated Kalman update on the outline."""
+"""Correction of the predicted state by the evidence of one time, of one or more views: iterated Kalman update."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,9 +10,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.evidence.joint_prior import LIMIT_SIGMA
-from dvrk_cmaes.track.evidence import OutlineEvidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel, Rim
+from dvrk_cmaes.track.rig_outline import RigEvidence, RigOutlines, RigRim
 from dvrk_cmaes.track.state import FilterState
 
 Float64 = NDArray[np.float64]
@@ -25,7 +25,8 @@ class Fit:
     """Agreement of an outline with the evidence.
 
     ``supported`` is the share of the outline in the image that has an edge within reach, ``unexplained`` the share of
-    the evidence's edge that has no outline within reach, ``length`` the px of outline that counted, ``sigma`` px the
+    the evidence's edge that has no outline within reach, the mean of all views; ``of_views`` has both by index of the
+    view. ``length`` the px of outline that counted, ``sigma`` px the
     standard deviation of the supported points' distances. ``cost`` is half the sum of the squared deviations from
     prediction and evidence, with the logarithm of the normalisation: a negative log-likelihood.
     """
@@ -35,6 +36,7 @@ class Fit:
     length: float
     sigma: float
     cost: float
+    of_views: Mapping[int, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ class Updated:
 
     state: FilterState
     fit: Fit
-    rim: Rim
+    rim: RigRim
 
 
 class OutlineUpdate:
@@ -53,7 +55,7 @@ class OutlineUpdate:
     two drawings its points move with the instrument.
     """
 
-    def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
+    def __init__(self, config: TrackConfig, motion: MotionModel, model: RigOutlines) -> None:
         self._config = config
         self._motion = motion
         self._model = model
@@ -66,9 +68,9 @@ class OutlineUpdate:
         self,
         prior: FilterState,
         anchor: Anchor,
-        evidence: OutlineEvidence,
+        evidence: RigEvidence,
         sigma: float,
-        rim: Rim,
+        rim: RigRim,
     ) -> Updated | None:
         """Correct a predicted state.
 
@@ -83,7 +85,7 @@ class OutlineUpdate:
         for draw, each in enumerate(evidence.passes(c)):
             reach = each.reach
             if draw:
-                drawn = self._model.draw_anew(rim, *self._motion.pose(state, anchor), _KEPT_WITHIN_IMAGE)
+                drawn = self._model.draw_anew(rim, *self._motion.pose(state, anchor), _KEPT_WITHIN_IMAGE, rim.views)
                 if drawn is None:
                     return None
                 rim = drawn
@@ -118,8 +120,8 @@ class OutlineUpdate:
         self,
         state: FilterState,
         anchor: Anchor,
-        evidence: OutlineEvidence,
-        rim: Rim,
+        evidence: RigEvidence,
+        rim: RigRim,
         sigma: float,
         covariance: Float64,
         reach: float,
@@ -145,8 +147,8 @@ class OutlineUpdate:
     def _residuals(
         self,
         pixels: Float64,
-        rim: Rim,
-        evidence: OutlineEvidence,
+        rim: RigRim,
+        evidence: RigEvidence,
         sigma: float,
         width: Float64 | float,
         reach: float,
@@ -161,14 +163,20 @@ class OutlineUpdate:
         cost = float((bounded * rim.lengths).sum()) / (c.correlation_px * c.frame_correlation)
         return _Residuals(pixels, edges.distance, weight, edges.found, cost)
 
-    def _fit(self, residuals: _Residuals, evidence: OutlineEvidence, rim: Rim, cost: float) -> Fit:
+    def _fit(self, residuals: _Residuals, evidence: RigEvidence, rim: RigRim, cost: float) -> Fit:
         """Summarise residuals at the corrected pose."""
         c = self._config
         near = residuals.found & (np.abs(residuals.distance) < c.support_px)
         total = float(rim.lengths.sum())
         supported = float(rim.lengths[near].sum()) / total
+        unexplained = evidence.unexplained(residuals.pixels, rim, int(2 * c.support_px))
+        lengths, within = rim.split(rim.lengths), rim.split(near)
+        of_views = {
+            view: (float(length[within[view]].sum()) / float(length.sum()), unexplained[view])
+            for view, length in lengths.items()
+        }
         sigma = float(np.sqrt(np.mean(residuals.distance[near] ** 2))) if near.any() else c.support_px
-        return Fit(supported, evidence.unexplained(residuals.pixels, rim, int(2 * c.support_px)), total, sigma, cost)
+        return Fit(supported, float(np.mean(list(unexplained.values()))), total, sigma, cost, of_views)
 
 
 @dataclass(frozen=True, eq=False)

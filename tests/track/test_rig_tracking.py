@@ -1,0 +1,192 @@
+"""Following with both eyes: closer than with one, with views that are missing, hidden or frozen, and wrong use."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+
+from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.synth.truth import Truth, exact_mask
+from dvrk_cmaes.track import Tracker
+
+FRAMES = 24
+RIGHT = Camera(400, 300, 620, 640, 190, 152)
+RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0002, 0.0])
+RIG = Rig.stereo(SMALL, RIGHT, RIGHT_FROM_LEFT)
+Masks = dict[str, np.ndarray | None]
+
+
+@dataclass(frozen=True, eq=False)
+class StereoWorld:
+    """A moving arm seen by two eyes of different cameras, and the result of the first frame."""
+
+    left: MovingWorld
+    right: list[np.ndarray]
+    first: Result
+
+    def tracker(self, rig: Rig | Camera = RIG) -> Tracker:
+        """Give a tracker that has the first frame's result."""
+        tracker = Tracker(rig, self.left.body, lag=0.0)
+        tracker.add_readings(0.0, self.left.readings[0])
+        tracker.start(0.0, self.first)
+        return tracker
+
+    def masks(self, frame: int) -> Masks:
+        return {"left": self.left.masks[frame], "right": self.right[frame]}
+
+    def follow(
+        self, masks: Callable[[int], object] | None = None, *, tracker: Tracker | None = None, end: int = FRAMES
+    ) -> list[TrackResult]:
+        """Follow the frames from the second to before ``end``, with other masks where they are given."""
+        given = self.masks if masks is None else masks
+        return self.left.follow(tracker or self.tracker(), frames=range(1, end), mask=given)  # type: ignore[arg-type]
+
+    def errors_mm(self, results: list[TrackResult]) -> np.ndarray:
+        return np.array([self.left.error_mm(1 + k, result) for k, result in enumerate(results)])
+
+
+def noisy(mask: np.ndarray, seed: int) -> np.ndarray:
+    """Give a mask whose border is moved by up to a pixel or two, differently in each stretch of it."""
+    rng = np.random.default_rng(seed)
+    shift = rng.integers(-1, 2, 2)
+    return np.asarray(np.roll(mask, shift, axis=(0, 1)))
+
+
+@pytest.fixture(scope="module")
+def world() -> StereoWorld:
+    left = moving_world(FRAMES)
+
+    def seen(truth: Truth) -> np.ndarray:
+        moved = replace(truth, camera_from_root=RIGHT_FROM_LEFT @ truth.camera_from_root)
+        return exact_mask(left.body, RIGHT, moved)
+
+    first = estimate(left.masks[0], left.camera, left.readings[0], left.body)
+    return StereoWorld(left, [seen(truth) for truth in left.truths], first)
+
+
+def test_both_eyes_follow_closer_than_one(world: StereoWorld) -> None:
+    def masks(k: int) -> Masks:
+        return {"left": noisy(world.left.masks[k], k), "right": noisy(world.right[k], 1000 + k)}
+
+    both = world.follow(masks)
+    one = world.follow(lambda k: masks(k)["left"], tracker=world.tracker(SMALL))
+    assert np.median(world.errors_mm(both)) < 0.8 * np.median(world.errors_mm(one))
+    stated = [np.median([result.tip_std_mm for result in results]) for results in (both, one)]  # type: ignore[misc]
+    assert stated[0] < 0.95 * stated[1]
+
+
+def test_rig_of_one_view_answers_as_its_camera(world: StereoWorld) -> None:
+    by_rig = world.follow(lambda k: {"left": world.left.masks[k]}, tracker=world.tracker(Rig.of_camera(SMALL)))
+    by_camera = world.follow(lambda k: world.left.masks[k], tracker=world.tracker(SMALL))
+    for one, other in zip(by_rig, by_camera, strict=True):
+        assert one.to_dict("a") | {"seconds": 0} == other.to_dict("a") | {"seconds": 0}
+
+
+def test_masks_in_the_order_of_the_views_are_those_by_name(world: StereoWorld) -> None:
+    by_name, in_order = world.follow()[:3], world.follow(lambda k: [world.left.masks[k], world.right[k]])[:3]
+    for one, other in zip(by_name, in_order, strict=True):
+        assert one.to_dict("a") | {"seconds": 0} == other.to_dict("a") | {"seconds": 0}
+
+
+def test_right_eye_alone_follows_in_the_left_camera(world: StereoWorld) -> None:
+    errors = world.errors_mm(world.follow(lambda k: {"right": world.right[k]}))
+    assert np.median(errors) < 0.5
+    assert errors.max() < 1.5
+
+
+def test_view_that_is_missing_now_and_then_does_not_matter(world: StereoWorld) -> None:
+    def masks(k: int) -> Masks:
+        return {"left": None if k % 3 == 0 else world.left.masks[k], "right": None if k % 3 == 1 else world.right[k]}
+
+    results = world.follow(masks)
+    assert {result.status for result in results} == {"ok"}
+    assert world.errors_mm(results).max() < 1.0
+
+
+def test_instrument_out_of_one_view_is_followed_by_the_other(world: StereoWorld) -> None:
+    empty = np.zeros_like(world.left.masks[0])
+    results = world.follow(lambda k: {**world.masks(k), "left": empty})
+    assert {result.status for result in results} == {"ok"}
+
+
+def test_pixels_that_hide_the_instrument_in_one_view_do_not_count(world: StereoWorld) -> None:
+    tracker = world.tracker()
+    results = []
+    for k in range(1, FRAMES):
+        hidden = np.zeros_like(world.left.masks[k])
+        hidden[:, 150:] = True
+        tracker.add_readings(world.left.time(k), world.left.readings[k])
+        masks = {**world.masks(k), "left": world.left.masks[k] & ~hidden}
+        results.append(tracker.step(world.left.time(k), masks, ignore={"left": hidden}))
+    assert world.errors_mm(results).max() < 1.0
+
+
+def test_no_mask_in_any_view_is_predicted(world: StereoWorld) -> None:
+    results = world.follow(lambda k: {"left": None, "right": None} if k == 8 else world.masks(k))
+    assert results[7].status == "doubtful"
+    assert results[7].reasons[0].startswith("no mask")
+    assert results[-1].status == "ok"
+
+
+def test_frozen_eye_is_left_out(world: StereoWorld) -> None:
+    results = world.follow(lambda k: {"left": world.left.masks[min(k, 10)], "right": world.right[k]})
+    assert world.errors_mm(results).max() < 1.5
+
+
+def test_views_that_contradict_each_other_are_not_ok(world: StereoWorld) -> None:
+    def elsewhere(k: int) -> np.ndarray:
+        mask = np.zeros_like(world.right[0])
+        mask[20 + k : 120, 20:200] = True
+        return mask
+
+    results = world.follow(lambda k: {**world.masks(k), "right": elsewhere(k)} if k > 4 else world.masks(k), end=9)
+    assert {result.status for result in results[4:]} == {"doubtful"}
+    assert all(any(reason.startswith("view right: ") for reason in result.reasons) for result in results[4:])
+    assert world.errors_mm(results).max() < 1.5
+
+
+def test_first_frame_is_solved_in_both_views(world: StereoWorld) -> None:
+    tracker = Tracker(RIG, world.left.body, lag=0.0)
+    tracker.add_readings(0.0, world.left.readings[0])
+    result = tracker.step(0.0, world.masks(0))
+    assert (result.status, result.searched) == ("ok", True)
+    assert world.left.error_mm(0, result) < 0.5
+
+
+def test_checkpoint_goes_on_with_same_results(world: StereoWorld) -> None:
+    results, tracker = world.follow(), world.tracker()
+    world.left.follow(tracker, frames=range(1, 6), mask=world.masks)  # type: ignore[arg-type]
+    other = Tracker(RIG, world.left.body, lag=0.0)
+    for k in range(6):
+        other.add_readings(world.left.time(k), world.left.readings[k])
+    other.restore(json.loads(json.dumps(tracker.checkpoint())))
+    again = world.left.follow(other, frames=range(6, 9), mask=world.masks)  # type: ignore[arg-type]
+    for one, same in zip(again, results[5:8], strict=True):
+        assert one.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
+
+
+@pytest.mark.parametrize(
+    ("mask", "expected"),
+    [
+        (lambda w: w.left.masks[1], "mask: expected one by view (left, right), got 1"),
+        (lambda w: [w.left.masks[1]], "mask: expected one by view (left, right), got 1"),
+        (lambda w: {"middle": w.left.masks[1]}, "mask: expected views "),
+        (lambda w: {"right": w.left.masks[1]}, "mask: expected 400 x 300 pixels as the camera has"),
+    ],
+)
+def test_masks_that_are_not_those_of_the_views_are_refused(
+    world: StereoWorld, mask: Callable[[StereoWorld], object], expected: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        world.tracker().step(0.1, mask(world))  # type: ignore[arg-type]
+    assert str(caught.value).startswith(expected)
