@@ -1,8 +1,9 @@
 """The pose of the right camera of a stereo pair as calibration files state it: ``right_from_left`` (4, 4), in metres.
 
 ROS camera_info states the translation between rectified cameras in the fourth column of the right one's P, and the
-rotations to them in ``rectification_matrix``. OpenCV's ``R`` and ``T``, and kalibr's ``T_cn_cnm1``, map points of the
-left camera to the right one. OpenCV's lengths are in the unit of the calibration pattern: metres or millimetres.
+rotations to them in ``rectification_matrix``; a field ``right_from_left`` added to it states the pose of raw cameras.
+OpenCV's ``R`` and ``T``, and kalibr's ``T_cn_cnm1``, map points of the left camera to the right one. OpenCV's lengths
+are in the unit of the calibration pattern: metres or millimetres.
 """
 
 from __future__ import annotations
@@ -28,10 +29,19 @@ _METRES = (0.001, 0.05)  # distances of the eyes of an endoscope
 _MILLIMETRES = (1.0, 50.0)
 _RIGID = 0.01  # tolerance of R R^T = 1, for files that state few digits
 
+_POSE = "right_from_left"
 _PROJECTION = ("projection_matrix", "P", "p")
 _RECTIFICATION = ("rectification_matrix", "R", "r")
 _ROTATION = ("r", "extrinsiccamerarotation", "rotation")
 _TRANSLATION = ("t", "extrinsiccameratranslation", "translation")
+
+
+def has_pose(where: str, right: Document) -> bool:
+    """Whether a right camera's file states where it is: ``right_from_left``, or a baseline in P."""
+    if right.get(_POSE) is not None or not has_field(right, _PROJECTION):
+        return right.get(_POSE) is not None
+    numbers = take_numbers(where, *take_field(where, right, _PROJECTION), count=12)
+    return bool(numbers[3])
 
 
 def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document, *, rectified: bool) -> StereoPose:
@@ -39,6 +49,10 @@ def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document
 
     ``where`` are the names of the two files. Without ``rectified`` it is that of the raw images.
     """
+    if right.get(_POSE) is not None:
+        raw, notes = pose_of_plain(where[1], right)
+        turns = _turns(where, left, right) if rectified else (np.eye(4), np.eye(4))
+        return turns[1] @ raw @ inverse(turns[0]), notes
     name, entry = take_field(where[0], left, _PROJECTION)
     if any(abs(_baseline(where[0], name, entry)) > 1e-9):
         raise InputError(
@@ -56,7 +70,7 @@ def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document
     pose = transform(np.eye(3), translation)
     if rectified:
         return pose, ()
-    turns = [transform(_rectification(*each), np.zeros(3)) for each in zip(where, (left, right), strict=True)]
+    turns = _turns(where, left, right)
     return inverse(turns[1]) @ pose @ turns[0], ()
 
 
@@ -80,12 +94,12 @@ def pose_of_storage(where: str, document: Document, *, rectified: bool) -> Stere
 
 def pose_of_plain(where: str, document: Document) -> StereoPose:
     """Return the pose that the right camera's plain YAML states: ``right_from_left`` (4, 4), or R and T."""
-    if document.get("right_from_left") is not None:
-        matrix = np.reshape(take_numbers(where, "right_from_left", document["right_from_left"], count=16), (4, 4))
-        return _checked(where, "right_from_left", matrix, millimetres=False)
+    if document.get(_POSE) is not None:
+        matrix = np.reshape(take_numbers(where, _POSE, document[_POSE], count=16), (4, 4))
+        return _checked(where, _POSE, matrix, millimetres=False)
     plain = plain_names(document)
     if not (has_field(plain, _ROTATION) and has_field(plain, _TRANSLATION)):
-        raise InputError(f"{where}: right_from_left: missing (expected a 4 x 4 transform, m, or R and T)")
+        raise InputError(f"{where}: {_POSE}: missing (expected a 4 x 4 transform, m, or R and T)")
     return _rotation_and_translation(where, plain)
 
 
@@ -117,6 +131,12 @@ def _checked(where: str, name: str, pose: Float64, *, millimetres: bool) -> Ster
     rotation = _rotation(where, name, pose[:3, :3])
     translation, notes = _metres(where, name, pose[:3, 3], millimetres=millimetres)
     return transform(rotation, translation), (*notes, *_sides(translation))
+
+
+def _turns(where: tuple[str, str], left: Document, right: Document) -> tuple[Float64, Float64]:
+    """Read the transforms (4, 4) from the raw to the rectified left and right camera."""
+    first, second = (_rectification(*each) for each in zip(where, (left, right), strict=True))
+    return transform(first, np.zeros(3)), transform(second, np.zeros(3))
 
 
 def _rectification(where: str, document: Document) -> Float64:

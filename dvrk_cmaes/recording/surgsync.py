@@ -6,9 +6,10 @@ Frame N of a clip has the files::
     kinematic/ARM/N.json     readings of the arm (measured_js) and of its jaw
     time_syn/N.json          times of the image and of the readings
 
-``camera_calibration`` has left.yaml and right.yaml, ``hand_eye_calibration`` the arms' registrations, which are kept
-for comparison. The recorder takes the readings that are nearest in time to each image; here they are interpolated
-between those of neighbouring frames to the image's time.
+``camera_calibration`` has left.yaml and right.yaml, and in stereo_calib_params.json the pose between them, which is
+used where right.yaml states none. ``hand_eye_calibration`` has the arms' registrations, which are kept for comparison.
+The recorder takes the readings that are nearest in time to each image; here they are interpolated between those of
+neighbouring frames to the image's time.
 """
 
 from __future__ import annotations
@@ -18,18 +19,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from dvrk_cmaes.camera.files import Side
+from dvrk_cmaes.camera.files import Side, read_document
+from dvrk_cmaes.camera.stereo import has_pose, pose_of_storage
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
-from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_positions, read_times
 
 _CAMERAS: Final = "camera_calibration"
+_STEREO: Final = "stereo_calib_params.json"
 _REGISTRATIONS: Final = "hand_eye_calibration"
 _LARGEST: Final = 400_000_000  # bytes of an image
 _LARGEST_REGISTRATION: Final = 1_000_000  # bytes
@@ -67,9 +70,10 @@ def open_surgsync(
     """
     images = _images(path, side)
     lens = camera or path / _CAMERAS / f"{side}.yaml"
+    camera_bytes, source = _camera(lens, path / _CAMERAS / _STEREO if camera is None and side == "right" else None)
     chosen = None if joints is not None else _chosen_arm(path, arm)
     times = {number: read_times(path / "time_syn" / f"{number}.json", side, chosen) for number in images}
-    notes = [f"images: image/{side}", f"camera: {lens}", "times: those of the images in time_syn"]
+    notes = [f"images: image/{side}", f"camera: {source}", "times: those of the images in time_syn"]
     if chosen is None:
         readings = () if joints is None else read_timed_joints(joints)
         notes += [f"{' '.join(one.joints)}: {joints}" for one in readings]
@@ -86,7 +90,19 @@ def open_surgsync(
         RecordedImage(number, times[number].image, lambda file=file: _load(file))  # type: ignore[misc]
         for number, file in images.items()
     )
-    yield Recording(path, recorded, len(images), read_camera_bytes(lens), readings, tuple(notes), kept)
+    yield Recording(path, recorded, len(images), camera_bytes, readings, tuple(notes), kept)
+
+
+def _camera(lens: Path, stereo: Path | None) -> tuple[bytes, str]:
+    """Read a camera file, and say what was read; to that of a right eye without a pose, that of ``stereo`` is added."""
+    data = read_camera_bytes(lens)
+    if stereo is None or not stereo.is_file():
+        return data, str(lens)
+    right = read_document(lens)
+    if has_pose(str(lens), right):
+        return data, str(lens)
+    pose, notes = pose_of_storage(str(stereo), read_document(stereo), rectified=False)
+    return with_pose(right, pose), "; ".join([f"{lens}, pose between the eyes: {stereo}", *notes])
 
 
 def _images(path: Path, side: Side) -> dict[int, Path]:

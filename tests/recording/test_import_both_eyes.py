@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from helpers.made_recordings import BEGIN, KINDS, SECOND, Message, camera_info, 
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.geometry import exp_rotation, transform
 
 Import = Callable[..., Ran]
 BASELINE = 0.0052
@@ -102,3 +104,46 @@ def test_both_cameras_of_a_clip_are_imported(imported: Import, tmp_path: Path) -
     entries = read_session_toml("session")
     assert entries is not None
     assert [tool.arm for tool in entries.tools] == ["PSM1"]
+
+
+def stereo_parameters(clip: Path, distance: float) -> np.ndarray:
+    """Write the result of the clip's stereo calibration, eyes at a distance; returns the right eye's pose (4, 4)."""
+    turn = exp_rotation(np.array([0.01, -0.02, 0.005]))
+    moved = [[-distance], [0.0001], [0.0002]]
+    matrix = [[80.0, 0, 31.5], [0, 80.0, 22.0], [0, 0, 1]]
+    intrinsics = {f"cameraMatrix{eye}": matrix for eye in "LR"} | {f"distCoeffs{eye}": [[0.0] * 5] for eye in "LR"}
+    path = clip / "camera_calibration" / "stereo_calib_params.json"
+    path.write_text(json.dumps(intrinsics | {"R": turn.tolist(), "T": moved}), encoding="utf-8")
+    return transform(turn, np.ravel(moved))
+
+
+def test_pose_between_the_eyes_of_a_clip_is_that_of_its_stereo_calibration(imported: Import, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip")  # whose right.yaml states no baseline
+    pose = stereo_parameters(clip, BASELINE)
+    ran = imported(clip, "--arm", "PSM1")
+    assert ran.code == 0, ran.err
+    rig = read_session("session").rig
+    assert rig is not None
+    np.testing.assert_allclose(rig.views[1].view_from_camera, pose, atol=1e-9)
+    assert rig.views[1].camera.fx == 81.0  # the intrinsics are those of right.yaml
+    assert any("pose between the eyes" in note and "stereo_calib_params.json" in note for note in ran.result["notes"])
+
+
+def test_baseline_that_right_yaml_states_counts_more(imported: Import, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip")
+    stereo_parameters(clip, 2 * BASELINE)
+    for side, offset in (("left", 0.0), ("right", -80.0 * BASELINE)):
+        with (clip / "camera_calibration" / f"{side}.yaml").open("a", encoding="utf-8") as file:
+            file.write(f"projection_matrix: {{data: {[80.0, 0, 31.5, offset, 0, 80.0, 22.0, 0, 0, 0, 1, 0]}}}\n")
+            file.write("rectification_matrix: {data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\n")
+    imported(clip, "--arm", "PSM1")
+    rig = read_session("session").rig
+    assert rig is not None
+    np.testing.assert_allclose(rig.views[1].view_from_camera[:3, 3], [-BASELINE, 0, 0])
+
+
+def test_wrong_stereo_calibration_of_a_clip_is_refused(imported: Import, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip")
+    stereo_parameters(clip, 0.4)
+    refusal = imported(clip, "--arm", "PSM1").refusal
+    assert "stereo_calib_params.json: R and T: expected 1 to 50 mm between the eyes, got 0.4 m" in refusal
