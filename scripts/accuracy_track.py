@@ -24,7 +24,7 @@ from dvrk_cmaes.frames.session_video import SessionVideo, own_video
 from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.track_clock import TrackClock
-from dvrk_cmaes.runs.track_frames import TrackSettings, followed, used_session
+from dvrk_cmaes.runs.track_frames import TrackSettings, followed, rig_of, used_session
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track import Tracker
@@ -54,11 +54,13 @@ def follow(folder: str, body: Body, settings: TrackSettings, *, frames: int | No
     session, settings = read_recording(Path(folder), body, settings)
     chosen = session.frames[:: settings.every][:frames]
     clock = TrackClock.of(session, chosen, settings.frames_a_second, use_joints=settings.use_joints)
-    tracker = settings.tracker(session.camera, body)
+    tracker = settings.tracker(session.cameras, body)
     with_images = settings.evidence != "masks"
     results = _all(tracker, chosen, clock, session, with_images=with_images)
     if settings.smooth:
-        tracker = settings.recording_tracker(session.camera, body, None if tracker.lag is None else tracker.lag.seconds)
+        tracker = settings.recording_tracker(
+            session.cameras, body, None if tracker.lag is None else tracker.lag.seconds
+        )
         _all(tracker, chosen, clock, session, with_images=with_images)
         results = tracker.smoothed()
     return FollowedSession(session, chosen, results, tracker)
@@ -77,7 +79,7 @@ def _all(
     tracker: Tracker, frames: Sequence[FrameFiles], clock: TrackClock, session: Session, *, with_images: bool
 ) -> list[TrackResult]:
     results = []
-    for _, result in followed(tracker, frames, clock, session.camera, with_images=with_images):
+    for _, result in followed(tracker, frames, clock, rig_of(session), with_images=with_images):
         results.append(result)
         if len(results) % _PROGRESS == 0:
             print(f"{session.folder.name}: {len(results)} of {len(frames)} frames", file=sys.stderr, flush=True)

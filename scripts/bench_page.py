@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dvrk_cmaes.draw.track_overlay import TrackView
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.report.track_pictures import TrackPictures, chosen_frames
@@ -107,7 +108,7 @@ def made_recording(frames: int) -> FollowedRecording:
         drawn.append((images.draw(k, coverage, None, None), coverage > 0.5))
     for number in chosen_frames(rows):
         image, mask = drawn[number % len(drawn)]
-        pictures.add(number, image, mask, mask, (camera.width, camera.height))
+        pictures.add(number, [TrackView(image, mask, mask, (camera.width, camera.height))])
     noise = np.abs(rng.standard_normal((2, frames)))
     read = {name: np.array([row["joints"][name] for row in rows]) - 0.1 for name in rows[0]["joints"]}
     residuals = dict(zip(pictures.residuals, (0.5 + noise[0], 2 + 3 * noise[1]), strict=True))

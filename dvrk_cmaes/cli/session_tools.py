@@ -71,21 +71,21 @@ class SessionTool:
         return camera.read_session(folder, known=known, joints=joints, entries=entries, tool=tool, video=video)
 
 
-def single_tool(folder: Path, options: InstrumentOptions, arm: str | None = None) -> SessionTool:
-    """Return the tool of a session for a command that works on one; ``arm`` chooses among several.
+def single_tool(folder: Path, options: InstrumentOptions) -> SessionTool:
+    """Return the tool of a session for a command that works on one.
 
     Raises
     ------
     InputError
-        The session names several arms and none is chosen, or the arm is not among them.
+        The session names several arms.
     """
     from dvrk_cmaes.frames.session_toml import read_session_toml
 
     entries = read_session_toml(folder)
-    tools = chosen_tools(entries, () if arm is None else (arm,), folder)
+    tools = chosen_tools(entries, (), folder)
     if len(tools) > 1 and entries is not None:
         named = ", ".join(tool.arm for tool in entries.tools)
-        raise InputError(f"{entries.path}: tool: expected one, or the choice of an arm (--only ARM), got {named}")
+        raise InputError(f"{entries.path}: tool: expected one, got {named}")
     tool = tools[0]
     return SessionTool(options if tool is None else of_tool(options, tool), entries, tool)
 

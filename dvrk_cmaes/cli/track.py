@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -26,7 +26,7 @@ from dvrk_cmaes.cli.options import (
     SessionOption,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import read_calibration_of, single_tool
+from dvrk_cmaes.cli.session_tools import SessionTool, chosen_tools, of_tool, read_calibration_of
 from dvrk_cmaes.cli.terminal import Line, frames_text, show
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
@@ -50,7 +50,7 @@ def track(
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     joints: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    only: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     lag: Annotated[str, Parameter(group=FOLDER, allow_leading_hyphen=True)] = AUTO,
     fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
     smooth: Annotated[Flag, Parameter(group=FOLDER)] = False,
@@ -93,13 +93,14 @@ def track(
         beside camera.yaml and joints.csv. Or a ROS recording, which is converted to OUT/session as by `import`.
     out
         Folder for tracks.jsonl, tracks.csv, session.json, tracks.mp4 and report.html; SESSION/tracks by default, or
-        tracks beside the recording.
+        tracks beside the recording. Those of several arms are in OUT/ARM, and a video and a page of all in OUT.
     every
         Follow only every N-th frame.
     joints
         File of readings to use instead of the session's own, or none: follow by masks alone.
     only
-        Arm of a session.toml with several tools that is followed.
+        Arm of a session.toml with several tools: follow this one only; by default all of them. May be given several
+        times.
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. auto: that of --session,
         or found while following.
@@ -126,7 +127,8 @@ def track(
     recording
         The video.
     calibration
-        A session.json written by `calibrate` or by this command: its base, offsets and lag are the start.
+        A session.json written by `calibrate` or by this command, or the folder that has one for each of several arms:
+        its base, offsets and lag are the start.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -145,8 +147,10 @@ def track(
 
         check_rerun("--rerun", rerun)
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
+    from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.runs.track_arms import write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
 
@@ -154,51 +158,83 @@ def track(
     target = out or (session if session.is_dir() else session.parent) / "tracks"
     readings = None if joints is None or joints == "none" else Path(joints)
     source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
-    chosen = single_tool(source.folder, instrument, only)
-    instrument = chosen.options
-    body = instrument.load()
+    entries = read_session_toml(source.folder)
+    tools = chosen_tools(entries, only, source.folder)
+    several = entries is not None and len(entries.tools) > 1
+    if len(tools) > 1:
+        of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
+        _check_of_several(of_one, calibration, prompts)
     files = () if readings is None else (readings,)
-    read = source.read(chosen, camera, recording, known=body.instrument.joint_names, joints=files)
-    found, used = used_session(read, evidence)
-    found = with_first_mask(found, first_mask)
-    settings = TrackSettings(
-        method.resolve(),
-        instrument.kinematics,
-        read_calibration_of(calibration, None if chosen.tool is None else chosen.tool.arm),
-        seconds,
-        every,
-        joints != "none",
-        fps,
-        smooth,
-        used,
-        prompts.resolve(),
-    )
+    finished: dict[str, TrackSummary] = {}
+    sessions, bodies = {}, {}
     with stopping_on_interrupt() as stop:
-        done = track_folder(
-            found,
-            target,
-            body,
-            settings,
-            resume=resume,
-            video=video,
-            page=page,
-            rerun=rerun,
-            stop=stop,
-            progress=_progress(),
+        for tool in tools:
+            arm = "" if tool is None else tool.arm
+            chosen = SessionTool(instrument if tool is None else of_tool(instrument, tool), entries, tool)
+            bodies[arm] = body = chosen.options.load()
+            read = source.read(chosen, camera, recording, known=body.instrument.joint_names, joints=files)
+            found, used = used_session(read, evidence)
+            sessions[arm] = found = with_first_mask(found, first_mask)
+            settings = TrackSettings(
+                method.resolve(),
+                chosen.options.kinematics,
+                read_calibration_of(calibration, arm or None),
+                seconds,
+                every,
+                joints != "none",
+                fps,
+                smooth,
+                used,
+                prompts.resolve(),
+            )
+            finished[arm] = done = track_folder(
+                found,
+                target / arm if several else target,
+                body,
+                settings,
+                resume=resume,
+                video=video,
+                page=page,
+                rerun=rerun,
+                stop=stop,
+                progress=_progress(arm if several else ""),
+            )
+            if done.interrupted:
+                break
+    if len(tools) > 1 and not done.interrupted:
+        write_track_arms(
+            target, sessions, bodies, every=every, frames_a_second=done.frames_a_second, video=video, page=page
         )
     if json:
-        print(json_text(done.counts), end="")
+        counts = {arm: one.counts for arm, one in finished.items()}
+        print(json_text(counts if several else done.counts), end="")
     else:
-        show(_lines(done, target, page=page, rerun=rerun))
+        for arm, one in finished.items():
+            show([Line(arm, "bold")] if several else [])
+            show(_lines(one, target / arm if several else target, page=page, rerun=rerun))
+        if len(tools) > 1 and page and not done.interrupted:
+            show([Line(f"all arms: {target / 'report.html'}")])
     if done.interrupted:
         return _INTERRUPTED
-    return _DOUBTFUL if set(done.counts) - {"ok"} else 0
+    return _DOUBTFUL if any(set(one.counts) - {"ok"} for one in finished.values()) else 0
 
 
-def _progress() -> Callable[[int, int, TrackResult | None], None]:
-    """Return a function that prints the rate on stderr from time to time."""
+def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:
+    """Raise an InputError for an option that cannot hold for several arms; ``of_one`` are files of such options."""
+    given = [name for name, path in of_one.items() if path is not None]
+    if prompts != DEFAULT_PROMPTS:
+        given.append("--box, --point, --not-point")
+    if given:
+        raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
+    if calibration is not None and not calibration.is_dir():
+        raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
+
+
+def _progress(arm: str) -> Callable[[int, int, TrackResult | None], None]:
+    """Return a function that prints the rate on stderr from time to time; ``arm`` is named if it is not empty."""
     started = last = time.monotonic()
     before = 0
+    name = f"{arm}: " if arm else ""
 
     def report(done: int, total: int, result: TrackResult | None) -> None:
         nonlocal last, before
@@ -209,7 +245,7 @@ def _progress() -> Callable[[int, int, TrackResult | None], None]:
         if now - last >= _REPORT_EVERY or done == total:
             last = now
             rate = (done - before) / max(now - started, 1e-9)
-            print(f"dvrk-cmaes: {done} of {total} frames, {rate:.1f} a second", file=sys.stderr, flush=True)
+            print(f"dvrk-cmaes: {name}{done} of {total} frames, {rate:.1f} a second", file=sys.stderr, flush=True)
 
     return report
 

@@ -2,55 +2,114 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.draw.arms_overlay import arm_colours
 from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Colour
+
+Bool = NDArray[np.bool_]
+Image = NDArray[np.uint8]
 
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _FAINT = 0.25  # brightness of the mask where there is no image
+_TINT = 0.35  # of an arm's colour within its tool
 _STRIP = 22  # px, height of the strip with the status
 
 
-def draw_track(
-    image: NDArray[np.uint8] | None,
-    mask: NDArray[np.bool_] | None,
-    silhouette: NDArray[np.bool_] | None,
-    *,
-    frame: str,
-    status: str,
-    reasons: Sequence[str],
-    size: tuple[int, int],
-) -> NDArray[np.uint8]:
-    """Draw the contours of mask (yellow) and silhouette (blue), and a strip with the status, (H, W, 3) BGR.
+@dataclass(frozen=True, eq=False)
+class TrackView:
+    """A view of a frame: image (H, W, 3) BGR, mask and silhouette of the pose (H, W), each or None, of ``size`` px."""
 
-    ``image`` (H, W, 3) BGR and the masks (H, W) are of the ``size`` (width, height) px; each may be missing.
-    """
-    drawn = draw_outlines(image, mask, silhouette, size=size)
-    drawn[:_STRIP] = (drawn[:_STRIP] * 0.3).astype(np.uint8)
+    image: Image | None
+    mask: Bool | None
+    silhouette: Bool | None
+    size: tuple[int, int]
+
+
+def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: Sequence[str]) -> Image:
+    """Draw the views beside each other, and a strip with the status, (H, W, 3) BGR."""
+    drawn = draw_outlines(views)
     text = f"{frame}  {status}" + (f": {reasons[0]}" if reasons else "")
-    plain = text.encode("ascii", "replace").decode()
-    cv2.putText(drawn, plain, (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _STATUS[status], 1, cv2.LINE_AA)
+    _write(drawn, [(text, _STATUS[status])])
     return drawn
 
 
-def draw_outlines(
-    image: NDArray[np.uint8] | None,
-    mask: NDArray[np.bool_] | None,
-    silhouette: NDArray[np.bool_] | None,
-    *,
-    size: tuple[int, int],
-) -> NDArray[np.uint8]:
-    """Draw the contours of mask (yellow) and silhouette (blue) as `draw_track` does, without a strip, (H, W, 3) BGR."""
+def draw_outlines(views: Sequence[TrackView]) -> Image:
+    """Draw the contours of mask (yellow) and silhouette (blue) in each view, beside each other, (H, W, 3) BGR."""
+    return _beside([_outlined(view, ((view.mask, YELLOW), (view.silhouette, SKY_BLUE))) for view in views])
+
+
+def draw_track_of_arms(
+    views: Sequence[Mapping[str, TrackView]], *, frame: str, statuses: Mapping[str, str], order: Sequence[str]
+) -> Image:
+    """Draw the tools of several arms, each in its colour, and a strip with the status of each, (H, W, 3) BGR.
+
+    ``views`` have the arms' silhouettes, images and masks by arm; ``order`` are the arms from the farthest to the
+    nearest, which is drawn over the others.
+    """
+    colours, drawn = arm_colours(list(statuses)), []
+    for view in views:
+        masks = [one.mask for one in view.values() if one.mask is not None]
+        first = next(iter(view.values()))
+        picture = _background(first.image, np.logical_or.reduce(masks) if masks else None, first.size)
+        for arm in order:
+            silhouette = view[arm].silhouette
+            if silhouette is not None:
+                mixed = (1 - _TINT) * picture[silhouette] + _TINT * np.array(colours[arm])
+                picture[silhouette] = np.rint(mixed).astype(np.uint8)
+                _contour(picture, silhouette, colours[arm])
+        drawn.append(picture)
+    beside = _beside(drawn)
+    _write(beside, [(frame, YELLOW), *((f"{arm} {status}", colours[arm]) for arm, status in statuses.items())])
+    return beside
+
+
+def _outlined(view: TrackView, regions: Sequence[tuple[Bool | None, Colour]]) -> Image:
+    """Draw the contours of regions, each in a colour, over a view."""
+    drawn = _background(view.image, view.mask, view.size)
+    for region, colour in regions:
+        if region is not None:
+            _contour(drawn, region, colour)
+    return drawn
+
+
+def _background(image: Image | None, mask: Bool | None, size: tuple[int, int]) -> Image:
+    """Return a copy of an image, or without one a dark picture with the mask."""
     width, height = size
     drawn = np.full((height, width, 3), DARK, dtype=np.uint8) if image is None else image.copy()
     if image is None and mask is not None:
         drawn[mask] = (_FAINT * 255 * np.ones(3)).astype(np.uint8)
-    for region, colour in ((mask, YELLOW), (silhouette, SKY_BLUE)):
-        if region is not None:
-            contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-            cv2.drawContours(drawn, contours, -1, colour, 1, cv2.LINE_AA)
     return drawn
+
+
+def _contour(picture: Image, region: Bool, colour: Colour) -> None:
+    """Draw the contours of a region (H, W) into a picture."""
+    contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    cv2.drawContours(picture, contours, -1, colour, 1, cv2.LINE_AA)
+
+
+def _beside(pictures: Sequence[Image]) -> Image:
+    """Return pictures beside each other, with dark rows below those that are lower than others."""
+    if len(pictures) == 1:
+        return pictures[0]
+    height = max(picture.shape[0] for picture in pictures)
+    padded = [
+        cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=DARK)
+        for picture in pictures
+    ]
+    return np.asarray(np.concatenate(padded, axis=1), dtype=np.uint8)
+
+
+def _write(picture: Image, texts: Sequence[tuple[str, Colour]]) -> None:
+    """Write texts, each in a colour, one after the other on a dark strip at the top of a picture."""
+    picture[:_STRIP] = (picture[:_STRIP] * 0.3).astype(np.uint8)
+    left = 6
+    for text, colour in texts:
+        plain = text.encode("ascii", "replace").decode()
+        cv2.putText(picture, plain, (left, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+        left += cv2.getTextSize(plain + "  ", cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.arms_overlay import arm_colours
 from dvrk_cmaes.errors import InputError
@@ -29,59 +32,89 @@ _RULES: Final = (
 
 @dataclass(frozen=True)
 class ArmRow:
-    """An arm: name, colour of its drawing, numbers of frames by status, medians, and the address of its page."""
+    """An arm: name, numbers of frames by status, figures, each a name, a value and its digits, and its page."""
 
     arm: str
-    colour: str
     counts: Mapping[str, int]
-    iou: float | None
-    tip_90_mm: float | None
+    figures: tuple[tuple[str, float | None, int], ...]
     page: str
 
 
 @dataclass(frozen=True)
 class FramePicture:
-    """A frame: its name, its picture with the tools of all arms, the status for each arm, and the picture's file."""
+    """A frame: its name, its picture with the tools of all arms, the status for each arm, and the picture's file.
+
+    ``file`` is None for a picture that is only in the page.
+    """
 
     frame: str
     picture: Thumbnail
     statuses: Mapping[str, str]
-    file: str
+    file: str | None
 
 
 def write_arms_page(out: Path, folders: Mapping[str, ResultsFolder]) -> Path:
     """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
-    colours = {arm: f"#{r:02x}{g:02x}{b:02x}" for arm, (b, g, r) in arm_colours(list(folders)).items()}
     names = sorted({name for folder in folders.values() for name in folder.frames})
+    pictures = [one for name in spread(names) if (one := _picture(out, name, folders)) is not None]
+    return _write_page(out, [_row(arm, folder) for arm, folder in folders.items()], len(names), pictures)
+
+
+def write_followed_arms_page(
+    out: Path, rows: Mapping[str, Sequence[Mapping[str, Any]]], pictures: Sequence[FramePicture]
+) -> Path:
+    """Write OUT/report.html of followed arms, given the lines of tracks.jsonl by arm, and return its path."""
+    names = {row["frame"] for of_arm in rows.values() for row in of_arm}
+    return _write_page(out, [_followed_row(arm, of_arm) for arm, of_arm in rows.items()], len(names), pictures)
+
+
+def _write_page(out: Path, arms: Sequence[ArmRow], frames: int, pictures: Sequence[FramePicture]) -> Path:
+    """Write the page of arms that have a number of frames together."""
+    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in arm_colours([one.arm for one in arms]).values()]
     page = render_template(
         "arms.html",
         scripts=("tiles.js", "arms.js"),
-        rules=[*_RULES, *(f".arm-{k} {{ background: {colour}; }}" for k, colour in enumerate(colours.values()))],
-        arms=[_row(arm, folder, colours[arm]) for arm, folder in folders.items()],
-        frames=len(names),
-        pictures=[one for name in _spread(names) if (one := _picture(out, name, folders)) is not None],
+        rules=[*_RULES, *(f".arm-{k} {{ background: {colour}; }}" for k, colour in enumerate(colours))],
+        arms=arms,
+        frames=frames,
+        pictures=pictures,
     )
     path = out / PAGE
     write_bytes(path, page.encode("utf-8", errors="replace"))
     return path
 
 
-def _row(arm: str, folder: ResultsFolder, colour: str) -> ArmRow:
+def _row(arm: str, folder: ResultsFolder) -> ArmRow:
     """Summarise the results of an arm."""
     results = folder.frames.values()
     overlaps = [result.quality.iou for result in results if result.quality is not None]
     errors = [result.expected_error.tip_90_mm for result in results if result.expected_error is not None]
     return ArmRow(
         arm,
-        colour,
         {status: sum(result.status == status for result in results) for status in ("ok", "doubtful", "failed")},
-        median(overlaps) if overlaps else None,
-        median(errors) if errors else None,
+        (("IoU, median", _median(overlaps), 3), ("tips within (90 %), median, mm", _median(errors), 2)),
         f"{arm}/{PAGE}",
     )
 
 
-def _spread(names: list[str]) -> list[str]:
+def _followed_row(arm: str, rows: Sequence[Mapping[str, Any]]) -> ArmRow:
+    """Summarise the lines of tracks.jsonl of an arm."""
+    stds = [row["std"]["tip_mm"] for row in rows if row["std"] is not None and row["std"]["tip_mm"] is not None]
+    residuals = [row["residual_px"] for row in rows if row["residual_px"] is not None]
+    return ArmRow(
+        arm,
+        {status: sum(row["status"] == status for row in rows) for status in ("ok", "doubtful", "lost")},
+        (("residual, median, px", _median(residuals), 2), ("std of the tips, median, mm", _median(stds), 2)),
+        f"{arm}/{PAGE}",
+    )
+
+
+def _median(values: Sequence[float]) -> float | None:
+    """Return the median of values, None without any."""
+    return median(values) if values else None
+
+
+def spread(names: list[str]) -> list[str]:
     """Return at most ``_MOST_PICTURES`` of the names, evenly spread."""
     count = min(len(names), _MOST_PICTURES)
     return [names[k * len(names) // count] for k in range(count)]
@@ -96,3 +129,8 @@ def _picture(out: Path, name: str, folders: Mapping[str, ResultsFolder]) -> Fram
         return None
     statuses = {arm: folder.frames[name].status for arm, folder in folders.items() if name in folder.frames}
     return FramePicture(name, picture, statuses, f"{path.parent.name}/{path.name}")
+
+
+def followed_picture(name: str, drawn: NDArray[np.uint8], statuses: Mapping[str, str]) -> FramePicture:
+    """Return the small picture of a followed frame that is drawn, (H, W, 3) BGR."""
+    return FramePicture(name, encoded_thumbnail(drawn, _WIDTH, _LARGEST), statuses, None)

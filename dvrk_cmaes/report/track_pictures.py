@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.track_overlay import draw_outlines
+from dvrk_cmaes.draw.track_overlay import TrackView, draw_outlines
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, encoded_thumbnail
@@ -53,32 +53,20 @@ class TrackPictures:
         """Median and 95 % of the distances of the mask's contour from the outline, (F,) px, by name."""
         return {MEDIAN: self._medians, HIGH: self._highs}
 
-    def add(
-        self,
-        number: int,
-        image: NDArray[np.uint8] | None,
-        mask: Bool | None,
-        silhouette: Bool | None,
-        size: tuple[int, int],
-    ) -> None:
-        """Take what is needed of a frame.
-
-        Parameters
-        ----------
-        number
-            Index of the frame.
-        image, mask, silhouette
-            (H, W, 3) BGR, and (H, W): its image, mask and the outline of its pose, as far as there are any.
-        size
-            Width and height of the frames, px.
-        """
-        if mask is not None and silhouette is not None:
-            found = contour_distances(mask, silhouette)
-            if found is not None:
-                self._medians[number], self._highs[number] = np.percentile(found, [50, 95])
+    def add(self, number: int, views: Sequence[TrackView]) -> None:
+        """Take what is needed of the frame of an index: the distances in all views, and a picture of them."""
+        distances = [
+            found
+            for view in views
+            if view.mask is not None
+            and view.silhouette is not None
+            and (found := contour_distances(view.mask, view.silhouette)) is not None
+        ]
+        if distances:
+            self._medians[number], self._highs[number] = np.percentile(np.concatenate(distances), [50, 95])
         if number in self._chosen:
-            drawn = draw_outlines(image, mask, silhouette, size=size)
-            self.pictures[number] = encoded_thumbnail(drawn, _WIDTH, _LARGEST)
+            count = len(views)
+            self.pictures[number] = encoded_thumbnail(draw_outlines(views), count * _WIDTH, count * _LARGEST)
 
 
 def contour_distances(mask: Bool, silhouette: Bool) -> Float64 | None:

@@ -21,7 +21,7 @@ ALONE = "alone"
 ARMS = "arms.json"
 """File of where the bases of several arms are relative to each other, in the folder of the arms' results."""
 
-_NO_RESULTS = (SUMMARY, SESSION, ARMS, "golden.json")
+_NO_RESULTS = (SUMMARY, SESSION, ARMS, "golden.json", "run.json", "checkpoint.json")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,11 @@ def folder_of_arm(folder: Path, arm: str) -> Path:
     """
     if not folder.is_dir() or (folder / SESSION).exists() or result_paths(folder):
         return folder
-    arms = sorted(each.name for each in folder.iterdir() if (each / "frames").is_dir() and each.name != ALONE)
+    arms = sorted(
+        each.name
+        for each in folder.iterdir()
+        if each.name != ALONE and ((each / "frames").is_dir() or (each / SESSION).is_file())
+    )
     if arms and arm not in arms:
         raise InputError(f"{folder}: expected the results of arm {arm}, got those of {', '.join(arms)} (see --arm)")
     return folder / arm if arms else folder

@@ -14,6 +14,8 @@ summary : ``summary.json``.
 batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
 page.
 merge : merging of the shards of a session.
+track_folder, track_frames, track_clock, track_pictures : an instrument followed through a session folder.
+track_arms : what the followed arms of a session have in common.
 calibrate_folder : calibration of a session folder.
 golden : recording of golden poses, and comparison of results with them.
 """

@@ -38,7 +38,7 @@ from dvrk_cmaes.runs.manifest import (
 )
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.track_clock import TrackClock
-from dvrk_cmaes.runs.track_frames import TrackSettings, followed
+from dvrk_cmaes.runs.track_frames import TrackSettings, followed, rig_of
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
@@ -50,11 +50,15 @@ _SAVED_EVERY: Final = 100  # frames
 
 @dataclass(frozen=True, eq=False)
 class TrackSummary:
-    """Numbers of frames by status, whether the run was stopped before the end, and what was found."""
+    """Numbers of frames by status, whether the run was stopped before the end, and what was found.
+
+    ``frames_a_second`` are those that were followed.
+    """
 
     counts: dict[str, int]
     interrupted: bool
     calibration: SessionCalibration | None
+    frames_a_second: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +79,15 @@ class _Run:
         """Whether the run is to end."""
         return self.stop is not None and self.stop.is_set()
 
+    @property
+    def frames_a_second(self) -> float:
+        """Frames a second that are followed."""
+        return 1 / (self.clock.interval * self.settings.every)
+
     def followed(self, tracker: Tracker, *, done: int = 0) -> Iterator[tuple[FrameFiles, TrackResult]]:
         """Follow the frames after the first ``done`` ones."""
         with_images = self.settings.evidence != "masks"
-        return followed(tracker, self.frames, self.clock, self.session.camera, done=done, with_images=with_images)
+        return followed(tracker, self.frames, self.clock, rig_of(self.session), done=done, with_images=with_images)
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl."""
@@ -136,7 +145,7 @@ def track_folder(
             names = list(manifest["frames"])
             check_same_frames(out, old, manifest["frames"], done=names, session=names)
         run = _Run(session, out, body, settings, frames, clock, stop, progress)
-        tracker = settings.tracker(session.camera, body)
+        tracker = settings.tracker(session.cameras, body)
         restored = old is not None and resume and not settings.smooth
         rows = _restored(out, tracker, body.instrument.joint_names) if restored else []
         (out / SESSION).unlink(missing_ok=True)
@@ -154,7 +163,7 @@ def track_folder(
             if rows and (video or page or rerun is not None):
                 _show(run, rows, tracker, calibration, video=video, page=page, rerun=rerun)
     counts = Counter(row["status"] for row in rows)
-    return TrackSummary(dict(counts), interrupted, calibration)
+    return TrackSummary(dict(counts), interrupted, calibration, run.frames_a_second)
 
 
 def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
@@ -177,7 +186,7 @@ def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
 
     Returns no rows if the run is stopped.
     """
-    camera, total = run.session.camera, len(run.frames)
+    camera, total = run.session.cameras, len(run.frames)
     run.progress(0, 2 * total, None)
     first = run.settings.tracker(camera, run.body)
     for done, (_, result) in enumerate(run.followed(first), start=1):
@@ -206,7 +215,7 @@ def _show(
     rerun: Path | None,
 ) -> None:
     """Write the overlay video, the page, and a recording for Rerun."""
-    camera, clock = run.session.camera, run.clock
+    rig, clock = rig_of(run.session), run.clock
     late = 0.0 if tracker.lag is None else tracker.lag.seconds
     times = np.array([clock.times[files.name] for files in run.frames]) - late
     recording = FollowedRecording(
@@ -217,12 +226,12 @@ def _show(
         clock.readings_at(times, run.settings.config.track.reading_gap),
     )
     write_outputs(
-        seen_frames(run.frames, rows, camera, run.body),
+        seen_frames(run.frames, rows, rig, run.body),
         recording,
-        camera,
+        rig,
         run.body.instrument,
         video=run.out / VIDEO if video else None,
-        frames_a_second=1 / (clock.interval * run.settings.every),
+        frames_a_second=run.frames_a_second,
         page=run.out if page else None,
         rerun=rerun,
     )
@@ -237,6 +246,7 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
         settings.arm,
         session.folder,
         calibration=settings.calibration,
+        rig=session.rig,
     )
     followed = {
         "lag": settings.lag,

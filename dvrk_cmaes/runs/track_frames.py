@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame, read_frame_image
@@ -24,6 +24,9 @@ from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.sight import EvidenceKind
+
+Mask = NDArray[np.bool_]
+Image = NDArray[np.uint8]
 
 _SAME_TIME = 1e-9  # s
 _FIXED = 1e-9  # mm and deg, drift in a second of a base that does not move
@@ -44,11 +47,11 @@ class TrackSettings:
     evidence: EvidenceKind | None = None
     hints: Hints | None = None
 
-    def tracker(self, camera: Camera, body: Body) -> Tracker:
+    def tracker(self, camera: Camera | Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""
         return self._tracker(camera, body, self.config, self.lag, record=False)
 
-    def recording_tracker(self, camera: Camera, body: Body, lag: float | None) -> Tracker:
+    def recording_tracker(self, camera: Camera | Rig, body: Body, lag: float | None) -> Tracker:
         """Return a tracker whose results can be smoothed, with a given lag and a base that does not move."""
         track = replace(self.config.track, base_drift_mm=_FIXED, base_drift_deg=_FIXED)
         config = replace(self.config, track=track)
@@ -56,7 +59,7 @@ class TrackSettings:
         return self._tracker(camera, body, config, given, record=True)
 
     def _tracker(
-        self, camera: Camera, body: Body, config: EstimateConfig, lag: float | None, *, record: bool
+        self, camera: Camera | Rig, body: Body, config: EstimateConfig, lag: float | None, *, record: bool
     ) -> Tracker:
         return Tracker(
             camera,
@@ -83,21 +86,42 @@ def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Sessi
         The session has no masks, or no images, where they are asked for; the images have another aspect than the
         camera's.
     """
-    frames = session.frames
-    masked, shown = (any(there) for there in zip(*((one.mask, one.has_image) for one in frames), strict=True))
+    parts = [(files, *files.others.values()) for files in session.frames]
+    with_mask = [any(part.mask is not None for part in of_frame) for of_frame in parts]
+    masked, shown = any(with_mask), any(part.has_image for of_frame in parts for part in of_frame)
     if evidence in ("masks", "both") and not masked:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected masks of the frames, got none")
     if evidence in ("images", "both") and not shown:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected images or video.mp4, got neither")
-    if evidence is None and all(one.mask is not None for one in frames):
+    if evidence is None and all(with_mask):
         return session, "masks"
     if evidence == "images" or not masked:
-        frames = tuple(replace(one, mask=None) for one in frames)
-        first = next(one for one in frames if one.has_image)
-        camera, note = match_size(session.camera, frame_size(first)[::-1], "image")
-        notes = session.notes if note is None else (*session.notes, note)
-        return replace(session, frames=frames, camera=camera, notes=notes), "images"
+        return _by_images(session), "images"
     return session, evidence
+
+
+def _by_images(session: Session) -> Session:
+    """Return a session without its masks, with cameras of the images' size."""
+    frames = tuple(
+        replace(one, mask=None, others={name: replace(other, mask=None) for name, other in one.others.items()})
+        for one in session.frames
+    )
+    rig, notes = rig_of(session), list(session.notes)
+    fitted = {}
+    for view in rig.views:
+        there = (files_of_views(one, rig).get(view.name) for one in frames)
+        first = next((one for one in there if one is not None), None)
+        if first is not None:
+            fitted[view.name], note = match_size(view.camera, frame_size(first)[::-1], "image")
+            notes += [] if note is None else [note]
+    rig = rig.with_cameras(fitted)
+    return replace(
+        session,
+        frames=frames,
+        camera=rig.camera,
+        rig=None if session.rig is None else rig,
+        notes=tuple(notes),
+    )
 
 
 def with_first_mask(session: Session, mask: Path | None) -> Session:
@@ -106,18 +130,31 @@ def with_first_mask(session: Session, mask: Path | None) -> Session:
     return session if mask is None else replace(session, frames=(replace(first, mask=mask), *rest))
 
 
+def rig_of(session: Session) -> Rig:
+    """Return the rig of a session; of one camera if it has one."""
+    return Rig.of_camera(session.camera) if session.rig is None else session.rig
+
+
+def files_of_views(files: FrameFiles, rig: Rig) -> dict[str, FrameFiles]:
+    """Return the files of a frame by view: of those that have a mask or an image, or of the first if none has."""
+    of_views = {rig.names[0]: files, **files.others}
+    there = {name: one for name, one in of_views.items() if one.mask is not None or one.has_image}
+    return there or {rig.names[0]: files}
+
+
 def followed(
     tracker: Tracker,
     frames: Sequence[FrameFiles],
     clock: TrackClock,
-    camera: Camera,
+    rig: Rig,
     *,
     done: int = 0,
     with_images: bool = False,
 ) -> Iterator[tuple[FrameFiles, TrackResult]]:
     """Follow the frames after the first ``done`` ones; readings are given to the tracker when their time has come.
 
-    ``with_images`` tells to give it the images of frames that have a mask, too.
+    ``rig`` has the views of the frames; ``with_images`` tells to give the tracker the images of frames that have a
+    mask, too.
 
     Raises
     ------
@@ -132,21 +169,36 @@ def followed(
             fed += 1
         if number < done:
             continue
-        if files.mask is None:
-            seen = read_frame_image(files, camera)
-            yield files, tracker.step(time, image=seen.image, ignore=seen.ignore)
-            continue
-        data = read_frame(files, camera, blank=True)
-        if (data.camera.width, data.camera.height) != (camera.width, camera.height):
-            raise InputError(
-                f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
-                f"{data.camera.width} x {data.camera.height}"
-            )
-        image = _fitted(data.image, camera) if with_images and data.image is not None else None
-        yield files, tracker.step(time, data.mask, image, data.ignore)
+        if files.problem is not None:
+            raise InputError(files.problem)
+        masks, images, ignored = {}, {}, {}
+        for name, of_view in files_of_views(files, rig).items():
+            image, masks[name], ignored[name] = read_arrays(of_view, rig.view(name).camera)
+            images[name] = image if with_images or of_view.mask is None else None
+        yield files, tracker.step(time, masks, images, ignored)
 
 
-def _fitted(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
+def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Mask | None, Mask | None]:
+    """Read the image (H, W, 3), if there is one, the mask and the ignored pixels (H, W) of a view of a frame.
+
+    Raises
+    ------
+    InputError
+        A file is wrong, or the mask is not of the camera's size.
+    """
+    if files.mask is None:
+        seen = read_frame_image(files, camera)
+        return seen.image, None, seen.ignore
+    data = read_frame(files, camera, blank=True)
+    if (data.camera.width, data.camera.height) != (camera.width, camera.height):
+        raise InputError(
+            f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
+            f"{data.camera.width} x {data.camera.height}"
+        )
+    return None if data.image is None else _fitted(data.image, camera), data.mask, data.ignore
+
+
+def _fitted(image: Image, camera: Camera) -> Image:
     """Return an image (H, W, 3) in the size of the camera's images."""
     size = (camera.width, camera.height)
     if image.shape[1::-1] == size:

@@ -68,8 +68,8 @@ def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.Capture
 
 
 def test_command_for_one_tool_asks_which(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    refusal = run_command(capsys, "track", folder, "--out", folder.parent / "out").refusal
-    assert refusal.endswith("session.toml: tool: expected one, or the choice of an arm (--only ARM), got PSM1, PSM2")
+    refusal = run_command(capsys, "golden", "check", folder).refusal
+    assert refusal.endswith("session.toml: tool: expected one, got PSM1, PSM2")
 
 
 def test_arm_needs_a_session_that_names_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

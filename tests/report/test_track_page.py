@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.track_rows import JOINTS, recording, row
 
+from dvrk_cmaes.draw.track_overlay import TrackView
 from dvrk_cmaes.report.track_charts import track_charts
 from dvrk_cmaes.report.track_events import SWITCHED, track_events
 from dvrk_cmaes.report.track_page import render_track_page, write_track_page
@@ -108,8 +109,8 @@ def test_frames_without_mask_have_a_picture_and_no_residual() -> None:
     pictures = TrackPictures(rows)
     mask = np.zeros((48, 64), np.bool_)
     mask[10:30, 10:50] = True
-    pictures.add(0, np.full((48, 64, 3), 90, np.uint8), None, mask, (64, 48))
-    pictures.add(1, None, mask, mask, (64, 48))
+    pictures.add(0, [TrackView(np.full((48, 64, 3), 90, np.uint8), None, mask, (64, 48))])
+    pictures.add(1, [TrackView(None, mask, mask, (64, 48))])
     assert sorted(pictures.pictures) == [0, 1]
     np.testing.assert_allclose(pictures.residuals["median"], [np.nan, 0])
 

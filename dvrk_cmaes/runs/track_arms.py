@@ -1,0 +1,88 @@
+"""What the followed arms of a recording have in common: a video with all tools, and a page that leads to each arm's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+
+from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
+from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
+from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
+from dvrk_cmaes.runs.track_frames import rig_of
+from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
+from dvrk_cmaes.silhouette import Body
+
+
+def write_track_arms(
+    out: Path,
+    sessions: Mapping[str, Session],
+    bodies: Mapping[str, Body],
+    *,
+    every: int,
+    frames_a_second: float,
+    video: bool,
+    page: bool,
+) -> None:
+    """Write OUT/tracks.mp4 and OUT/report.html of arms whose results are in OUT/ARM.
+
+    Parameters
+    ----------
+    out
+        Folder of the results of all arms.
+    sessions, bodies
+        The session as each arm sees it, and the arms' instruments, by arm.
+    every, frames_a_second
+        Every how many frames were followed; those of the video.
+    video, page
+        Whether to write them.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read or written.
+    DvrkCmaesError
+        OpenCV cannot encode the video.
+    """
+    if not (video or page):
+        return
+    rows = {arm: read_tracks(out / arm / TRACKS) for arm in sessions}
+    rig = rig_of(next(iter(sessions.values())))
+    seen = {arm: seen_frames(session.frames[::every], rows[arm], rig, bodies[arm]) for arm, session in sessions.items()}
+    chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm})))
+    pictures: list[FramePicture] = []
+    with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) if video else nullcontext() as writer:
+        for frame, arms in _together(seen):
+            statuses = {arm: str(one.row["status"]) for arm, one in arms.items()}
+            views = [{arm: one.views[number] for arm, one in arms.items()} for number in range(len(rig.views))]
+            drawn = draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(arms))
+            if writer is not None:
+                writer.write(drawn)
+            if page and frame in chosen:
+                pictures.append(followed_picture(frame, drawn, statuses))
+    if page:
+        write_followed_arms_page(out, rows, pictures)
+
+
+def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:
+    """Yield the names of the frames in order, with the arms that have them."""
+    waiting = {arm: next(frames, None) for arm, frames in seen.items()}
+    while any(waiting.values()):
+        frame = min(str(one.row["frame"]) for one in waiting.values() if one is not None)
+        arms = {arm: one for arm, one in waiting.items() if one is not None and one.row["frame"] == frame}
+        yield frame, arms
+        waiting |= {arm: next(seen[arm], None) for arm in arms}
+
+
+def _from_far(arms: Mapping[str, SeenFrame]) -> Sequence[str]:
+    """Return the arms from that whose root is farthest from the camera to the nearest, those without a pose first."""
+
+    def distance(arm: str) -> float:
+        pose = arms[arm].row["camera_from_root"]
+        return np.inf if pose is None else float(np.linalg.norm(np.array(pose)[:3, 3]))
+
+    return sorted(arms, key=distance, reverse=True)

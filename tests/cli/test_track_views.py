@@ -1,0 +1,176 @@
+"""``dvrk-cmaes track`` on sessions of two eyes, and of several arms."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK
+from helpers.commands import run_command
+from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.draw.arms_overlay import COLOURS
+from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.results.track_files import read_tracks
+from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.synth.levels import LEVELS
+from dvrk_cmaes.synth.recording import write_recording
+from dvrk_cmaes.synth.session import SessionPlan
+from dvrk_cmaes.synth.truth import exact_mask
+
+FRAMES = 6
+ARMS = {"PSM1": 3, "PSM2": 5}
+"""The arms, and the seeds of their motion."""
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("settings") / "quick.toml"
+    path.write_text(QUICK, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def stereo(tmp_path: Path) -> Path:
+    """A recording of both eyes, with exact masks."""
+    folder = tmp_path / "session"
+    plan = SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", FRAMES, 2, {}, baseline=0.0053)
+    write_recording(folder, plan)
+    return folder
+
+
+@cache
+def world_of(arm: str) -> MovingWorld:
+    """Give a moving arm, each on its side of the image."""
+    world, side = moving_world(FRAMES, ARMS[arm]), transform(np.eye(3), [-0.008 if arm == "PSM1" else 0.008, 0, 0])
+    truths = [replace(truth, camera_from_root=side @ truth.camera_from_root) for truth in world.truths]
+    return replace(world, truths=truths, masks=[exact_mask(world.body, SMALL, truth) for truth in truths])
+
+
+@pytest.fixture(scope="module")
+def two_arms(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of two arms that cross, in masks of labels."""
+    folder = tmp_path_factory.mktemp("two_arms") / "session"
+    (folder / "masks").mkdir(parents=True)
+    for k in range(FRAMES):
+        labels = np.zeros((SMALL.height, SMALL.width), np.uint8)
+        for label, arm in enumerate(ARMS, start=1):
+            labels[world_of(arm).masks[k]] = label
+        (folder / "masks" / f"{k:04d}.png").write_bytes(cv2.imencode(".png", labels)[1].tobytes())
+    intrinsic = SMALL.matrix.tolist()
+    (folder / "camera.yaml").write_text(json.dumps({"intrinsic": intrinsic, "distortion": [0.0] * 5}), encoding="utf-8")
+    lines = []
+    for label, arm in enumerate(ARMS, start=1):
+        world = world_of(arm)
+        names = list(world.readings[0])
+        rows = [["frame", "time", *names]]
+        rows += [[f"{k:04d}", world.time(k), *(world.readings[k][name] for name in names)] for k in range(FRAMES)]
+        text = "".join(",".join(map(str, row)) + "\n" for row in rows)
+        (folder / f"joints_{arm}.csv").write_text(text, encoding="utf-8")
+        lines.append(f'[[tool]]\narm = "{arm}"\ninstrument = "lnd"\nlabel = {label}\njoints = "joints_{arm}.csv"\n')
+    (folder / "session.toml").write_text("".join(lines), encoding="utf-8")
+    return folder
+
+
+def tips_of(rows: list[dict[str, object]]) -> np.ndarray:
+    return np.array([row["tips"] for row in rows])
+
+
+# both eyes
+
+
+def test_both_eyes_are_followed_and_shown(
+    stereo: Path, quick: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    ran = run_command(capsys, "track", stereo, "--out", out, "--lag", "0", "--config", quick)
+    assert ran.code == 0, ran.err
+    rows = read_tracks(out / "tracks.jsonl")
+    golden = json.loads((stereo / "golden.json").read_text(encoding="utf-8"))["frames"]
+    true = np.array([golden[row["frame"]]["tips_camera_m"] for row in rows])
+    assert np.linalg.norm(tips_of(rows) - true, axis=2).max() < 0.6e-3
+    video = cv2.VideoCapture(str(out / "tracks.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_WIDTH) == 2 * SMALL.width
+    video.release()
+    assert "report.html" in {path.name for path in out.iterdir()}
+    right = stereo / "masks" / "right" / "0001.png"
+    right.write_bytes((stereo / "masks" / "left" / "0001.png").read_bytes())
+    again = run_command(capsys, "track", stereo, "--out", out, "--lag", "0", "--config", quick)
+    assert "frames have changed since their results were made: 0001 (right mask)" in again.refusal
+
+
+# several arms
+
+
+@pytest.fixture(scope="module")
+def tracks(two_arms: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("tracks")
+
+
+def test_every_arm_is_followed(two_arms: Path, tracks: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = run_command(capsys, "track", two_arms, "--out", tracks, "--lag", "0", "--json")
+    assert set(json.loads(ran.out)) == set(ARMS), ran.err
+    for arm in ARMS:
+        rows = read_tracks(tracks / arm / "tracks.jsonl")
+        errors = np.linalg.norm(tips_of(rows) - [truth.tips for truth in world_of(arm).truths], axis=2).mean(axis=1)
+        ok = [row["status"] == "ok" for row in rows]
+        assert any(ok)
+        assert errors[ok].max() < 1.5e-3
+        assert read_calibration(tracks / arm / "session.json").lag is not None
+        assert {"tracks.csv", "tracks.mp4", "report.html"} <= {path.name for path in (tracks / arm).iterdir()}
+    assert ran.code in (0, 3)
+
+
+def test_arms_have_a_common_video_and_page(two_arms: Path, tracks: Path) -> None:
+    video = cv2.VideoCapture(str(tracks / "tracks.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
+    picture = video.read()[1]
+    video.release()
+    for colour in list(COLOURS)[:2]:  # both arms are drawn, each in its colour
+        assert (np.abs(picture.astype(int) - colour).max(axis=2) < 60).sum() > 30
+    page = (tracks / "report.html").read_text(encoding="utf-8")
+    assert page.count('<img src="data:image/jpeg') == FRAMES
+    assert ">lost</th>" in page
+    for arm in ARMS:
+        assert f'<a href="{arm}/report.html">' in page
+
+
+def test_base_of_an_arm_is_exported(tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--to", "tf", "--arm", "PSM2", "--out", tmp_path, "--json")
+    ran = run_command(capsys, "export", tracks, *arguments)
+    assert ran.code == 0, ran.err
+    written = json.loads(ran.out)["written"]
+    assert "PSM2_base" in Path(written[0]).read_text(encoding="utf-8")
+
+
+def test_one_arm_can_be_chosen(two_arms: Path, tmp_path: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "3", "--no-video", "--no-page")
+    ran = run_command(capsys, "track", two_arms, "--out", tmp_path, *options)
+    assert ran.code in (0, 3)
+    assert [path.name for path in tmp_path.iterdir()] == ["PSM2"]
+    assert len(read_tracks(tmp_path / "PSM2" / "tracks.jsonl")) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--first-mask", "a.png"), "--first-mask: expected one arm (--only ARM), got a session of several"),
+        (("--box", "1,2,30,40"), "--box, --point, --not-point: expected one arm (--only ARM)"),
+        (("--joints", "a.csv"), "--joints FILE: expected one arm (--only ARM)"),
+        (
+            ("--session", "session.json"),
+            "--session: expected a folder with a session.json for each arm, got ",
+        ),
+        (("--only", "PSM3"), "arm: expected one of"),
+    ],
+)
+def test_options_of_one_arm_are_refused(
+    two_arms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], expected: str
+) -> None:
+    assert expected in run_command(capsys, "track", two_arms, "--out", tmp_path / "out", *options).refusal
