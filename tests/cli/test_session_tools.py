@@ -68,7 +68,7 @@ def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.Capture
 
 
 def test_command_for_one_tool_asks_which(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    refusal = run_command(capsys, "golden", "check", folder).refusal
+    refusal = run_command(capsys, "golden", "record", folder).refusal
     assert refusal.endswith("session.toml: tool: expected one, got PSM1, PSM2")
 
 

@@ -25,7 +25,7 @@ from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import exact_mask
 
 FRAMES = 6
-ARMS = {"PSM1": 3, "PSM2": 5}
+ARMS = {"PSM1": 3, "PSM2": 2}
 """The arms, and the seeds of their motion."""
 
 
