@@ -1,6 +1,6 @@
 """Both eyes of stereo sessions against one: errors, modes, cost, and rigs whose calibration is wrong.
 
-Each frame is estimated from the left eye alone, from both eyes, and from both with a rig whose baseline is 2 % off and
+Each frame is estimated from each eye alone, from both eyes, and from both with a rig whose baseline is 2 % off and
 whose rotation 0.3 deg, in a direction that the session's place in the list determines. The cost is the time of the
 process's CPU, so that other programs on the machine count little.
 """
@@ -30,7 +30,8 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 
-ONE: Final = "left eye"
+LEFT: Final = "left eye"
+RIGHT: Final = "right eye"
 BOTH: Final = "both eyes"
 OFF: Final = "both, rig off"
 _BASELINE_OFF: Final = 0.02
@@ -69,20 +70,10 @@ def rig_report(
     for number, folder in enumerate(folders):
         session = read_session(folder, known=body.instrument.joint_names)
         found += _session(session, number, body, single, frames, use_joints)
-    kinds = [_summary(kind, [one for one in found if one.kind == kind]) for kind in (ONE, BOTH, OFF)]
-    cost = [b.seconds / a.seconds for a, b in zip(_of(found, ONE), _of(found, BOTH), strict=True)]
-    ratio = kinds[1]["tip_mm"][0] / kinds[0]["tip_mm"][0]
-    summed = sum(one.tip_mm for one in _of(found, BOTH)) / sum(one.tip_mm for one in _of(found, ONE))
     return {
-        "estimates": kinds,
-        "both eyes against one": [
-            {
-                "tips median": round(ratio, 3),
-                "tips mean": round(summed, 3),
-                "cpu time": round(float(np.median(cost)), 3),
-            }
-        ],
-        "stated mode probability": [_probability(kind, _of(found, kind)) for kind in (ONE, BOTH)],
+        "estimates": [_summary(kind, _of(found, kind)) for kind in (LEFT, RIGHT, BOTH, OFF)],
+        "both eyes against one": [_against(eye, _of(found, eye), _of(found, BOTH)) for eye in (LEFT, RIGHT)],
+        "stated mode probability": [_probability(kind, _of(found, kind)) for kind in (LEFT, RIGHT, BOTH)],
         "wrong rigs": list(_wrong_rigs(found)),
     }
 
@@ -123,7 +114,8 @@ def _session(
         masks = {"left": data.mask, "right": data.others["right"].mask}
         off = wrong_rig(session.rig, number)
         for kind, given, rig in (
-            (ONE, {"left": data.mask}, session.rig),
+            (LEFT, {"left": masks["left"]}, session.rig),
+            (RIGHT, {"right": masks["right"]}, session.rig),
             (BOTH, masks, session.rig),
             (OFF, masks, off),
         ):
@@ -172,6 +164,16 @@ def _summary(kind: str, found: Sequence[Found]) -> dict[str, Any]:
         "views disagree": sum(one.disagree for one in found),
         "cpu seconds": round(float(np.median([one.seconds for one in found])), 3),
     }
+
+
+def _against(eye: str, one: Sequence[Found], both: Sequence[Found]) -> dict[str, Any]:
+    """Return the ratios of errors and CPU time of both eyes to those of one."""
+    median, mean = (
+        of([each.tip_mm for each in both]) / of([each.tip_mm for each in one]) for of in (np.median, np.mean)
+    )
+    cost = [b.seconds / a.seconds for a, b in zip(one, both, strict=True)]
+    ratios = {"tips median": median, "tips mean": mean, "cpu time": float(np.median(cost))}
+    return {"against": eye, **{name: round(float(ratio), 3) for name, ratio in ratios.items()}}
 
 
 def _probability(kind: str, found: Sequence[Found]) -> dict[str, Any]:
