@@ -46,7 +46,7 @@ TRUE_MM: Final = 3.0  # largest error of the tips of the true mode; images this 
 _LEVEL: Final = MotionLevel(1.5, 0.0, 4.0, 0.0, 0.0, 0.0, False, False)
 _VALUES: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e6, 100.0, -7.0)
 _SAMPLES: Final = 200  # steps between samples of the memory
-_REPORTED: Final = 5000  # steps between reports
+_REPORTED: Final = 1000  # steps between reports
 _SHOWN: Final = 10  # violations
 
 
