@@ -378,7 +378,7 @@ class TrackConfig:
         outer joints count as frozen.
     """
 
-    points: int = 250
+    points: int = 350
     draws: int = 3
     steps: int = 2
     reach_px: float = 12.0

@@ -60,8 +60,7 @@ def log_rotation(rotation: ArrayLike) -> Float64:
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
     """Build transforms (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3), m."""
     r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
-    shape = np.broadcast_shapes(r.shape[:-2], t.shape[:-1])
-    out = np.zeros((*shape, 4, 4))
+    out = np.zeros((*np.broadcast(r[..., 0], t).shape[:-1], 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1.0
     return out
 

@@ -130,6 +130,30 @@ class Chain:
             out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
         return out
 
+    def twists(self, joints: NDArray[np.float64], selected: Sequence[int]) -> tuple[NDArray[np.float64], ...]:
+        """Compute the poses (S, 4, 4) of selected links at joint values (J,), and how the joints move them, (S, 6, J).
+
+        ``selected`` and the poses are as in `forward`. The motion is that by a unit of each joint: the velocity, m, of
+        the link's point at the root link's origin, then the rotation, rad, both in the root link's axes.
+        """
+        poses: list[NDArray[np.float64]] = []
+        moving: list[NDArray[np.float64]] = []
+        for index, joint in enumerate(self.joints):
+            local = self.joint_transform(index, joints)
+            pose = local if joint.parent < 0 else poses[joint.parent] @ local
+            motion = np.zeros((6, len(joints))) if joint.parent < 0 else moving[joint.parent].copy()
+            if joint.moves:
+                axis, (x, y, z) = pose[:3, :3] @ (joint.multiplier * joint.axis), pose[:3, 3]
+                if joint.motion == "revolute":
+                    a, b, c = axis
+                    axis = np.array([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c])
+                motion[: len(axis), joint.driver] += axis
+            poses.append(pose)
+            moving.append(motion)
+        poses.append(np.eye(4))
+        moving.append(np.zeros((6, len(joints))))
+        return np.stack([poses[index] for index in selected]), np.stack([moving[index] for index in selected])
+
     def path(self, index: int) -> list[int]:
         """List the indices of the joints from the root link to one joint, inclusive."""
         path: list[int] = []

@@ -89,13 +89,16 @@ class OutlineEdges:
             outline = outline.copy()
             cut = [cut_link(vertices, link, outline, detail) for link in self._vertices.behind]
         chosen = as_flags(outline)
-        if straight:
-            start, end = (vertices.line.take(ends, axis=0, mode="clip") for ends in self._topology.edge_ends)
-            chosen = chosen & (start != end)
-        elif self.poses < batch_size:
+        if self.poses < batch_size and not straight:
             chosen = chosen.copy()
             chosen[:, self.poses :] = False
         at = np.flatnonzero(chosen)
+        if straight:
+            ends = self._topology.edge_ends.take(at >> index_shift(batch_size), axis=1, mode="clip")
+            ends *= batch_size
+            ends += at & (batch_size - 1)
+            start, end = vertices.line.ravel().take(ends, mode="clip")
+            at = at[start != end]
         segments = vertices.segments(at >> index_shift(batch_size), at & (batch_size - 1), detail)
         for more in cut:
             segments = segments.concatenated(more.crossing() if straight else more)

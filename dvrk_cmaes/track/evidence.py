@@ -17,6 +17,7 @@ Float64 = NDArray[np.float64]
 _IGNORED_MARGIN = 3  # px around ignored pixels whose edges are not the instrument's
 _MARGIN = 16  # px around the mask; beyond it there is nothing but background
 _OWN_VARIANCE = 0.25  # px^2, of an edge's place, where two kinds of evidence are weighed
+_INSIDE = 127  # largest value outside a blurred mask
 _BLUR = 1.0  # px, standard deviation; the edge of a blurred mask is found to a fraction of a pixel
 
 
@@ -96,24 +97,22 @@ class MaskEvidence:
 
     def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
         """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the mask."""
-        normals = rim.normals
         count = int(np.ceil(reach))
         along = np.arange(-count, count + 1, dtype=np.float32)
-        at = (pixels - self._origin).astype(np.float32)
-        u, v = (at[:, k : k + 1] + normals[:, k : k + 1].astype(np.float32) * along for k in (0, 1))
-        profile = cv2.remap(self._blurred, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-        inside = profile >= 127.5
-        edge = inside[:, :-1] & ~inside[:, 1:]
-        place = along[:-1] + (profile[:, :-1] - 127.5) / np.maximum(profile[:, :-1] - profile[:, 1:], 1e-3)
-        away = np.where(edge, np.abs(place), np.inf)
-        nearest = away.argmin(axis=1)
+        at, normals = (pixels - self._origin).astype(np.float32), rim.normals.astype(np.float32)
+        u, v = (at[:, k, None] + normals[:, k, None] * along for k in (0, 1))
+        profile = cv2.remap(self._blurred, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        inside = profile > _INSIDE
+        edge = inside[:, :-1] > inside[:, 1:]
+        nearest = np.where(edge, np.abs(along[:-1] + 0.5), np.inf).argmin(axis=1)
         rows = np.arange(len(pixels))
-        found = away[rows, nearest] <= reach
+        inner, outer = (profile[rows, nearest + k].astype(np.float64) for k in (0, 1))
+        place = along[nearest] + (inner - _INSIDE - 0.5) / np.maximum(inner - outer, 1.0)
+        found = edge[rows, nearest] & (np.abs(place) <= reach)
         if self._valid is not None:
-            inner = np.clip(np.rint(at), 0, np.array(self._valid.shape[::-1]) - 1).astype(np.intp)
-            found &= self._valid[inner[:, 1], inner[:, 0]] > 0
-        distance = np.where(found, -place[rows, nearest], 0.0).astype(np.float64)
-        return EdgeDistances(distance, found, np.zeros(len(pixels)))
+            pixel = np.clip(np.rint(at), 0, np.array(self._valid.shape[::-1]) - 1).astype(np.intp)
+            found &= self._valid[pixel[:, 1], pixel[:, 0]] > 0
+        return EdgeDistances(np.where(found, -place, 0.0), found, np.zeros(len(pixels)))
 
     def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
         """Return the share of the mask's edge that is farther than ``reach`` px from the outline as it was drawn."""

@@ -98,17 +98,15 @@ class Follower:
 
     def located(self, one: Hypothesis) -> Located:
         """Return pose, joints and tips of a hypothesis."""
-        pose, joints = self.motion.pose(one.state, one.anchor)
-        loadings = self.motion.loadings(one.state, one.anchor)
+        pose, joints, loadings = self.motion.linearised(one.state, one.anchor)
         covariance = loadings @ one.state.covariance @ loadings.T
-        tips = self.instrument.ends(joints)
         step = 1e-5
-        bent = self.instrument.ends(joints + step * np.eye(len(joints)))
+        tips, *bent = self.instrument.ends(joints + step * np.eye(1 + len(joints), len(joints), -1))
         deviations = [
             float(np.sqrt(max(np.trace(jacobian @ covariance @ jacobian.T), 0.0)))
             for jacobian in (
                 np.concatenate([np.eye(3), -_cross_matrix(tip), ((moved - tip) / step).T], axis=1)
-                for tip, moved in zip(tips, np.moveaxis(bent, 1, 0), strict=True)
+                for tip, moved in zip(tips, np.stack(bent, axis=1), strict=True)
             )
         ]
         return Located(pose, joints, covariance, apply(pose, tips), float(np.mean(deviations)) if deviations else 0.0)

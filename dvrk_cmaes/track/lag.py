@@ -2,7 +2,8 @@
 
 For each lag of a grid, the base that makes the arm's readings agree best with the poses followed lately is solved for
 in closed form; the lag is where the remaining disagreement is least. Rotation about the shaft does not count, since the
-play of roll's cables looks like a lag.
+play of roll's cables looks like a lag. The disagreement is linear in the entries of the base's pose, so that of many
+poses only the sum of their squares is needed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import adjoint, inverse
+from dvrk_cmaes.geometry import inverse
 
 Float64 = NDArray[np.float64]
 
@@ -48,6 +49,7 @@ class LagSearch:
         self._poses: deque[Float64] = deque(maxlen=_KEPT)
         self._outer: deque[Float64] = deque(maxlen=_KEPT)
         self._sigmas: deque[Float64] = deque(maxlen=_KEPT)
+        self._squares: deque[Float64] = deque(maxlen=_KEPT // _EVERY)  # of each block of poses
         self._count = 0
 
     def clear(self) -> None:
@@ -55,6 +57,7 @@ class LagSearch:
         self._poses.clear()
         self._outer.clear()
         self._sigmas.clear()
+        self._squares.clear()
         self._count = 0
 
     def add(self, pose: Float64, covariance: Float64, outer: Float64) -> None:
@@ -65,6 +68,8 @@ class LagSearch:
         self._outer.append(outer)
         self._sigmas.append(np.sqrt(np.diag(covariance)[:5] + _SIGMA**2))
         self._count += 1
+        if self._count % _EVERY == 0:
+            self._squares.append(self._squares_of(len(self._poses) - _EVERY))
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the poses so far as plain values."""
@@ -77,6 +82,8 @@ class LagSearch:
         for name, values in (("poses", self._poses), ("outer", self._outer), ("sigmas", self._sigmas)):
             values.extend(np.array(one, dtype=np.float64) for one in saved[name])
         self._count = int(saved["count"])
+        blocks, rest = divmod(len(self._poses) - self._count % _EVERY, _EVERY)
+        self._squares.extend(self._squares_of(rest + k * _EVERY) for k in range(blocks))
 
     @property
     def due(self) -> bool:
@@ -99,13 +106,43 @@ class LagSearch:
 
     def _costs(self, camera_from_base: Float64) -> Float64:
         """Compute half the sum of squares that remains at each lag of the grid, (L,)."""
-        poses, outer, sigmas = np.array(self._poses), np.array(self._outer), np.array(self._sigmas)[:, None]
-        root = self._base_from_root(outer)  # (N, L, 4, 4)
-        relative = inverse(camera_from_base @ root) @ poses[:, None]
-        # position of the root and direction of the shaft; to first order, that of z is a rotation about -y and x
-        off = np.concatenate([relative[..., :3, 3], -relative[..., 1:2, 2], relative[..., :1, 2]], axis=-1) / sigmas
-        motion = adjoint(inverse(root))[..., :5, :] / sigmas[..., None]  # (N, L, 5, 6)
-        information = np.einsum("nlij,nlik->ljk", motion, motion) + 1e-6 * np.eye(6)
-        slope = np.einsum("nlij,nli->lj", motion, off)
+        squares = np.sum(self._squares, axis=0)
+        entries, motion = _entries(camera_from_base)
+        information = motion.T @ squares @ motion + 1e-6 * np.eye(6)
+        off = squares @ entries
+        slope = off @ motion
         gain = np.einsum("lj,lj->l", slope, np.linalg.solve(information, slope[..., None])[..., 0])
-        return np.asarray(((off**2).sum(axis=(0, 2)) - gain) / (2 * _TOGETHER))
+        return np.asarray((off @ entries - gain) / (2 * _TOGETHER))
+
+    def _squares_of(self, first: int) -> Float64:
+        """Return the matrices (L, 13, 13) of the sum of squares of a block of poses by the entries of `_entries`.
+
+        The block begins with the kept pose number ``first``.
+        """
+        index = range(first, first + _EVERY)
+        pose, sigma = (np.array([values[k] for k in index])[:, None] for values in (self._poses, self._sigmas))
+        root = self._base_from_root(np.array([self._outer[k] for k in index]))  # (N, L, 4, 4)
+        back, position = root[..., :3, :3].swapaxes(-1, -2), root[..., :3, 3:]
+        # position of the root and direction of the shaft; to first order, that of z is a rotation about -y and x
+        off = np.zeros((*root.shape[:2], 5, 13))
+        off[..., :3, :9] = (back[..., None] * pose[..., None, None, :3, 3]).reshape(*root.shape[:2], 3, 9)
+        off[..., :3, 9:12], off[..., :3, 12:] = back, -back @ position
+        turned = (back[..., :2, :, None] * pose[..., None, None, :3, 2]).reshape(*root.shape[:2], 2, 9)
+        off[..., 3, :9], off[..., 4, :9] = -turned[..., 1, :], turned[..., 0, :]
+        off /= sigma[..., None]
+        each = off.swapaxes(0, 1).reshape(len(LAGS), -1, 13)
+        return np.asarray(each.swapaxes(1, 2) @ each)
+
+
+def _entries(camera_from_base: Float64) -> tuple[Float64, Float64]:
+    """Return the entries (13,) of base_from_camera, by rows, then its position, then 1, and their rates (13, 6).
+
+    The rates are those by small changes of the base.
+    """
+    pose = inverse(camera_from_base)
+    motion = np.zeros((13, 6))
+    motion[9:12, :3] = -np.eye(3)
+    for axis in range(3):
+        turn = np.cross(np.eye(3)[axis], pose[:3], axisb=0, axisc=0)  # (3, 4)
+        motion[:9, 3 + axis], motion[9:12, 3 + axis] = -turn[:, :3].ravel(), -turn[:, 3]
+    return np.concatenate([pose[:3, :3].ravel(), pose[:3, 3], [1.0]]), motion

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,18 +82,25 @@ class MotionModel:
         self._arm: Arm = arm
         self._roll_offset = roll_offset
 
-    def _base_from_root(self, outer: Float64) -> Float64:
-        return base_from_root(outer, self._arm, roll_offset=self._roll_offset)
-
     def _corrected(self, state: FilterState, anchor: Anchor) -> Float64:
         """Return the outer readings (4,) with the offset of roll."""
         outer = anchor.outer.copy()
         outer[_ROLL] += state.offsets[0]
         return outer
 
+    def _root(self, state: FilterState, anchor: Anchor) -> Float64:
+        """Return the pose (4, 4) of the root in the base by the readings."""
+        yaw, pitch, insertion, roll = anchor.outer.tolist()
+        angle = roll + float(state.offsets[0])
+        turn = np.eye(4)
+        turn[0, 0] = turn[1, 1] = cos(angle)
+        turn[1, 0] = sin(angle)
+        turn[0, 1] = -turn[1, 0]
+        return np.asarray(_without_roll(yaw, pitch, insertion, self._arm, self._roll_offset) @ turn)
+
     def pose(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64]:
         """Return the root's pose in the camera (4, 4) and the joints (J,) of a state."""
-        root = self._base_from_root(self._corrected(state, anchor))
+        root = self._root(state, anchor)
         return state.camera_from_base @ root @ state.slack, anchor.joints + state.offsets[1:]
 
     def loadings(self, state: FilterState, anchor: Anchor) -> Float64:
@@ -101,14 +110,13 @@ class MotionModel:
     def linearised(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64, Float64]:
         """Return pose and joints of a state as `pose` does, and their `loadings`."""
         at, count = self._at, self._at.joints
-        root = self._base_from_root(self._corrected(state, anchor))
+        moved_root = self._root(state, anchor) @ state.slack
         out = np.zeros((6 + count, at.size))
-        from_slack = inverse(state.slack)
-        out[:6, at.base] = adjoint(from_slack @ inverse(root))
-        out[:6, at.roll] = adjoint(from_slack)[:, 5]
+        out[:6, at.base] = adjoint(inverse(moved_root))
+        out[:6, at.roll] = adjoint(inverse(state.slack))[:, 5]
         out[:6, at.slack] = np.eye(6)
         out[6:, at.offsets] = np.eye(count)
-        return state.camera_from_base @ root @ state.slack, anchor.joints + state.offsets[1:], out
+        return state.camera_from_base @ moved_root, anchor.joints + state.offsets[1:], out
 
     def slack_covariance(self, state: FilterState, anchor: Anchor, lag_std: float) -> Float64:
         """Return the covariance (6, 6) of what readings of the outer joints do not explain of the root's pose.
@@ -117,12 +125,14 @@ class MotionModel:
         """
         c = self._config
         outer = self._corrected(state, anchor)
-        ends = self._base_from_root(np.concatenate([outer + _STEP * np.eye(4), outer[None]]))
-        loadings = _small_change(ends[4], ends[:4]) / _STEP
-        loadings *= np.array([*[np.deg2rad(c.arm_deg)] * 2, c.insertion_mm * 1e-3, 0.0])[:, None]
+        ends = base_from_root(
+            np.concatenate([outer + _STEP * np.eye(4), outer[None]]), self._arm, roll_offset=self._roll_offset
+        )
+        by_joint = _small_change(ends[4], ends[:4]) / _STEP
+        late = lag_std * (anchor.outer_rate @ by_joint)
+        errors = by_joint * np.array([*[np.deg2rad(c.arm_deg)] * 2, c.insertion_mm * 1e-3, 0.0])[:, None]
         own = [c.slack_mm * 1e-3] * 3 + [np.deg2rad(c.slack_deg)] * 3
-        late = lag_std * _small_change(ends[4], self._base_from_root(outer + _STEP * anchor.outer_rate)) / _STEP
-        return np.asarray(loadings.T @ loadings + np.diag(np.square(own)) + np.outer(late, late))
+        return np.asarray(errors.T @ errors + np.diag(np.square(own)) + np.outer(late, late))
 
     def _drift(self, elapsed: float) -> Float64:
         """Return the variances (1 + J,) of what the offsets change in some time, s, by themselves: the wander."""
@@ -192,6 +202,12 @@ class MotionModel:
         covariance = transition @ state.covariance @ transition.T + noise
         covariance = (covariance + covariance.T) / 2
         return replace(state, offsets=offsets, slack=slack, rate=rate, covariance=covariance), transition
+
+
+@lru_cache(maxsize=8)
+def _without_roll(yaw: float, pitch: float, insertion: float, arm: Arm, roll_offset: float) -> Float64:
+    """Return the pose (4, 4) of the root in the base at a reading of roll of zero; roll turns it about its z axis."""
+    return base_from_root(np.array([yaw, pitch, insertion, 0.0]), arm, roll_offset=roll_offset)
 
 
 def _expected_change(before: Anchor, anchor: Anchor) -> Float64:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply, change_between
+from dvrk_cmaes.geometry import apply, rotation_angle
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.outline_room import Room
 
@@ -18,7 +17,7 @@ Float64 = NDArray[np.float64]
 
 _DRAWN_WIDTH = 640  # px; larger outlines are drawn about this wide, since their points are as exact
 _BORDER = 2.0  # px from the image's border; points closer to it are not used
-_STEP = 1e-5  # m and rad, of central differences
+_STEP = 1e-5  # of normalised coordinates, for the derivatives of a lens
 _NEAREST = 1e-3  # m, least depth of a point
 
 
@@ -42,13 +41,21 @@ class Rim:
     joints: Float64
 
     @cached_property
+    def by_link(self) -> Float64:
+        """Homogeneous points (N, 4 L), in the columns of their links; the other columns are zero."""
+        found = np.zeros((len(self.link), int(self.link.max(initial=0)) + 1, 4))
+        row = np.arange(len(self.link))
+        found[row, self.link, :3], found[row, self.link, 3] = self.points, 1.0
+        return found.reshape(len(found), -1)
+
+    @cached_property
     def room(self) -> Room:
         """How far the lines along the normals run within the silhouette and beside it."""
         return Room.of(self.pixels, self.normals)
 
     def turned(self, pose: Float64, joints: Float64) -> float:
         """Return the largest angle, rad, between the root or a joint and those it was drawn at."""
-        return float(max(np.abs(change_between(self.pose, pose)[3:]).max(), np.abs(self.joints - joints).max()))
+        return max(float(rotation_angle(self.pose, pose)), float(np.abs(self.joints - joints).max()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +74,7 @@ class OutlineModel:
         small = camera.scaled(max(camera.width // shrink, 1), max(camera.height // shrink, 1))
         self._renderer = Renderer(body, small, threads=1)
         self._scale = np.array([camera.width / small.width, camera.height / small.height])
+        self._focal, self._principal = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
         self.camera = camera
         self.instrument = body.instrument
         self._points = points
@@ -104,36 +112,43 @@ class OutlineModel:
 
     def place(self, rim: Rim, pose: Float64, joints: Float64) -> Float64 | None:
         """Project a rim's points at a pose (4, 4) and joints (J,), (N, 2); None if one is behind the camera."""
-        seen = apply(pose, self._in_root(rim, joints[None])[0])
+        seen = apply(pose, _in_root(rim, self.instrument.forward(joints)))
         return None if seen[:, 2].min() < _NEAREST else np.asarray(self.camera.project(seen))
-
-    def _in_root(self, rim: Rim, joints: Float64) -> Float64:
-        """Compute a rim's points in the root's frame for C joint values (C, J), (C, N, 3)."""
-        links = self.instrument.forward(joints)
-        edges = np.searchsorted(rim.link, np.arange(links.shape[1] + 1))
-        found = np.empty((len(joints), len(rim.points), 3))
-        for link, (begin, end) in enumerate(pairwise(edges)):
-            rotation = links[:, link, :3, :3].swapaxes(-1, -2)
-            found[:, begin:end] = rim.points[begin:end] @ rotation + links[:, link, None, :3, 3]
-        return found
 
     def project(self, rim: Rim, pose: Float64, joints: Float64) -> Projected | None:
         """Project a rim's points at a pose (4, 4) and joints (J,); None if one of them is not in front of the camera.
 
         The Jacobian's columns are the small changes of the pose in the root's axes, then the joints.
         """
-        count = len(joints)
-        bent = np.concatenate([joints[None], joints + _STEP * np.eye(count), joints - _STEP * np.eye(count)])
-        in_root = self._in_root(rim, bent)
-        at = in_root[0]
+        links, twists = self.instrument.twists(joints)
+        at = _in_root(rim, links)
         seen = apply(pose, at)
-        if seen[:, 2].min() < _NEAREST:
+        depth = seen[:, 2:]
+        if depth.min() < _NEAREST:
             return None
-        ends = np.stack([seen + _STEP * axis for axis in np.eye(3)] + [seen - _STEP * axis for axis in np.eye(3)])
-        pixels = self.camera.project(np.concatenate([seen[None], ends]))
+        xy = seen[:, :2] / depth
+        pixels, across = self._in_image(xy, rim.normals)
         # how far a point moves along its normal when it moves in the camera, (N, 3), then in the root's axes
-        slope = np.einsum("anu,nu->na", (pixels[1:4] - pixels[4:]) / (2 * _STEP), rim.normals)
-        in_axes = slope @ pose[:3, :3]
-        bending = (in_root[1 : 1 + count] - in_root[1 + count :]) / (2 * _STEP)
-        columns = [in_axes, np.cross(at, in_axes), np.einsum("jna,na->nj", bending, in_axes)]
-        return Projected(pixels[0], np.concatenate(columns, axis=1))
+        slope = np.concatenate([across, -(across * xy).sum(axis=1, keepdims=True)], axis=1) / depth
+        (x, y, z), (a, b, c) = at.T, (slope @ pose[:3, :3]).T
+        by_pose = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
+        by_joints = np.einsum("nk,nkj->nj", by_pose, twists[rim.link])
+        return Projected(pixels, np.concatenate([by_pose, by_joints], axis=1))
+
+    def _in_image(self, xy: Float64, normals: Float64) -> tuple[Float64, Float64]:
+        """Return the pixels (N, 2) of points at normalised coordinates (N, 2), and their motion along the normals.
+
+        The motion (N, 2) is the derivative by the coordinates.
+        """
+        if self.camera.is_pinhole:
+            return xy * self._focal + self._principal, normals * self._focal
+        steps = _STEP * np.array([[0.0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+        distorted = self.camera.distort(xy + steps[:, None])
+        motion = (distorted[1::2] - distorted[2::2]) / (2 * _STEP)  # (2, N, 2)
+        return distorted[0] * self._focal + self._principal, ((motion * (normals * self._focal)).sum(axis=2)).T
+
+
+def _in_root(rim: Rim, links: Float64) -> Float64:
+    """Compute a rim's points in the root's frame, (N, 3), from the poses of the links, (L, 4, 4)."""
+    matrix = links[:, :3].swapaxes(1, 2).reshape(-1, 3)
+    return np.asarray(rim.by_link @ matrix[: rim.by_link.shape[1]])

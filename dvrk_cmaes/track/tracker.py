@@ -26,7 +26,7 @@ from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
-from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
+from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
 from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported
 from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
 from dvrk_cmaes.track.modes import decide
@@ -351,14 +351,15 @@ class Tracker:
         if decision.switched:
             self._step = None
             self._lags.clear()
+        located = self._follower.located(self._hypotheses[0])
         if is_convincing(fit, track):
-            self._find_lag(time)
+            self._find_lag(time, located)
             if not reasons:
                 self._learn(seen)
             if self._search.unsupported >= 1:
                 reasons.append("found again: one image supports the pose so far")
             self._search = Searching()
-        result = self._result(time, "doubtful" if reasons else "ok", tuple(reasons))
+        result = self._result(time, "doubtful" if reasons else "ok", tuple(reasons), located)
         return replace(result, residual_px=fit.sigma)
 
     def _unsupported(self, time: float, reason: str) -> TrackResult:
@@ -387,23 +388,23 @@ class Tracker:
             reason += ", away from where the readings say: readings jumped, or the base moved"
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
 
-    def _find_lag(self, time: float) -> None:
-        """Add the best pose to those from which the lag is found."""
+    def _find_lag(self, time: float, located: Located) -> None:
+        """Add the best pose, which is ``located``, to those from which the lag is found."""
         if self._lag_given or not self._hypotheses[0].anchor.outer_read or len(self._hypotheses) > 1:
             return
-        best = self._hypotheses[0]
-        located = self._follower.located(best)
         readings = self._buffer.outer_at(time - LAGS)
         self._lags.add(located.camera_from_root, located.covariance, readings)
         if self._lags.due:
-            found = self._lags.search(best.state.camera_from_base)
+            found = self._lags.search(self._hypotheses[0].state.camera_from_base)
             if found is not None:
                 self._lag = found
 
-    def _result(self, time: float, status: TrackStatus, reasons: tuple[str, ...]) -> TrackResult:
-        """Describe the best hypothesis."""
+    def _result(
+        self, time: float, status: TrackStatus, reasons: tuple[str, ...], located: Located | None = None
+    ) -> TrackResult:
+        """Describe the best hypothesis, which is ``located`` if that is given."""
         best = self._hypotheses[0]
-        located = self._follower.located(best)
+        located = self._follower.located(best) if located is None else located
         doubts = tuple(doubts_of_pose(located, self._rig, self._config.track))
         if status == "ok" and doubts:
             status = "doubtful"
