@@ -99,7 +99,7 @@ def estimate(
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, dict(joints or {})
-    rig = Rig.of_camera(camera) if isinstance(camera, Camera) else camera
+    rig = Rig.of(camera)
     if session is not None:
         rig = rig.with_cameras({rig.names[0]: session.corrected(rig.camera)})
     seen, left_out = seen_views(mask, rig.camera if isinstance(camera, Camera) else rig, ignore, keypoints)

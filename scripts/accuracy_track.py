@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
@@ -24,7 +25,7 @@ from dvrk_cmaes.frames.session_video import SessionVideo, own_video
 from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.track_clock import TrackClock
-from dvrk_cmaes.runs.track_frames import TrackSettings, followed, rig_of, used_session
+from dvrk_cmaes.runs.track_frames import TrackSettings, followed, used_session
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track import Tracker
@@ -79,7 +80,7 @@ def _all(
     tracker: Tracker, frames: Sequence[FrameFiles], clock: TrackClock, session: Session, *, with_images: bool
 ) -> list[TrackResult]:
     results = []
-    for _, result in followed(tracker, frames, clock, rig_of(session), with_images=with_images):
+    for _, result in followed(tracker, frames, clock, Rig.of(session.cameras), with_images=with_images):
         results.append(result)
         if len(results) % _PROGRESS == 0:
             print(f"{session.folder.name}: {len(results)} of {len(frames)} frames", file=sys.stderr, flush=True)

@@ -69,6 +69,11 @@ class Rig:
         return Rig((View(name, camera, np.eye(4)),))
 
     @staticmethod
+    def of(camera: Camera | Rig) -> Rig:
+        """Return a rig as it is, and a single camera as a rig."""
+        return Rig.of_camera(camera) if isinstance(camera, Camera) else camera
+
+    @staticmethod
     def stereo(left: Camera, right: Camera, right_from_left: ArrayLike) -> Rig:
         """Return the rig of the views ``left`` and ``right``; ``right_from_left`` (4, 4) maps points, m."""
         second = View("right", right, np.asarray(right_from_left, dtype=np.float64))

@@ -38,10 +38,11 @@ _TRANSLATION = ("t", "extrinsiccameratranslation", "translation")
 
 def has_pose(where: str, right: Document) -> bool:
     """Whether a right camera's file states where it is: ``right_from_left``, or a baseline in P."""
-    if right.get(_POSE) is not None or not has_field(right, _PROJECTION):
-        return right.get(_POSE) is not None
-    numbers = take_numbers(where, *take_field(where, right, _PROJECTION), count=12)
-    return bool(numbers[3])
+    if right.get(_POSE) is not None:
+        return True
+    if not has_field(right, _PROJECTION):
+        return False
+    return bool(take_numbers(where, *take_field(where, right, _PROJECTION), count=12)[3])
 
 
 def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document, *, rectified: bool) -> StereoPose:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.video_file import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
-from dvrk_cmaes.runs.track_frames import rig_of
 from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 from dvrk_cmaes.silhouette import Body
 
@@ -51,7 +51,7 @@ def write_track_arms(
     if not (video or page):
         return
     rows = {arm: read_tracks(out / arm / TRACKS) for arm in sessions}
-    rig = rig_of(next(iter(sessions.values())))
+    rig = Rig.of(next(iter(sessions.values())).cameras)
     seen = {arm: seen_frames(session.frames[::every], rows[arm], rig, bodies[arm]) for arm, session in sessions.items()}
     chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm})))
     pictures: list[FramePicture] = []

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
@@ -38,7 +39,7 @@ from dvrk_cmaes.runs.manifest import (
 )
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.track_clock import TrackClock
-from dvrk_cmaes.runs.track_frames import TrackSettings, followed, rig_of
+from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
@@ -87,7 +88,9 @@ class _Run:
     def followed(self, tracker: Tracker, *, done: int = 0) -> Iterator[tuple[FrameFiles, TrackResult]]:
         """Follow the frames after the first ``done`` ones."""
         with_images = self.settings.evidence != "masks"
-        return followed(tracker, self.frames, self.clock, rig_of(self.session), done=done, with_images=with_images)
+        return followed(
+            tracker, self.frames, self.clock, Rig.of(self.session.cameras), done=done, with_images=with_images
+        )
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl."""
@@ -215,7 +218,7 @@ def _show(
     rerun: Path | None,
 ) -> None:
     """Write the overlay video, the page, and a recording for Rerun."""
-    rig, clock = rig_of(run.session), run.clock
+    rig, clock = Rig.of(run.session.cameras), run.clock
     late = 0.0 if tracker.lag is None else tracker.lag.seconds
     times = np.array([clock.times[files.name] for files in run.frames]) - late
     recording = FollowedRecording(

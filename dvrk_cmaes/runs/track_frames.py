@@ -106,7 +106,7 @@ def _by_images(session: Session) -> Session:
         replace(one, mask=None, others={name: replace(other, mask=None) for name, other in one.others.items()})
         for one in session.frames
     )
-    rig, notes = rig_of(session), list(session.notes)
+    rig, notes = Rig.of(session.cameras), list(session.notes)
     fitted = {}
     for view in rig.views:
         there = (files_of_views(one, rig).get(view.name) for one in frames)
@@ -128,11 +128,6 @@ def with_first_mask(session: Session, mask: Path | None) -> Session:
     """Return a session whose first frame has a mask; as it is without one."""
     first, *rest = session.frames
     return session if mask is None else replace(session, frames=(replace(first, mask=mask), *rest))
-
-
-def rig_of(session: Session) -> Rig:
-    """Return the rig of a session; of one camera if it has one."""
-    return Rig.of_camera(session.camera) if session.rig is None else session.rig
 
 
 def files_of_views(files: FrameFiles, rig: Rig) -> dict[str, FrameFiles]:

@@ -91,7 +91,7 @@ class Tracker:
         check_config(settings)
         body = body_by(body, settings.silhouette.method)
         self._config = settings
-        self._rig = rig = Rig.of_camera(camera) if isinstance(camera, Camera) else camera
+        self._rig = rig = Rig.of(camera)
         self._calibration = calibration
         self._names = body.instrument.joint_names
         self._arm: Arm = arm if calibration is None else calibration.arm
