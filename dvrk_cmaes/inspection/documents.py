@@ -17,7 +17,7 @@ from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.inspection.cameras import inspect_camera
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.instruments import inspect_kinematics, inspect_tool
-from dvrk_cmaes.instrument.dvrk_description import is_description
+from dvrk_cmaes.instrument.dvrk_description import is_arm, is_description
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import Number, Transform, convert_document
@@ -56,8 +56,7 @@ def inspect_json(path: Path, options: Options) -> Finding:
     """Describe a JSON document of any known format; InputError if it is of none."""
     document = read_json_object(path, expected="a JSON document", comments=True)
     if is_description(document):
-        names = [joint.get("name") for joint in document["DH"].get("joints", ()) if isinstance(joint, dict)]
-        return inspect_kinematics(path) if "insertion" in names else inspect_tool(path)
+        return inspect_kinematics(path) if is_arm(document) else inspect_tool(path)
     if any(isinstance(value, dict) and "type_id" in value for value in document.values()):
         return inspect_camera(path, options)
     if document and all(isinstance(value, dict) and "position_m" in value for value in document.values()):

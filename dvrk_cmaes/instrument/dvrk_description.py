@@ -109,6 +109,13 @@ def is_description(document: Mapping[str, Any]) -> bool:
     return isinstance(document.get("DH"), dict)
 
 
+def is_arm(description: Mapping[str, Any]) -> bool:
+    """Whether a description that has not been checked is of an arm, not of a tool: a joint of it is ``insertion``."""
+    joints = description["DH"].get("joints")
+    rows = joints if isinstance(joints, list) else []
+    return any(isinstance(row, dict) and row.get("name") == "insertion" for row in rows)
+
+
 def read_tool(path: str | Path) -> Tool:
     """Read a tool's description.
 

@@ -191,6 +191,11 @@ def test_unknown_files_are_refused(tmp_path: Path) -> None:
     assert "cut off or damaged" in message(written(tmp_path, "x.png", cv2.imencode(".png", MASK)[1].tobytes()[:-20]))
 
 
+def test_joints_of_a_description_that_are_no_list_are_named(tmp_path: Path) -> None:
+    path = written(tmp_path, "tool.json", '{"DH": {"joints": 5}}')
+    assert message(path).startswith(f"{path}: DH.joints: expected ")
+
+
 def test_real_files_are_recognised(shared: Path) -> None:
     formats = shared / "formats"
     kinds = {
