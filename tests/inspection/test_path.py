@@ -192,7 +192,7 @@ def test_unknown_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_joints_of_a_description_that_are_no_list_are_named(tmp_path: Path) -> None:
-    path = written(tmp_path, "tool.json", '{"DH": {"joints": 5}}')
+    path = written(tmp_path, "tool.json", '{"DH": {"convention": "modified", "joints": 5}}')
     assert message(path).startswith(f"{path}: DH.joints: expected ")
 
 
