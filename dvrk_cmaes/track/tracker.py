@@ -24,6 +24,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
+from dvrk_cmaes.track.confirmation import CHANGED, UNCONFIRMED, Confirmation
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
@@ -111,6 +112,7 @@ class Tracker:
         self._time: float | None = None
         self._hypotheses: list[Hypothesis] = []
         self._search = Searching()
+        self._confirmation = Confirmation()
         self._sight = RigSight(rig, track, evidence, hints)
         self._solve = GlobalSearch(self._follower, self._sight, body, settings, calibration)
         self._recorder = Recorder() if record else None
@@ -155,6 +157,7 @@ class Tracker:
             "lag": [self._lag.seconds, self._lag.std],
             "lags": self._lags.checkpoint(),
             "search": [self._search.unsupported, self._search.wait],
+            "confirmation": [self._confirmation.credit, self._confirmation.left, self._confirmation.wait],
             "sight": self._sight.checkpoint(),
             "cables": None if self._cables is None else self._cables.checkpoint(),
         }
@@ -173,6 +176,8 @@ class Tracker:
             self._lag = FoundLag(*(float(value) for value in saved["lag"]))
             self._lags.restore(saved["lags"])
             self._search = Searching(*(float(value) for value in saved["search"]))
+            credit, left, wait = saved["confirmation"]
+            self._confirmation = Confirmation(float(credit), int(left), int(wait))
             if self._cables is not None:
                 self._cables.restore(saved["cables"])
             self._sight.restore(saved["sight"])
@@ -291,12 +296,13 @@ class Tracker:
         if views:
             self._sight.learn(seen, self._follower.outlines(self._hypotheses[0], views), anew=anew)
 
-    def _begin(self, time: float, result: Result) -> None:
-        """Start all modes of a single frame's result as hypotheses."""
+    def _begin(self, time: float, result: Result, *, changed: bool = False) -> None:
+        """Start all modes of a single frame's result as hypotheses; ``changed`` as in `Confirmation.start`."""
         self._hypotheses = starting_hypotheses(
             self._follower, self._config, self._calibration, self._anchor(time), self._lag.std, result
         )
         self._search = Searching()
+        self._confirmation.start(result, changed=changed)
         self._lags.clear()
         self._step = None
         self._time = time
@@ -339,9 +345,25 @@ class Tracker:
                 return found
         if supported:
             result = self._supported(time, seen, [one for one in fits if one is not None])
+            if self._confirmation.needed and result.status == "ok":
+                result = self._confirmed(time, anchor, seen, result)
         else:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
-        return replace(result, searched=searched)
+        return replace(result, searched=searched or result.searched)
+
+    def _confirmed(self, time: float, anchor: Anchor, seen: RigSeen, result: TrackResult) -> TrackResult:
+        """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
+        doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
+        if not self._confirmation.due():
+            return doubtful
+        solved = self._solve(seen, anchor)
+        if solved is not None:
+            agrees = self._confirmation.add(self._follower, self._hypotheses[0], solved)
+            if not agrees and solved.status == "ok":
+                self._begin(time, solved, changed=True)
+                self._learn(seen, anew=True)
+                doubtful = self._result(time, "doubtful", (CHANGED,))
+        return replace(doubtful if self._confirmation.needed else result, searched=True)
 
     def _supported(self, time: float, seen: RigSeen, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
         """Keep the corrected hypotheses, decide between them, and judge the best one."""

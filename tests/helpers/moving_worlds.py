@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -60,11 +61,14 @@ class MovingWorld:
 
 
 @cache
-def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_ONLY) -> MovingWorld:
-    """Make a moving arm with the bundled instrument."""
+def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_ONLY, right: float = 0.0) -> MovingWorld:
+    """Make a moving arm with the bundled instrument, the whole moved to the right by some metres."""
     body = prepare("lnd")
     rng = np.random.default_rng(seed)
     base, truths = moving_arm(body, SMALL, rng, frames, level)
+    aside = moved(np.eye(4), [right, 0.0, 0.0, 0.0, 0.0, 0.0])
+    base = aside @ base
+    truths = [replace(truth, camera_from_root=aside @ truth.camera_from_root) for truth in truths]
     paths = read_moving(truths, rng, level)
     readings = [{name: float(path[k]) for name, path in paths.items()} for k in range(frames)]
     return MovingWorld(body, SMALL, base, truths, [exact_mask(body, SMALL, truth) for truth in truths], readings)

@@ -191,6 +191,16 @@ def test_base_that_moved_is_found_again(world: MovingWorld, first: Result) -> No
     assert np.linalg.norm(last.tips - after[23].tips, axis=1).mean() < 2e-3  # type: ignore[operator]
 
 
+def test_first_image_in_doubt_is_never_ok_and_wrong() -> None:
+    world = moving_world(right=0.008)
+    followed = world.follow(Tracker(world.camera, world.body, lag=0.0), frames=range(24))
+    assert followed[0].status == "doubtful"
+    assert world.error_mm(0, followed[0]) > 3  # the first image alone leads astray
+    assert not [k for k, one in enumerate(followed) if one.status == "ok" and world.error_mm(k, one) > 3]
+    assert any(reason.startswith("mode not confirmed") for one in followed for reason in one.reasons)
+    assert followed[-1].status == "ok"
+
+
 # wrong use
 
 
