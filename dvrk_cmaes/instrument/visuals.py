@@ -14,6 +14,7 @@ from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, read_mesh, to_link_frame, weld
 
 _CYLINDER_SIDES = 64
+_MOST_VISUALS = 100  # of a link
 _LEAST_SCALE = 1e-9
 _LEAST_EXTENT = 1e-7  # m, of a primitive
 
@@ -43,8 +44,11 @@ def link_triangles(
     Raises
     ------
     InputError
-        A mesh is missing or cannot be used, or the numbers of a primitive or an origin are not valid.
+        A mesh is missing or cannot be used, the numbers of a primitive or an origin are not valid, or there are more
+        than 100 visuals.
     """
+    if len(visuals) > _MOST_VISUALS:
+        raise InputError(f"{urdf}: link {link!r}: expected at most {_MOST_VISUALS} visuals, got {len(visuals)}")
     parts: list[Triangles] = []
     for visual in visuals:
         where = f"{urdf}: link {link!r}"

@@ -94,6 +94,12 @@ def test_robot_without_geometry_is_refused(tmp_path: Path) -> None:
     assert "no visual geometry on link 'roll_link'" in refused(write_urdf(tmp_path, '<link name="roll_link"/>'))
 
 
+def test_link_of_too_many_visuals_is_refused(tmp_path: Path) -> None:
+    visuals = '<visual><geometry><cylinder radius="0.004" length="0.3"/></geometry></visual>' * 101
+    told = refused(write_urdf(tmp_path, f'<link name="roll_link">{visuals}</link>'))
+    assert "link 'roll_link': expected at most 100 visuals, got 101" in told
+
+
 def test_import_loads_no_slow_library() -> None:
     code = "import sys, dvrk_cmaes.instrument; print([m for m in ('trimesh', 'yourdfpy', 'scipy') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
