@@ -29,10 +29,10 @@ def noisy_mask(body: Body, seed: int, size: float = 1.0) -> np.ndarray:
     return signed_distance(exact) < size * waves / waves.std()
 
 
-def refiner(body: Body, mask: np.ndarray) -> OutlineRefiner:
+def refiner(body: Body, mask: np.ndarray, read: np.ndarray = READ, ignore: np.ndarray | None = None) -> OutlineRefiner:
     low, high = body.instrument.limits.T
-    readings = Readings(READ, np.deg2rad([10, 10, 15]), low, high)
-    evidence = gather_evidence(mask, CAMERA, body.instrument)
+    readings = Readings(read, np.deg2rad([10, 10, 15]), low, high)
+    evidence = gather_evidence(mask, CAMERA, body.instrument, ignore=ignore)
     return OutlineRefiner(Renderer(body, CAMERA), evidence, readings, OutlineConfig())
 
 
@@ -89,6 +89,16 @@ def test_pose_far_from_mask_is_unchanged(bundled_body: Body) -> None:
     pose, joints = fit_correlated(refiner(bundled_body, noisy_mask(bundled_body, 0)), away, JOINTS)
     np.testing.assert_array_equal(pose, away)
     np.testing.assert_array_equal(joints, JOINTS)
+
+
+def test_hidden_joints_without_readings_stay_as_they_are(bundled_body: Body) -> None:
+    wrist = CAMERA.project(POSE[None, :3, 3])[0]
+    hidden = np.linalg.norm(np.indices((CAMERA.height, CAMERA.width))[::-1].T - wrist, axis=2).T < 200
+    at = refiner(bundled_body, noisy_mask(bundled_body, 0), np.full(3, np.nan), hidden)
+    start = moved(POSE, [5e-4, 0, 0, 0, 0.01, 0])
+    pose, joints = fit_correlated(at, start, JOINTS)
+    np.testing.assert_allclose(joints, JOINTS, atol=1e-6)
+    assert axis_error(pose) < 6
 
 
 def test_banded_solution_is_that_of_the_whole_covariance() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import adjoint, inverse
-from dvrk_cmaes.pose.refine.correlated_noise import contour_terms
+from dvrk_cmaes.pose.refine.correlated_noise import contour_terms, invertible
 from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
 from dvrk_cmaes.pose.refine.outline import OutlineFit
 
@@ -43,7 +43,7 @@ def rig_rotations(
     slope = np.sum(slopes, axis=0)
     for k in range(1, len(own)):
         reduced = _reduced(own, k, turn)
-        along = turn.T @ (slopes[k] - own[k] @ np.linalg.solve(_invertible(np.sum(own, axis=0)), slope))
+        along = turn.T @ (slopes[k] - own[k] @ np.linalg.solve(invertible(np.sum(own, axis=0)), slope))
         covariance = np.linalg.inv(_reduced(informations, k, turn))
         found.append((np.asarray(-np.linalg.solve(reduced, along)), np.asarray(covariance)))
     return found
@@ -55,11 +55,5 @@ def _reduced(informations: Sequence[Float64], view: int, turn: Float64) -> Float
     ``turn`` (6 + J, 3) are the small changes of the pose in that view by a rotation of the view.
     """
     one, whole = informations[view], np.sum(informations, axis=0)
-    reduced = turn.T @ (one - one @ np.linalg.solve(_invertible(whole), one)) @ turn
+    reduced = turn.T @ (one - one @ np.linalg.solve(invertible(whole), one)) @ turn
     return np.asarray(reduced + 1e-6 * np.trace(reduced) * np.eye(3))
-
-
-def _invertible(information: Float64) -> Float64:
-    """Return an information matrix with a little added, as no contour tells joints that are outside of all images."""
-    diagonal = np.diag(information)
-    return information + np.diag(1e-9 * diagonal + 1e-12 * max(float(diagonal.max()), 1.0))
