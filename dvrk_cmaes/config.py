@@ -383,9 +383,9 @@ class TrackConfig:
     steps: int = 2
     reach_px: float = 12.0
     support_px: float = 3.0
-    sigma_px: float = 0.5
+    sigma_px: float = 0.2
     correlation_px: float = 8.0
-    frame_correlation: float = 3.0
+    frame_correlation: float = 2.0
     outlier_sigmas: float = 2.0
     arm_deg: float = 0.1
     insertion_mm: float = 0.3

@@ -20,6 +20,7 @@ Float64 = NDArray[np.float64]
 
 _STILL_PX = 0.05  # largest motion of an outline's point up to which a correction is the last
 _KEPT_WITHIN_IMAGE = 0.01  # rad, rotation of the root or of a joint up to which an outline is not drawn again
+_NORMAL_MEDIAN = 1.4826  # standard deviations of a normal distribution for each median of its absolute values
 _FARTHEST_BEYOND = 4.0  # standard deviations of a joint's limit
 
 
@@ -29,9 +30,9 @@ class Fit:
 
     ``supported`` is the share of the outline in the image that has an edge within reach, ``unexplained`` the share of
     the evidence's edge that has no outline within reach, the mean of all views; ``of_views`` has both by index of the
-    view. ``length`` is the px of outline that counted, ``sigma`` px the standard deviation of the supported points'
-    distances. ``cost`` is half the sum of the squared deviations from prediction and evidence, with the logarithm of
-    the normalisation: a negative log-likelihood.
+    view. ``length`` is the px of outline that counted, ``sigma`` px the robust standard deviation of the supported
+    points' distances. ``cost`` is half the sum of the squared deviations from prediction and evidence, with the
+    logarithm of the normalisation: a negative log-likelihood.
     """
 
     supported: float
@@ -153,7 +154,8 @@ class OutlineUpdate:
         near = edges.found & (np.abs(edges.distance) < self._config.support_px)
         total = float(rim.lengths.sum())
         supported = float(rim.lengths[near].sum()) / total
-        sigma = float(np.sqrt(np.mean(edges.distance[near] ** 2))) if near.any() else self._config.support_px
+        typical = float(np.median(np.abs(edges.distance[near]))) if near.any() else self._config.support_px
+        sigma = _NORMAL_MEDIAN * typical
         lengths, within = rim.split(rim.lengths), rim.split(near)
         of_views = {
             view: (float(length[within[view]].sum()) / float(length.sum()), unexplained[view])

@@ -82,7 +82,7 @@ def test_both_eyes_follow_closer_than_one(world: StereoWorld) -> None:
     one = world.follow(lambda k: masks(k)["left"], tracker=world.tracker(SMALL))
     assert np.median(world.errors_mm(both)) < 0.8 * np.median(world.errors_mm(one))
     stated = [np.median([result.tip_std_mm for result in results]) for results in (both, one)]  # type: ignore[misc]
-    assert stated[0] < 0.95 * stated[1]
+    assert stated[0] < 0.97 * stated[1]
 
 
 def test_rig_of_one_view_answers_as_its_camera(world: StereoWorld) -> None:
