@@ -36,15 +36,17 @@ from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, 
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out, solve
+from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.joint_prior import describe_limits
-from dvrk_cmaes.geometry import inverse, moved
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.pose.refine.priors import PosePrior
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
@@ -55,7 +57,6 @@ LEAST_FRAMES = 3
 _MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
 _EM_ITERATIONS = 3  # estimates of calibration and variance components between two fits of the frames
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
-_SETTLED = 0.05  # standard deviations per parameter; a frame whose fit would move by less is not fitted again
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
@@ -164,12 +165,12 @@ class Alternation:
             self._select([i for i, frame in enumerate(self.frames) if frame.name not in self._left_out])
             consensus = find_consensus(self.model, self._modes, self._offset_std)
         calibration = consensus.calibration
-        chosen, _ = choose_modes(self.model, self._modes, calibration)
+        self._chosen, _ = choose_modes(self.model, self._modes, calibration)
         for _ in range(_MODE_ITERATIONS):
-            self.solution = solve(self.model, FrameFits.of_modes(chosen), calibration, self._prior)
-            calibration, previous = self.solution.calibration, chosen
-            chosen, _ = choose_modes(self.model, self._modes, calibration)
-            if all(a is b for a, b in zip(chosen, previous, strict=True)):
+            self.solution = solve(self.model, FrameFits.of_modes(self._chosen), calibration, self._prior)
+            calibration, previous = self.solution.calibration, self._chosen
+            self._chosen, _ = choose_modes(self.model, self._modes, calibration)
+            if all(a is b for a, b in zip(self._chosen, previous, strict=True)):
                 break
 
     def search_lag(self) -> None:
@@ -228,35 +229,11 @@ class Alternation:
         if self._refine_camera:
             scales.append(1.0)  # with the camera that all rounds before have found
         calibration = self.solution.calibration
-        starts: list[tuple[PoseAndJoints, ...]] = [
-            tuple((mode.camera_from_root, mode.joints) for mode in modes) for modes in self._modes
-        ]
+        moved: Sequence[PoseAndJoints | None] = [None] * len(self.frames)
         for iteration, scale in enumerate(scales):
             self._progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
-            explored = iteration >= _ROLLED_ITERATIONS and not self._refine_camera
-            left = [i for i in range(len(self.frames)) if not explored or self.fits[i].step_to(expected[i]) > _SETTLED]
-            tasks = []
-            for i in left:
-                frame = self.frames[i]
-                prior, own_mode = expected[i], self._modes[i][0]
-                predicted = [(prior.camera_from_root, prior.joints)]
-                if iteration < _ROLLED_ITERATIONS:
-                    for angle in (-session.turn_deg, session.turn_deg):
-                        predicted.append((_rolled(prior.camera_from_root, angle), prior.joints))
-                tasks.append(
-                    FitTask(
-                        self._stored[i],
-                        frame.result.readings,
-                        prior,
-                        (*starts[i], *predicted),
-                        (own_mode.camera_from_root, own_mode.joints),
-                        self._changed_camera(i) if self._refine_camera else None,
-                    )
-                )
-            again: dict[int, FrameFit] = dict(zip(left, self._run(fit_task, tasks), strict=True))
-            self.fits = [again[i] if i in again else self.fits[i] for i in range(len(self.frames))]
-            starts = [((fit.camera_from_root, fit.joints),) for fit in self.fits]
+            self._fit(expected, self._starts(iteration, expected, moved, last=iteration + 1 == len(scales)))
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             keep_all = scale != 1.0
             stacked = _stacked([fit if _explains(fit) or keep_all else fit.without_outline() for fit in self.fits])
@@ -266,13 +243,43 @@ class Alternation:
             self.lag.refine(self.model, stacked, calibration, self._prior)
             self._correct_lag()
             if self._refine_camera and iteration + 1 < len(scales):
-                calibration, starts = self._change_camera(calibration, stacked)
+                calibration, moved = self._change_camera(calibration, stacked)
         self.solution = solve(self.model, stacked, calibration, self._prior)
         self.lag.estimate_joints(self.model, stacked, self.solution.calibration, self._prior)
         if self.lag.applied is not None:
             self.warnings.append(
                 f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
             )
+
+    def _starts(
+        self, iteration: int, expected: Sequence[PosePrior], moved: Sequence[PoseAndJoints | None], *, last: bool
+    ) -> list[tuple[PoseAndJoints, ...]]:
+        """Return the starts of each frame in an iteration, none where its fit is settled; ``moved`` by a new camera."""
+        angle = float(np.deg2rad(self._config.session.turn_deg))
+        misfit = self.solution.misfit / (6 + len(self.model.names))
+        if iteration == 0:
+            pairs = zip(self._modes, self._chosen, misfit, expected, strict=True)
+            return [first_starts(*of_frame, angle) for of_frame in pairs]
+        turn = angle if iteration < _ROLLED_ITERATIONS else None
+        misfit = np.where([_explains(fit) for fit in self.fits], misfit, np.inf)
+        frames = zip(self.fits, misfit, expected, moved, strict=True)
+        return [next_starts(fit, off, prior, turn, last=last, changed=to) for fit, off, prior, to in frames]
+
+    def _fit(self, expected: Sequence[PosePrior], starts: Sequence[tuple[PoseAndJoints, ...]]) -> None:
+        """Fit the frames that have starts, with what the session expects of each as its prior."""
+        left = [i for i, of_frame in enumerate(starts) if of_frame]
+        tasks = [
+            FitTask(
+                self._stored[i],
+                self.frames[i].result.readings,
+                expected[i],
+                starts[i],
+                self._changed_camera(i) if self._refine_camera else None,
+            )
+            for i in left
+        ]
+        again: dict[int, FrameFit] = dict(zip(left, self._run(fit_task, tasks), strict=True))
+        self.fits = [again[i] if i in again else self.fits[i] for i in range(len(self.frames))]
 
     def _solve(self, fits: FrameFits, calibration: Calibration) -> Calibration:
         """Alternate between estimating the calibration and the variances, from a calibration to start with."""
@@ -312,9 +319,7 @@ class Alternation:
             ]
             self._stored = self._run(gather_task, seen)
 
-    def _change_camera(
-        self, calibration: Calibration, fits: FrameFits
-    ) -> tuple[Calibration, list[tuple[PoseAndJoints, ...]]]:
+    def _change_camera(self, calibration: Calibration, fits: FrameFits) -> tuple[Calibration, list[PoseAndJoints]]:
         """Estimate the change of the camera from the current fits, and use it; as `estimate_camera`.
 
         Returns the calibration and each frame's pose and joints with the changed camera.
@@ -330,7 +335,7 @@ class Alternation:
             passes=_CAMERA_PASSES,
         )
         self._change = found.change
-        return found.calibration, [(one,) for one in zip(found.poses, found.joints, strict=True)]
+        return found.calibration, list(zip(found.poses, found.joints, strict=True))
 
     def _changed_camera(self, i: int) -> Camera:
         """Return the camera of a frame with the current change."""
@@ -338,7 +343,7 @@ class Alternation:
 
     def _outlines(self) -> SessionOutlines:
         """Return the outlines of all frames, as functions of poses, joints and camera."""
-        own = tuple((modes[0].camera_from_root, modes[0].joints) for modes in self._modes)
+        own = tuple(stored.own for stored in self._stored)
         readings = tuple(frame.result.readings for frame in self.frames)
         pairs = zip(self.fits, self._stored, strict=True)
         used = np.array([_explains(fit) and stored.in_reference for fit, stored in pairs])
@@ -420,11 +425,6 @@ class Alternation:
 def _explains(fit: FrameFit) -> bool:
     """Return whether a fit with the session's prior overlaps the mask about as well as the frame's own estimate."""
     return fit.iou > max(fit.own_iou - _OVERLAP_LOSS, _LEAST_OVERLAP)
-
-
-def _rolled(pose: Float64, degrees: float) -> Float64:
-    """Rotate a pose (4, 4) about the shaft."""
-    return moved(pose, np.array([0, 0, 0, 0, 0, np.deg2rad(degrees)]))
 
 
 def _stacked(fits: Sequence[FrameFit]) -> FrameFits:

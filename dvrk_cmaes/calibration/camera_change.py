@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import PoseAndJoints
 from dvrk_cmaes.calibration.frame_task import CameraTask, Run, camera_task
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise, robust_weights
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence
 from dvrk_cmaes.calibration.variances import estimate_variances
@@ -74,14 +74,14 @@ class CameraTerms:
 class SessionOutlines:
     """The outlines of N frames in the reference camera, as functions of poses, joints and a change of that camera.
 
-    ``stored`` are the frames' evidence, ``readings`` theirs by joint name, ``own_estimates`` their poses and joints
-    with the unchanged camera. Frames for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a
+    ``stored`` are the frames' evidence, ``readings`` theirs by joint name, ``own_estimates`` their own estimates with
+    the unchanged camera. Frames for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a
     function to many tasks.
     """
 
     stored: tuple[StoredEvidence, ...]
     readings: tuple[Mapping[str, float], ...]
-    own_estimates: tuple[PoseAndJoints, ...]
+    own_estimates: tuple[OwnEstimate, ...]
     used: NDArray[np.bool_]
     run: Run[Any, Any]
 

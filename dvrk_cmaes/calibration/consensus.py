@@ -155,40 +155,39 @@ class _HypothesisScorer:
     def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> None:
         self._model = model
         self._modes = modes
-        self._offset_std = offset_std
         most = max(len(of_frame) for of_frame in modes)
         # Repeated modes do not change the minimum over a frame's modes, nor the first index at which it is reached.
         padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
         self._poses = np.array([[m.camera_from_root for m in of_frame] for of_frame in padded])
         self._joints = np.array([[m.joints for m in of_frame] for of_frame in padded])
         self._covariance = np.array([[m.covariance for m in of_frame] for of_frame in padded])
+        # No hypothesis has an offset of insertion or roll, so the kinematics and their errors are the same for all.
+        none = Calibration(np.eye(4), np.zeros(len(offset_std)))
+        self._base_from_root, self._read = model.predict(none)
+        self._root_from_base = inverse(self._base_from_root)
+        self._of_readings = model.covariance(none)
+        self._of_readings[:, 5, 5] += offset_std[1] ** 2
 
     def hypothesis(self, frame: int, k: int) -> Calibration:
         """Return the calibration that predicts mode ``k`` of a frame, with zero offsets of insertion and roll.
 
         Joints without a reading have an offset of zero, too.
         """
-        mode, model = self._modes[frame][k], self._model.subset([frame])
-        offsets = np.zeros(2 + len(mode.joints))
-        offsets[2:] = np.nan_to_num(mode.joints - model.joints[0])
-        return Calibration(mode.camera_from_root @ inverse(model.base_from_root(offsets)[0]), offsets)
+        mode = self._modes[frame][k]
+        offsets = np.zeros(len(mode.joints) + 2)
+        offsets[2:] = np.nan_to_num(mode.joints - self._model.joints[frame])
+        return Calibration(mode.camera_from_root @ self._root_from_base[frame], offsets)
 
     def score(self, hypothesis: Calibration, frame: int, k: int, test_frames: NDArray[np.intp]) -> _Scores:
         """Score a hypothesis that was made from mode ``k`` of a frame on test frames (V,)."""
-        model = self._model.subset(test_frames)
-        poses, joints = model.predict(hypothesis)
+        poses = hypothesis.camera_from_base @ self._base_from_root[test_frames]
+        joints = self._read[test_frames] + hypothesis.offsets[2:]
         dimension = 6 + joints.shape[1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
-        source_model = self._model.subset([frame])
-        source = self._covariance[frame, k] + source_model.covariance(hypothesis)[0]
-        source[5, 5] += self._offset_std[1] ** 2
+        source = self._covariance[frame, k] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
-        test_from_source = inverse(model.base_from_root(hypothesis.offsets)) @ source_model.base_from_root(
-            hypothesis.offsets
-        )
-        transport[:, :6, :6] = adjoint(test_from_source)
-        predicted = transport @ source @ np.swapaxes(transport, 1, 2) + model.covariance(hypothesis)
-        predicted[:, 5, 5] += self._offset_std[1] ** 2
+        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._base_from_root[frame])
+        predicted = transport @ source @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
         changes = np.concatenate(
             [
                 change_between(poses[:, None], self._poses[test_frames]),

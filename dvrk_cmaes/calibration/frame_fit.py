@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate, overlap, silhouettes
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
-from dvrk_cmaes.evidence.outline_noise import measure_noise
+from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.pose.search.modes import HasPose, Posed
+from dvrk_cmaes.pose.search.modes import Posed
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Renderer
 
@@ -52,10 +53,19 @@ class FrameFit:
 
         The outline's terms are taken as quadratic.
         """
+        step, slope = self._step(expected)
+        return float(np.sqrt(max(-float(step @ slope), 0.0) / len(step)))
+
+    def towards(self, expected: PosePrior) -> PoseAndJoints:
+        """Return where the fit would be with another prior, as in `step_to`."""
+        step = self._step(expected)[0]
+        return moved(self.camera_from_root, step[:6]), self.joints + step[6:]
+
+    def _step(self, expected: PosePrior) -> tuple[Float64, Float64]:
+        """Return the change (D,) of the fit with another prior, and the slope (D,) there, whose minimum it is."""
         information = self.information + expected.information
         slope = self.slope + expected.information @ expected.deviation(self.camera_from_root, self.joints)
-        step = np.linalg.solve(information, slope)
-        return float(np.sqrt(max(float(step @ slope), 0.0) / len(step)))
+        return -np.asarray(np.linalg.solve(information, slope), dtype=np.float64), slope
 
     def without_outline(self) -> FrameFit:
         """Return the fit with zero information and slope, so that it does not influence the calibration."""
@@ -68,7 +78,7 @@ def fit_frame(
     config: EstimateConfig,
     expected: PosePrior,
     starts: Sequence[PoseAndJoints],
-    own_estimate: PoseAndJoints | None,
+    own_estimate: OwnEstimate | None,
     own_camera: Camera | None = None,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
@@ -86,18 +96,14 @@ def fit_frame(
     starts
         Starting poses and joints, at least one.
     own_estimate
-        The frame's pose and joints estimated without the session. The noise of the outlines is measured from its
-        residuals, to which the session's prior has not contributed. If None, the noise is estimated during the fit.
+        The frame's estimate without the session. The noise of the outlines is measured from its residuals, to which
+        the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_camera
         The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
     """
     main = views[0]
     limits = _limits(main.renderer, readings)
-    own_views = views
-    if own_camera is not None:
-        threads = main.renderer.threads
-        own_views = [replace(main, renderer=Renderer(main.renderer.body, own_camera, threads=threads))]
-    settings = [_outline_config(own, config, own_estimate) for own in own_views]
+    settings = [_outline_config(config, own_estimate, k) for k in range(len(views))]
     shrinks = (2, 1) if len(starts) > 1 and main.evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
     count = 0
@@ -108,7 +114,7 @@ def fit_frame(
                 main.renderer, main.evidence, limits, settings[0], shrink=shrink, expected=expected
             )
             if own_estimate is not None:
-                refiner.set_noise_at(*own_estimate, camera=own_camera)
+                refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints, camera=own_camera)
         else:
             refiner = JointRefiner.of_views(
                 views,
@@ -119,7 +125,7 @@ def fit_frame(
                 expected=expected,
             )
             if own_estimate is not None:
-                refiner.set_noise_at(*own_estimate)
+                refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints)
         fits = sorted(refiner.refine_all(poses, joints), key=lambda fit: fit.score)[:_KEPT]
         poses, joints = np.stack([fit.camera_from_root for fit in fits]), np.stack([fit.joints for fit in fits])
         count += refiner.silhouettes
@@ -127,12 +133,11 @@ def fit_frame(
     of_priors = refiner if isinstance(refiner, OutlineRefiner) else refiner.views[0][0]
     prior_information, prior_slope = np.zeros_like(best.information), np.zeros(len(best.information))
     of_priors.priors.add(prior_information, prior_slope, main.view_from_camera @ best.camera_from_root, best.joints)
-    overlaps = [_overlap(views, Posed(best.camera_from_root, best.joints))]
-    if own_estimate is not None:
-        overlaps.append(_overlap(own_views, Posed(*own_estimate)))
+    iou = overlap(views, silhouettes(views, Posed(best.camera_from_root, best.joints)))
+    own_iou = 0.0 if own_estimate is None else own_estimate.iou
     # At the optimum, the slopes of outline and priors add up to zero.
     information = best.information - prior_information
-    return FrameFit(best.camera_from_root, best.joints, information, -prior_slope, best.score, count, *overlaps)
+    return FrameFit(best.camera_from_root, best.joints, information, -prior_slope, best.score, count, iou, own_iou)
 
 
 def camera_terms(
@@ -141,7 +146,7 @@ def camera_terms(
     readings: Readings,
     config: EstimateConfig,
     fitted: PoseAndJoints,
-    own_estimate: PoseAndJoints,
+    own_estimate: OwnEstimate,
     camera: Camera,
 ) -> tuple[Float64, Float64]:
     """Compute the outline's information and slope about a pose and joints and about the camera.
@@ -149,10 +154,9 @@ def camera_terms(
     ``fitted`` are pose and joints with the camera ``camera``, whose image has the evidence's size. The other arguments
     are as in `fit_frame`, with the evidence's own camera; values as in `OutlineRefiner.terms_with_camera`.
     """
-    outline = _outline_config(FrameView("", evidence, renderer, np.eye(4)), config, own_estimate)
     seen = replace(evidence, camera=camera)
-    refiner = OutlineRefiner(renderer, seen, _limits(renderer, readings), outline)
-    refiner.set_noise_at(*own_estimate, camera=evidence.camera)
+    refiner = OutlineRefiner(renderer, seen, _limits(renderer, readings), _outline_config(config, own_estimate, 0))
+    refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints, camera=evidence.camera)
     return refiner.terms_with_camera(*fitted)
 
 
@@ -161,27 +165,7 @@ def _limits(renderer: Renderer, readings: Readings) -> Readings:
     return replace(readings, values=np.full(len(renderer.body.instrument.joint_names), np.nan))
 
 
-def _outline_config(view: FrameView, config: EstimateConfig, own_estimate: PoseAndJoints | None) -> OutlineConfig:
+def _outline_config(config: EstimateConfig, own_estimate: OwnEstimate | None, view: int) -> OutlineConfig:
     """Return the settings of the refinement, with the correlation length of the residuals at the own estimate."""
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    if own_estimate is None:
-        return outline
-    silhouette = _silhouette(view, Posed(*own_estimate))
-    return replace(outline, correlation=measure_noise(view.evidence.contour, silhouette).length)
-
-
-def _overlap(views: Sequence[FrameView], fit: HasPose) -> float:
-    """Return the mean intersection over union of a pose's silhouettes and the masks, without ignored pixels."""
-    found = []
-    for view in views:
-        evidence, silhouette = view.evidence, _silhouette(view, fit)
-        parts = silhouette & evidence.mask, silhouette | evidence.mask
-        both, either = (((part * evidence.weight).sum()) for part in parts)
-        found.append(float(both / max(either, 1)))
-    return float(np.mean(found))
-
-
-def _silhouette(view: FrameView, fit: HasPose) -> NDArray[np.bool_]:
-    """Render the silhouette (H, W) of a pose in a view."""
-    seen = view.sees(fit)
-    return np.asarray(view.renderer.masks(seen.camera_from_root[None], seen.joints[None])[0])
+    return outline if own_estimate is None else replace(outline, correlation=own_estimate.lengths[view])

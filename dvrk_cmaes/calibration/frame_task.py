@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints, camera_terms, fit_frame
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -75,7 +76,6 @@ class FitTask:
     readings: Mapping[str, float]
     expected: PosePrior
     starts: tuple[PoseAndJoints, ...]
-    own_estimate: PoseAndJoints | None
     camera: Camera | None = None
 
 
@@ -86,7 +86,7 @@ class CameraTask:
     stored: StoredEvidence
     readings: Mapping[str, float]
     fitted: PoseAndJoints
-    own_estimate: PoseAndJoints
+    own_estimate: OwnEstimate
     camera: Camera
 
 
@@ -138,9 +138,12 @@ class FrameReport:
 
 
 def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
-    """Read a frame and gather its evidence."""
+    """Read a frame with a pose, gather its evidence, and measure its own estimate."""
     data = frame.data if isinstance(frame.data, FrameData) else frame.data()
-    return StoredFrame.of(data, body, config, frame.keypoints)
+    pose, joints = frame.result.camera_from_root, frame.result.joints
+    assert pose is not None
+    own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
+    return StoredFrame.of(data, own, body, config, frame.keypoints)
 
 
 def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:
@@ -166,7 +169,7 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         config,
         task.expected,
         task.starts,
-        task.own_estimate,
+        task.stored.own,
         own_camera=None if task.camera is None else task.stored.reference.evidence.camera,
     )
 

@@ -247,11 +247,13 @@ class LagRefiner:
             return None
         has = has[np.argsort(self._clock.times[has], kind="stable")]
         clock, model, fits = self._clock.subset(has), self._model.subset(has), self._fits.subset(has)
+        calibration = self._calibration
 
         def cost(value: float) -> Float64:
-            solution = solve(
-                clock.model_to_compare(model, at(value), lasting=lasting), fits, self._calibration, self._prior
-            )
+            nonlocal calibration  # that of one value is a good start for the next
+            compared = clock.model_to_compare(model, at(value), lasting=lasting)
+            solution = solve(compared, fits, calibration, self._prior)
+            calibration = solution.calibration
             return robust_costs(solution.misfit, 6 + len(model.names))
 
         return cost

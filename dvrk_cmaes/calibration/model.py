@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import adjoint, change_between, inverse, moved
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
+from dvrk_cmaes.geometry import adjoint, inverse, moved
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.pose.refine.priors import PosePrior
 
 Float64 = NDArray[np.float64]
@@ -27,7 +27,6 @@ OUTER_OFFSETS = ("insertion", "roll")
 """Outer joints that have an offset; constant offsets of yaw and pitch are equivalent to a rotation of the base."""
 
 _UNREAD_STD = np.pi  # rad, standard deviation of a joint that has no reading
-_STEP = 1e-5  # rad or m, of the forward differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +127,7 @@ class SessionModel:
         self._arm: Arm = arm
         self._roll_offset = roll_offset
         self._has_reading = ~np.isnan(joints)
+        self._last: tuple[bytes, Float64, Float64] | None = None
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -172,10 +172,21 @@ class SessionModel:
 
     def base_from_root(self, offsets: Float64) -> Float64:
         """Compute the forward kinematics (N, 4, 4) of the corrected readings and offsets (2 + J,)."""
-        outer = self.outer.copy()
-        outer[:, 2] += offsets[0]
-        outer[:, 3] += offsets[1] + self.correction.values[:, 0]
-        return base_from_root(outer, self._arm, roll_offset=self._roll_offset)
+        return self._kinematics(offsets)[0]
+
+    def _kinematics(self, offsets: Float64) -> tuple[Float64, Float64]:
+        """Compute the forward kinematics (N, 4, 4), and their Jacobian (N, 6, 4) by the outer joints.
+
+        Those of the last offsets are kept, since one step of an estimation needs them several times.
+        """
+        key = offsets[:2].tobytes()
+        if self._last is None or self._last[0] != key:
+            outer = self.outer.copy()
+            outer[:, 2] += offsets[0]
+            outer[:, 3] += offsets[1] + self.correction.values[:, 0]
+            found = base_from_root_and_jacobian(outer, self._arm, roll_offset=self._roll_offset)
+            self._last = (key, *found)
+        return self._last[1:]
 
     def predict(self, calibration: Calibration) -> tuple[Float64, Float64]:
         """Predict the root's poses in the camera (N, 4, 4) and the joints (N, J), rad.
@@ -204,13 +215,9 @@ class SessionModel:
 
         Changes are in the root's axes, m and rad.
         """
-        here = self.base_from_root(calibration.offsets)
-        out = np.zeros((len(OUTER_JOINTS), len(here), 6 + len(self.names)))
-        for k in range(len(OUTER_JOINTS)):
-            outer = self.outer.copy()
-            outer[:, k] += _STEP
-            there = self.of_readings(outer, self.joints, correction=self.correction).base_from_root(calibration.offsets)
-            out[k, :, :6] = change_between(here, there) * self.deviations.outer[k] / _STEP
+        jacobian = self._kinematics(calibration.offsets)[1]
+        out = np.zeros((len(OUTER_JOINTS), len(jacobian), 6 + len(self.names)))
+        out[:, :, :6] = np.moveaxis(jacobian * self.deviations.outer, 2, 0)
         out[3] *= self.inflation[:, :1]
         return out
 
@@ -223,7 +230,7 @@ class SessionModel:
         loadings = self.outer_loadings(calibration)
         roll = np.square(self.deviations.outer[3] * self.inflation[:, 0])
         loadings[3] *= np.sqrt(1 + self.correction.variances[:, :1] / roll[:, None])
-        out = np.einsum("kni,knj->nij", loadings, loadings)
+        out = np.moveaxis(loadings, 0, 2) @ np.moveaxis(loadings, 0, 1)
         out[:, :6, :6] += np.diag(self.deviations.slack**2)
         read = (self.deviations.joints * self.inflation[:, 1:]) ** 2 + self.correction.variances[:, 1:]
         joint = np.where(self._has_reading, read, _UNREAD_STD**2)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import inverse
@@ -74,7 +75,7 @@ def fit_session_pose(
     start = (poses[0], joints[0])
     first = fit_frame(views, readings, config, expected, (start,), None)
     first_estimate = (first.camera_from_root, first.joints)
-    fit = fit_frame(views, readings, config, expected, (first_estimate,), first_estimate)
+    fit = fit_frame(views, readings, config, expected, (first_estimate,), OwnEstimate.of(views, *first_estimate))
     of_views, rays = measure_views(views, readings, [fit], config)
     qualities = [of_view[0] for of_view in of_views]
     quality = pooled_quality(qualities)

@@ -50,6 +50,15 @@ class FrameFits:
         joints = np.array([mode.joints for mode in modes])
         return cls(poses, joints, information, np.zeros(information.shape[:2]))
 
+    @cached_property
+    def optimum(self) -> Float64:
+        """Change (N, D) from the points of expansion to where the outline terms are least; zero where they say nothing.
+
+        The pseudo-inverse leaves out directions that the outline does not determine.
+        """
+        covariance = np.asarray(np.linalg.pinv(self.information, rcond=1e-9, hermitian=True), dtype=np.float64)
+        return -_times(covariance, self.slope)
+
     def subset(self, index: NDArray[np.integer] | list[int]) -> FrameFits:
         """Return the fits of the frames at some indices."""
         return FrameFits(self.poses[index], self.joints[index], self.information[index], self.slope[index])
@@ -114,11 +123,9 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     covariance = _inverses(fits.information + prior)
     solved = _times(covariance, _times(prior, predicted) - fits.slope)
     information = prior - prior @ covariance @ prior
-    outline_covariance = np.asarray(np.linalg.pinv(fits.information, rcond=1e-9, hermitian=True), dtype=np.float64)
-    outline_optimum = -_times(outline_covariance, fits.slope)
-    difference = predicted - outline_optimum
+    difference = predicted - fits.optimum
     # Without information, rounding errors can make the misfit slightly negative.
-    misfit = np.maximum(np.einsum("ni,nij,nj->n", difference, information, difference), 0)
+    misfit = np.maximum((difference * _times(information, difference)).sum(axis=1), 0)
     slope = _times(prior, predicted - solved)
     return Marginals(slope, information, misfit, solved - predicted, covariance, solved, covariance @ prior)
 
@@ -150,8 +157,9 @@ def solve(
     def linearise(at: Calibration) -> tuple[Float64, Float64, Float64, Float64]:
         frames, jacobian = marginalise(model, fits, at), model.jacobian(at)
         weights = robust_weights(frames.misfit, dimension)
-        frame_information = np.einsum("nik,nij,njl,n->nkl", jacobian, frames.information, jacobian, weights)
-        frame_slopes = np.einsum("nik,ni,n->nk", jacobian, frames.slope, weights)
+        weighted = np.swapaxes(jacobian, 1, 2) * weights[:, None, None]
+        frame_information = weighted @ frames.information @ jacobian
+        frame_slopes = _times(weighted, frames.slope)
         return weights, frames.misfit, frame_information, frame_slopes
 
     offset = np.zeros(len(prior))

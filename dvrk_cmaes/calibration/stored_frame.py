@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -65,14 +67,22 @@ class StoredView:
 
 @dataclass(frozen=True, eq=False)
 class StoredFrame:
-    """A frame's views that show the instrument, in the order of the rig; ``camera`` is the reference camera."""
+    """A frame's views that show the instrument, in the order of the rig; ``camera`` is the reference camera.
+
+    ``own`` is the frame's own estimate.
+    """
 
     views: tuple[StoredView, ...]
     camera: Camera
+    own: OwnEstimate
 
     @classmethod
-    def of(cls, data: FrameData, body: Body, config: EstimateConfig, keypoints: Float64 | None = None) -> StoredFrame:
-        """Gather the evidence of a frame's views; ``keypoints`` (2, 2) px are the jaw tips in the first one.
+    def of(
+        cls, data: FrameData, own: HasPose, body: Body, config: EstimateConfig, keypoints: Float64 | None = None
+    ) -> StoredFrame:
+        """Gather the evidence of a frame's views, and measure the frame's own estimate in them.
+
+        ``keypoints`` (2, 2) px are the jaw tips in the first view.
 
         Raises
         ------
@@ -88,8 +98,10 @@ class StoredFrame:
             evidence = gather_evidence(
                 one.mask, one.camera, body.instrument, ignore=one.ignore, keypoints=tips, seed=config.seed
             )
-            views.append(StoredView(name, StoredEvidence.of(evidence), places.get(name, np.eye(4))))
-        return cls(tuple(views), data.camera)
+            renderer = Renderer(body, evidence.camera, threads=1)
+            views.append(FrameView(name, evidence, renderer, places.get(name, np.eye(4))))
+        stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
+        return cls(tuple(stored), data.camera, OwnEstimate.of(views, own.camera_from_root, own.joints))
 
     @property
     def reference(self) -> StoredEvidence:

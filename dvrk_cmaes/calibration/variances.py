@@ -55,7 +55,8 @@ def estimate_variances(
         """Compute posterior mean squares (N,) of a standard normal error that changes the frames by (N, D) times it."""
         gain = np.einsum("nij,nj->ni", inverse, loading)
         mean = (gain * frames.deviation).sum(axis=1)
-        variance = 1 - (gain * loading).sum(axis=1) + np.einsum("ni,nij,nj->n", gain, frames.covariance, gain)
+        spread = np.einsum("nij,nj->ni", frames.covariance, gain)
+        variance = 1 - (gain * loading).sum(axis=1) + (gain * spread).sum(axis=1)
         return np.asarray(mean**2 + variance)
 
     def new_std(initial: float, current: float, squares: Float64, growth: float) -> float:

@@ -106,6 +106,30 @@ def base_from_root(
     return pose
 
 
+def base_from_root_and_jacobian(
+    outer: NDArray[np.float64], arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compute the pose of `base_from_root` and its Jacobian (..., 6, 4) by the outer joints (..., 4), rad and m.
+
+    The Jacobian is of small changes in the root's own axes, m and rad: each joint turns about or moves along the z axis
+    of its own frame. Errors as `base_from_root`.
+    """
+    rows = dh_table(arm, roll_offset=roll_offset)
+    steps = [_row_transform(row, outer[..., k]) for k, row in enumerate(rows)]
+    jacobian = np.zeros((*outer.shape[:-1], 6, len(rows)))
+    link_from_root = np.broadcast_to(np.eye(4), (*outer.shape[:-1], 4, 4))
+    for k in reversed(range(len(rows))):
+        axis = link_from_root[..., 2, :3]  # of the joint, in the root's axes
+        if rows[k].prismatic:
+            jacobian[..., :3, k] = axis
+        else:
+            from_joint = np.swapaxes(link_from_root[..., :3, :3], -1, -2) @ link_from_root[..., :3, 3:]
+            jacobian[..., :3, k] = np.cross(axis, from_joint[..., 0])
+            jacobian[..., 3:, k] = axis
+        link_from_root = steps[k] @ link_from_root
+    return np.asarray(link_from_root), jacobian
+
+
 def root_from_tip(
     wrist_pitch: float,
     wrist_yaw: float,

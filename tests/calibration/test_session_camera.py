@@ -11,6 +11,7 @@ from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_i
 from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera
 from dvrk_cmaes.calibration.solve import Solution, solve
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence
@@ -20,7 +21,8 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.typed_document import convert_document
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 10
@@ -47,14 +49,17 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
     poses = np.array([one.camera_from_root for one in truths])
     poses[:, 2, 3] /= focal_scale
     joints = np.array([one.values for one in truths])
-    stored = []
-    for one in frames:
+    stored, own = [], []
+    for one, pose, joint in zip(frames, poses, joints, strict=True):
         assert isinstance(one.data, FrameData)
-        stored.append(StoredEvidence.of(gather_evidence(one.data.mask, wrong, body.instrument)))
+        evidence = gather_evidence(one.data.mask, wrong, body.instrument)
+        stored.append(StoredEvidence.of(evidence))
+        view = FrameView("", evidence, Renderer(body, wrong, threads=1), np.eye(4))
+        own.append(OwnEstimate.of([view], pose, joint))
     outlines = SessionOutlines(
         tuple(stored),
         readings,
-        tuple(zip(poses, joints, strict=True)),
+        tuple(own),
         np.ones(len(frames), np.bool_),
         lambda function, tasks: [function(body, EstimateConfig(), task) for task in tasks],
     )

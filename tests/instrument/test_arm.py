@@ -15,8 +15,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET_LONG, Arm, base_from_root, dh_table, root_from_tip
+from dvrk_cmaes.instrument.arm import (
+    OUTER_JOINTS,
+    ROLL_OFFSET_LONG,
+    Arm,
+    base_from_root,
+    base_from_root_and_jacobian,
+    dh_table,
+    root_from_tip,
+)
 from dvrk_cmaes.instrument.dvrk_description import read_tool
 from dvrk_cmaes.instrument.kinematics import Chain
 
@@ -47,6 +56,17 @@ def chained(outer: NDArray[np.float64], insertion_offset: float, roll_offset: fl
     third = turn("x", quarter) * shift(0, 0, insertion + insertion_offset)
     fourth = turn("z", roll) * shift(0, 0, roll_offset)
     return (first * second * third * fourth).as_matrix()
+
+
+@given(outer_joints)
+def test_jacobian_is_that_of_small_changes_of_the_joints(outer: tuple[float, ...]) -> None:
+    step = 1e-6
+    pose, jacobian = base_from_root_and_jacobian(np.array(outer))
+    np.testing.assert_allclose(pose, base_from_root(outer), atol=1e-12)
+    before, after = (
+        change_between(pose, base_from_root(np.array(outer) + sign * step * np.eye(4))) for sign in (-1, 1)
+    )
+    np.testing.assert_allclose(jacobian, (after - before).T / (2 * step), atol=1e-8)
 
 
 @pytest.mark.parametrize(
