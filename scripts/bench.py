@@ -2,6 +2,8 @@
 
     python scripts/bench.py render       ms for the loss terms of a candidate, compared with other renderers
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
+    python scripts/bench.py stages       processor time of a frame by stage
+    python scripts/bench.py calibrate    processor time of solving a session together, by stage
     python scripts/bench.py scale        time of the renderer by image and mesh size, frames a second by processes
     python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
     python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
@@ -23,10 +25,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from bench_calibrate import calibrate_report
 from bench_cores import cores_report
 from bench_estimate import estimate_report, workers_report
 from bench_page import page_report
 from bench_render import render_report, scale_report
+from bench_stages import stages_report
 from bench_track import track_report
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -35,6 +39,7 @@ from dvrk_cmaes.track.sight import KINDS
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
 FRAMES: Final = ("made/clean", "made/easy", "made/medium", "made/hard", "real/easy", "real/medium")
 SESSIONS: Final = [SHARED / "frames" / name for name in FRAMES]
+SOLVED: Final = [SHARED / "frames" / "made" / name for name in ("easy", "medium", "hard")]
 RECORDINGS: Final = [SHARED / "frames" / "video" / name for name in ("easy", "hard")]
 
 
@@ -65,6 +70,18 @@ def _render(arguments: argparse.Namespace) -> dict[str, Any]:
 def _estimate(arguments: argparse.Namespace) -> dict[str, Any]:
     """Report the command estimate."""
     return estimate_report(arguments.instrument, arguments.sessions, frames=1 if arguments.quick else arguments.frames)
+
+
+def _stages(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command stages."""
+    return stages_report(arguments.instrument, arguments.sessions, frames=1 if arguments.quick else arguments.frames)
+
+
+def _calibrate(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command calibrate."""
+    sessions = arguments.sessions if arguments.sessions is not SESSIONS else SOLVED
+    frames = 5 if arguments.quick else arguments.frames
+    return calibrate_report(arguments.instrument, sessions, frames=frames, results=arguments.results)
 
 
 def _scale(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -98,6 +115,8 @@ def _page(arguments: argparse.Namespace) -> dict[str, Any]:
 COMMANDS: Final = {
     "render": _render,
     "estimate": _estimate,
+    "stages": _stages,
+    "calibrate": _calibrate,
     "scale": _scale,
     "cores": _cores,
     "track": _track,
@@ -150,7 +169,15 @@ def _parser() -> argparse.ArgumentParser:
         help="session with golden.json, for render, scale and cores",
     )
     parser.add_argument(
-        "--sessions", type=Path, nargs="+", default=SESSIONS, metavar="SESSION", help="sessions, for estimate and track"
+        "--sessions",
+        type=Path,
+        nargs="+",
+        default=SESSIONS,
+        metavar="SESSION",
+        help="sessions, for estimate, stages, calibrate and track",
+    )
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", help="for calibrate: results of batch (default: frames are estimated)"
     )
     parser.add_argument(
         "--evidence", choices=KINDS, nargs="+", default=["masks"], help="for track: evidence (default: %(default)s)"

@@ -108,7 +108,7 @@ class OutlineRefiner:
         self._weight = np.ascontiguousarray(weight[window])
         self._mask = mask[window] > 0.5
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
-        self._shrink = shrink
+        self.shrink = shrink
         # At smaller sizes, modes only need to be distinguished.
         self._tolerance = config.tolerance * (1 if shrink == 1 else 4)
         self._inner_steps = config.inner_steps if shrink == 1 else max(config.inner_steps // 3, 1)
@@ -187,13 +187,13 @@ class OutlineRefiner:
         c = self._config
         loss = loss if self._noise_loss is None else self._noise_loss
         floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
-        return float(self._length / c.correlation * self._shrink / max(loss, floor))
+        return float(self._length / c.correlation * self.shrink / max(loss, floor))
 
     def _outline_score(self, loss: float) -> float:
         """Compute the outline's negative log-likelihood up to a constant, with the variance estimated from the loss."""
         if self._noise_loss is not None:
             return 0.5 * self._scale(loss) * loss
-        count = self._length * self._shrink / self._config.correlation
+        count = self._length * self.shrink / self._config.correlation
         floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
         return 0.5 * count * float(np.log(max(loss, floor)))
 
@@ -273,7 +273,7 @@ class OutlineRefiner:
             residual=self._loss(image, self._config.cauchy),
             least=least,
             length=self._length,
-            count=self._length * self._shrink / self._config.correlation,
+            count=self._length * self.shrink / self._config.correlation,
             prior=self.priors.cost(pose, joints),
             outline=outline,
             priors=priors,
