@@ -37,13 +37,12 @@ def refiner(body: Body, view_from_camera: np.ndarray, *, first: bool) -> Outline
 def joint(body: Body, *, believed: np.ndarray = RIGHT_FROM_LEFT) -> JointRefiner:
     """Give the refiner of two views, of which the second is believed to be at ``believed``."""
     views = [(refiner(body, np.eye(4), first=True), np.eye(4)), (refiner(body, RIGHT_FROM_LEFT, first=False), believed)]
-    return JointRefiner(views, tolerance=OutlineConfig().tolerance, iterations=OutlineConfig().iterations)
+    return JointRefiner(views, OutlineConfig())
 
 
 def test_one_view_is_refined_to_the_optimum_of_its_refiner(bundled_body: Body) -> None:
     alone = refiner(bundled_body, np.eye(4), first=True)
-    settings = OutlineConfig()
-    together = JointRefiner([(alone, np.eye(4))], tolerance=settings.tolerance, iterations=settings.iterations)
+    together = JointRefiner([(alone, np.eye(4))], OutlineConfig())
     expected, found = (each.refine_all(START[None], JOINTS[None] + 0.05)[0] for each in (alone, together))
     assert np.linalg.norm(found.camera_from_root[:3, 3] - expected.camera_from_root[:3, 3]) < 5e-5
     assert rotation_angle(found.camera_from_root, expected.camera_from_root) < np.deg2rad(0.2)
@@ -96,8 +95,8 @@ def test_jaw_outside_of_both_images_does_not_hinder(bundled_body: Body) -> None:
         evidence = gather_evidence(mask, shaft_only, bundled_body.instrument)
         unknown = without_readings(Readings(JOINTS, np.ones(3), -np.ones(3), np.ones(3)))
         views.append((OutlineRefiner(renderer, evidence, unknown, OutlineConfig()), place))
-    both = JointRefiner(views, tolerance=0.05, iterations=0)
-    fit = both.refine_all(TRUTH[None], JOINTS[None])[0]
+    both = JointRefiner(views, OutlineConfig())
+    fit = both.assess(TRUTH, JOINTS)
     assert not fit.information[8].any()
     ((found, covariance),) = rig_rotations(both, fit, [fit.information / 2, fit.information / 2])
     assert np.isfinite(found).all()

@@ -1,15 +1,16 @@
 """Refinement of poses on the masks of several views of one frame: their terms are summed.
 
-Small changes are in the root's own axes, which are the same in every view, so information and slope of the views add up
-without a change of coordinates. The masks of one frame come from one segmenter: the variance of the contours' errors is
-estimated from the residuals of all views together. With a variance of its own, the view that happens to fit best would
-have nearly all the weight.
+The steps are those of `OutlineRefiner`, on the profiles of the outlines of all views together. Small changes are in the
+root's own axes, which are the same in every view, so information and slope of the views add up without a change of
+coordinates. The masks of one frame come from one segmenter: the variance of the contours' errors is estimated from the
+residuals of all views together. With a variance of its own, the view that happens to fit best would have nearly all the
+weight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,13 @@ from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner, OutlineTerms
 from dvrk_cmaes.pose.refine.priors import PosePrior
+from dvrk_cmaes.pose.refine.profiles import Profiles, Quadratics, minimise
 from dvrk_cmaes.pose.views import FrameView, without_readings
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
 
-_DAMPING = (1e-4, 1e-2, 1e4)  # least, first and largest of the Levenberg-Marquardt steps
+_DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marquardt steps
 _SMALL_GAIN = 0.1  # of the tolerance
 
 
@@ -35,28 +37,24 @@ class _State:
     pose: Float64
     joints: Float64
     terms: list[OutlineTerms]
-    information: Float64
-    slope: Float64
+    profiles: Profiles = field(init=False)
+    quadratics: Quadratics = field(init=False)
+    information: Float64 = field(init=False)
     damping: float = _DAMPING[1]
+    moved: bool = True
     finished: bool = False
-
-    def step(self) -> Float64:
-        """Compute a damped Gauss-Newton step, (6 + J,)."""
-        damped = self.information + self.damping * np.diag(np.diag(self.information) + 1e-9)
-        return np.asarray(-np.linalg.solve(damped, self.slope), dtype=np.float64)
 
 
 class JointRefiner:
     """Refines poses on the masks of several views; poses are in the reference camera.
 
     ``views`` are the refiner of each view and its ``view_from_camera`` (4, 4). The readings are priors of the first
-    one's refiner only. ``tolerance`` is the step, in standard deviations, below which a pose is converged.
+    one's refiner only. ``settings`` are the first view's.
     """
 
-    def __init__(self, views: Sequence[tuple[OutlineRefiner, Float64]], *, tolerance: float, iterations: int) -> None:
+    def __init__(self, views: Sequence[tuple[OutlineRefiner, Float64]], settings: OutlineConfig) -> None:
         self.views = tuple(views)
-        self._tolerance = tolerance
-        self._iterations = iterations
+        self._settings = settings
         self._noise: float | None = None
 
     @staticmethod
@@ -72,7 +70,7 @@ class JointRefiner:
         """Make the refiner of views that are drawn at 1 / ``shrinks`` of their sizes by ``renderers``.
 
         ``readings`` and the prior ``expected`` of the pose, which is in the reference camera, count once. ``settings``
-        are those of each view; of the first are the tolerance and the number of iterations.
+        are those of each view; of the first are the width of the loss, the tolerance and the number of iterations.
         """
         refiners = []
         for k, (view, renderer, shrink) in enumerate(zip(views, renderers, shrinks, strict=True)):
@@ -82,21 +80,19 @@ class JointRefiner:
                 prior = replace(expected, camera_from_root=view.view_from_camera @ expected.camera_from_root)
             refiner = OutlineRefiner(renderer, view.evidence, own, settings[k], shrink=shrink, expected=prior)
             refiners.append((refiner, view.view_from_camera))
-        tolerance = settings[0].tolerance * (1 if shrinks[0] == 1 else 4)
-        iterations = 2 * settings[0].iterations  # each is one step, those of a single view are several
-        return JointRefiner(refiners, tolerance=tolerance, iterations=iterations)
+        return JointRefiner(refiners, settings[0])
 
     def set_noise_at(self, pose: Float64, joints: Float64) -> None:
         """Estimate the contours' errors from the residuals at a pose (4, 4) and joints (J,), for all following fits.
 
         Otherwise they are estimated from the residuals of each fit, to which a prior of the pose contributes.
         """
-        (terms,) = self._terms(pose[None], joints[None], None, derivatives=False)
+        (terms,) = self._terms(pose[None], joints[None], None, outlines=False)
         self._noise = _mean_residual([term.residual for term in terms], terms)
 
     def with_views(self, views: Sequence[tuple[OutlineRefiner, Float64]]) -> JointRefiner:
         """Return a refiner of other views with the same settings."""
-        return JointRefiner(views, tolerance=self._tolerance, iterations=self._iterations)
+        return JointRefiner(views, self._settings)
 
     @property
     def silhouettes(self) -> int:
@@ -123,69 +119,89 @@ class JointRefiner:
         least: int = 1,
     ) -> list[OutlineFit]:
         """Refine poses (C, 4, 4) and their joints (C, J); arguments as in `OutlineRefiner`."""
-        most = self._iterations if iterations is None else iterations
+        most = self._settings.iterations if iterations is None else iterations
         starts = zip(poses, joints, self._terms(poses, joints, cauchy), strict=True)
-        states = [_State(pose, joint, terms, *self._summed(terms)) for pose, joint, terms in starts]
+        states = [_State(pose, joint, terms) for pose, joint, terms in starts]
+        self._linearise(states, cauchy)
         kept = float(len(states))
         for left in reversed(range(most)):
             best = sorted(states, key=lambda state: self._score(state.terms, [term.loss for term in state.terms]))
             active = [state for state in best[: max(round(kept), least)] if not state.finished]
             if not active:
                 break
+            self._linearise([state for state in active if state.moved], cauchy)
+            self._advance(active, cauchy, last=left == 0)
             kept *= share
-            steps = np.stack([state.step() for state in active])
-            at = moved(np.stack([s.pose for s in active]), steps[:, :6]), np.stack([s.joints for s in active])
-            trials = self._terms(at[0], at[1] + steps[:, 6:], cauchy, derivatives=left > 0)
-            for state, pose, step, terms in zip(active, at[0], steps, trials, strict=True):
-                self._accept(state, pose, state.joints + step[6:], step, terms, derivatives=left > 0)
         return [self._fit(state) for state in states]
 
     def _terms(
-        self, poses: Float64, joints: Float64, cauchy: float | None, *, derivatives: bool = True
+        self, poses: Float64, joints: Float64, cauchy: float | None, *, outlines: bool = True
     ) -> list[list[OutlineTerms]]:
         """Compute the terms of all views at each of C poses."""
         found = [
-            refiner.terms(view_from_camera @ poses, joints, cauchy=cauchy, derivatives=derivatives)
+            refiner.terms(view_from_camera @ poses, joints, cauchy=cauchy, outlines=outlines)
             for refiner, view_from_camera in self.views
         ]
         return [list(terms) for terms in zip(*found, strict=True)]
 
-    def _accept(
-        self,
-        state: _State,
-        pose: Float64,
-        joints: Float64,
-        step: Float64,
-        terms: list[OutlineTerms],
-        *,
-        derivatives: bool,
-    ) -> None:
+    def _width(self, cauchy: float | None) -> float:
+        return self._settings.cauchy if cauchy is None else cauchy
+
+    def _linearise(self, states: Sequence[_State], cauchy: float | None) -> None:
+        """Compute the profiles, priors and information of states at their poses, summed over all views."""
+        if not states:
+            return
+        poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
+        found = []
+        for k, (refiner, view_from_camera) in enumerate(self.views):
+            images = [state.terms[k].image for state in states]
+            outlines = [outline for state in states if (outline := state.terms[k].outline) is not None]
+            seen = view_from_camera @ poses
+            found.append(refiner.derivatives(images, outlines, seen, joints, cauchy=self._width(cauchy)))
+        for state, *views in zip(states, *found, strict=True):
+            scales = self._scales(state.terms)
+            prior = np.sum([view.prior_information for view in views], axis=0)
+            slope = np.sum([view.prior_slope for view in views], axis=0)
+            outline = np.sum([scale * view.information for scale, view in zip(scales, views, strict=True)], axis=0)
+            state.profiles = Profiles.of_views(
+                [view.profiles for view in views], [scale / scales[0] for scale in scales]
+            )
+            state.quadratics = Quadratics(np.array(scales[:1]), prior[None], slope[None])
+            state.information, state.moved = outline + prior, False
+
+    def _advance(self, states: Sequence[_State], cauchy: float | None, *, last: bool) -> None:
+        """Take one step from each state; it is kept if it lowers the cost. After the ``last`` no outline is needed."""
+        steps = minimise(
+            Profiles.joined([state.profiles for state in states]),
+            Quadratics.joined([state.quadratics for state in states]),
+            self._width(cauchy),
+            np.array([state.damping for state in states]),
+            self.views[0][0].inner_steps,
+        )
+        poses = moved(np.stack([state.pose for state in states]), steps[:, :6])
+        joints = np.stack([state.joints for state in states]) + steps[:, 6:]
+        trials = self._terms(poses, joints, cauchy, outlines=not last)
+        for state, pose, joint, step, terms in zip(states, poses, joints, steps, trials, strict=True):
+            self._accept(state, pose, joint, step, terms)
+
+    def _accept(self, state: _State, pose: Float64, joints: Float64, step: Float64, terms: list[OutlineTerms]) -> None:
         """Move a state to a trial pose if that lowers the cost; otherwise increase its damping."""
-        scales = self._scales(state.terms)
-        triples = zip(scales, state.terms, terms, strict=True)
+        triples = zip(self._scales(state.terms), state.terms, terms, strict=True)
         gain = sum(scale * (old.loss - new.loss) + old.prior - new.prior for scale, old, new in triples)
+        tolerance = self.views[0][0].tolerance
+        small = bool(step @ state.information @ step < tolerance**2 * len(step))
         if gain <= 0:
             state.damping *= 8
-            state.finished = state.damping > _DAMPING[2]
+            state.finished = small or state.damping > _DAMPING[2]
             return
-        small = step @ state.information @ step < self._tolerance**2 * len(step)
-        state.finished = bool(small or gain < _SMALL_GAIN * self._tolerance)
-        state.pose, state.joints, state.terms = pose, joints, terms
+        state.finished = small or gain < _SMALL_GAIN * tolerance
+        state.pose, state.joints, state.terms, state.moved = pose, joints, terms, True
         state.damping = max(state.damping / 8, _DAMPING[0])
-        if derivatives:
-            state.information, state.slope = self._summed(terms)
 
     def _scales(self, terms: Sequence[OutlineTerms]) -> list[float]:
         """Return the factor of each view from sums of squares of coverage to sums of squares in standard deviations."""
         mean = _mean_residual([term.loss for term in terms], terms) if self._noise is None else self._noise
         return [term.count / (term.length * mean) for term in terms]
-
-    def _summed(self, terms: Sequence[OutlineTerms]) -> tuple[Float64, Float64]:
-        """Sum the information and the slope of the outlines and priors of all views."""
-        pairs = list(zip(self._scales(terms), terms, strict=True))
-        information = np.sum([scale * term.outline[0] + term.priors[0] for scale, term in pairs], axis=0)
-        slope = np.sum([scale * term.outline[1] + term.priors[1] for scale, term in pairs], axis=0)
-        return information, slope
 
     def _score(self, terms: Sequence[OutlineTerms], residuals: Sequence[float]) -> float:
         """Return the negative log-likelihood of all views and of the priors, up to a constant."""

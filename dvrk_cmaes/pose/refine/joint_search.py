@@ -28,6 +28,8 @@ Float64 = NDArray[np.float64]
 
 _ROTATION_STEPS = 4
 _SMALL_ROTATION = np.deg2rad(0.04)  # below which the views agree
+_LIKELY = 2.0  # standard deviations of a rotation, up to which the views may agree ...
+_LARGEST_LIKELY = np.deg2rad(0.25)  # ... unless the rotation is larger than this
 
 
 class JointSearch(LocalSearch):
@@ -99,11 +101,13 @@ class JointSearch(LocalSearch):
     ) -> list[tuple[Float64, Float64]]:
         """Fit the rotation of each further view together with the pose; returns it, rad, and its covariance.
 
-        One step suffices for views that agree. Others are turned and the pose fitted anew, because the errors of the
-        contours can only be told from the disagreement of the views once that is removed.
+        One step suffices for views that agree within the errors. Others are turned and the pose fitted anew, because
+        the errors of the contours can only be told from the disagreement of the views once that is removed.
         """
         found = rig_rotations(refiner, mode, parts)
         total = [rotation for rotation, _ in found]
+        if not any(_disagrees(*one) for one in found):
+            return found
         for _ in range(_ROTATION_STEPS):
             if max(np.linalg.norm(rotation) for rotation, _ in found) < _SMALL_ROTATION:
                 break
@@ -142,3 +146,9 @@ class JointSearch(LocalSearch):
             return np.asarray(sum(one(view.view_from_camera @ poses, joints) for one, view in pairs))
 
         return loss
+
+
+def _disagrees(rotation: Float64, covariance: Float64) -> bool:
+    """Return whether a rotation (3,), rad, with its covariance is larger than the errors of the contours explain."""
+    significance = float(np.sqrt(rotation @ np.linalg.solve(covariance, rotation)))
+    return significance > _LIKELY or float(np.linalg.norm(rotation)) > _LARGEST_LIKELY

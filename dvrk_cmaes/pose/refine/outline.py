@@ -62,8 +62,8 @@ class OutlineTerms:
 
     ``loss`` is the robust sum of squares of the coverage, ``residual`` the same with the width of the configuration's
     Cauchy loss, and ``least`` that of an exact mask. ``length`` is that of the contour, px, ``count`` its number of
-    independent measurements. ``prior`` is the sum of squares of the priors. ``outline`` and ``priors`` are information
-    (6 + J, 6 + J) and slope (6 + J,) of half of ``loss`` and half of ``prior``; empty where not asked for.
+    independent measurements. ``prior`` is the sum of squares of the priors. ``image`` (H, W) is the blurred coverage;
+    ``outline`` has its outline points, None where not asked for.
     """
 
     loss: float
@@ -72,8 +72,22 @@ class OutlineTerms:
     length: float
     count: float
     prior: float
-    outline: tuple[Float64, Float64]
-    priors: tuple[Float64, Float64]
+    image: NDArray[np.float32]
+    outline: OutlinePoints | None
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineDerivatives:
+    """Derivatives of one mask's part at a pose, about small changes of it.
+
+    ``profiles`` are those of the residual. ``information`` (6 + J, 6 + J) is that of half of the loss; that of half of
+    the priors' sum of squares is ``prior_information``, with the slope ``prior_slope`` (6 + J,).
+    """
+
+    profiles: Profiles
+    information: Float64
+    prior_information: Float64
+    prior_slope: Float64
 
 
 class OutlineRefiner:
@@ -110,8 +124,8 @@ class OutlineRefiner:
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
         self.shrink = shrink
         # At smaller sizes, modes only need to be distinguished.
-        self._tolerance = config.tolerance * (1 if shrink == 1 else 4)
-        self._inner_steps = config.inner_steps if shrink == 1 else max(config.inner_steps // 3, 1)
+        self.tolerance = config.tolerance * (1 if shrink == 1 else 4)
+        self.inner_steps = config.inner_steps if shrink == 1 else max(config.inner_steps // 3, 1)
         self._noise_loss: float | None = None
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
         joints = len(readings.values)
@@ -232,52 +246,49 @@ class OutlineRefiner:
         return scale * information[0], scale * slope[0]
 
     def terms(
+        self, poses: Float64, joints: Float64, *, cauchy: float | None = None, outlines: bool = True
+    ) -> list[OutlineTerms]:
+        """Compute this mask's terms at each of C poses (C, 4, 4) and joints (C, J); ``cauchy`` as in `refine_all`."""
+        own = self._config.cauchy
+        width = own if cauchy is None else cauchy
+        images = self._render(poses, joints) if outlines else [(i, None) for i in self._render_coverage(poses, joints)]
+        found = []
+        for pose, joint, (image, outline) in zip(poses, joints, images, strict=True):
+            loss = self._loss(image, width)
+            found.append(
+                OutlineTerms(
+                    loss=loss,
+                    residual=loss if width == own else self._loss(image, own),
+                    least=self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur),
+                    length=self._length,
+                    count=self._length * self.shrink / self._config.correlation,
+                    prior=self.priors.cost(pose, joint),
+                    image=image,
+                    outline=outline,
+                )
+            )
+        return found
+
+    def derivatives(
         self,
+        images: Sequence[NDArray[np.float32]],
+        outlines: Sequence[OutlinePoints],
         poses: Float64,
         joints: Float64,
         *,
-        cauchy: float | None = None,
-        derivatives: bool = True,
-    ) -> list[OutlineTerms]:
-        """Compute this mask's terms at each of C poses (C, 4, 4) and joints (C, J); ``cauchy`` as in `refine_all`."""
-        width = self._config.cauchy if cauchy is None else cauchy
-        if not derivatives:
-            images = self._render_coverage(poses, joints)
-            return [self._term(*each, width) for each in zip(poses, joints, images, strict=True)]
-        drawn = self._render(poses, joints)
-        outlines = [outline for _, outline in drawn]
-        jacobians = self._jacobians(outlines, poses, joints)
-        residuals = [image - self._target for image, _ in drawn]
-        along = Profiles.sampled(residuals, self._weight, outlines, jacobians, self._config.blur)
-        derived = along.normal_equations(np.zeros((len(poses), jacobians[0].shape[1])), width)
-        each = zip(poses, joints, drawn, *derived, strict=True)
-        return [
-            self._term(pose, joint, image, width, (matrix, slope)) for pose, joint, (image, _), matrix, slope in each
-        ]
-
-    def _term(
-        self,
-        pose: Float64,
-        joints: Float64,
-        image: NDArray[np.float32],
         cauchy: float,
-        outline: tuple[Float64, Float64] = _EMPTY,
-    ) -> OutlineTerms:
-        """Return the terms of a blurred image (H, W), with the derivatives of its loss if they are given."""
-        least = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
-        priors = np.zeros_like(outline[0]), np.zeros_like(outline[1])
-        if outline is not _EMPTY:
-            self.priors.add(*priors, pose, joints)
-        return OutlineTerms(
-            loss=self._loss(image, cauchy),
-            residual=self._loss(image, self._config.cauchy),
-            least=least,
-            length=self._length,
-            count=self._length * self.shrink / self._config.correlation,
-            prior=self.priors.cost(pose, joints),
-            outline=outline,
-            priors=priors,
-        )
+    ) -> list[OutlineDerivatives]:
+        """Compute the derivatives at poses (C, 4, 4), joints (C, J) with the blurred coverages (H, W) and outlines."""
+        jacobians = self._jacobians(outlines, poses, joints)
+        residuals = [image - self._target for image in images]
+        together = Profiles.sampled(residuals, self._weight, outlines, jacobians, self._config.blur)
+        information, _ = together.normal_equations(np.zeros((len(poses), len(self.steps))), cauchy)
+        found = []
+        for i, (pose, joint) in enumerate(zip(poses, joints, strict=True)):
+            prior, slope = np.zeros_like(information[i]), np.zeros(len(self.steps))
+            self.priors.add(prior, slope, pose, joint)
+            found.append(OutlineDerivatives(together.select([i]), information[i], prior, slope))
+        return found
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) without refining them."""
@@ -326,12 +337,12 @@ class OutlineRefiner:
         for state, (pose, joint, step), (image, outline) in zip(states, trials, renderings, strict=True):
             loss, prior_cost = self._loss(image, width), self.priors.cost(pose, joint)
             gain = state.scale * (state.loss - loss) + state.prior_cost - prior_cost
-            small = step @ state.information @ step < self._tolerance**2 * len(step)
+            small = step @ state.information @ step < self.tolerance**2 * len(step)
             if gain <= 0:
                 state.damping *= 8
                 state.finished = bool(small or state.damping > _LARGEST_DAMPING)
                 continue
-            state.finished = bool(small or gain < 0.1 * self._tolerance)
+            state.finished = bool(small or gain < 0.1 * self.tolerance)
             state.pose, state.joints, state.image, state.loss = pose, joint, image, loss
             state.prior_cost, state.moved = prior_cost, True
             state.damping = max(state.damping / 8, 1e-4)
@@ -350,17 +361,12 @@ class OutlineRefiner:
         if not states:
             return
         poses, joints = np.stack([s.pose for s in states]), np.stack([s.joints for s in states])
-        outlines = [state.outline for state in states]
-        jacobians = self._jacobians(outlines, poses, joints)
-        residuals = [state.image - self._target for state in states]
-        together = Profiles.sampled(residuals, self._weight, outlines, jacobians, self._config.blur)
-        information, _ = together.normal_equations(np.zeros((len(states), len(self.steps))), cauchy)
-        for i, state in enumerate(states):
+        images, outlines = [s.image for s in states], [s.outline for s in states]
+        derived = self.derivatives(images, outlines, poses, joints, cauchy=cauchy)
+        for state, one in zip(states, derived, strict=True):
             state.scale = self._scale(state.loss)
-            state.profiles = together.select([i])
-            state.prior, state.prior_slope = np.zeros_like(information[i]), np.zeros(len(self.steps))
-            self.priors.add(state.prior, state.prior_slope, state.pose, state.joints)
-            state.information, state.moved = state.scale * information[i] + state.prior, False
+            state.profiles, state.prior, state.prior_slope = one.profiles, one.prior_information, one.prior_slope
+            state.information, state.moved = state.scale * one.information + state.prior, False
 
     def _steps(self, states: list[_State], cauchy: float) -> list[tuple[Float64, Float64, Float64]]:
         """Compute the damped step of each state; returns the next pose, the next joints and the step (6 + J,)."""
@@ -370,7 +376,7 @@ class OutlineRefiner:
             np.stack([s.prior_slope for s in states]),
         )
         damping = np.array([s.damping for s in states])
-        steps = minimise(Profiles.joined([s.profiles for s in states]), terms, cauchy, damping, self._inner_steps)
+        steps = minimise(Profiles.joined([s.profiles for s in states]), terms, cauchy, damping, self.inner_steps)
         return [(moved(s.pose, step[:6]), s.joints + step[6:], step) for s, step in zip(states, steps, strict=True)]
 
 

@@ -104,6 +104,20 @@ class Profiles:
             jacobian=np.concatenate([padded(one.jacobian) for one in groups]),
         )
 
+    @staticmethod
+    def of_views(views: Sequence[Profiles], factors: Sequence[float]) -> Profiles:
+        """Return the profiles of the same poses in several views as one, with the loss of each times its factor.
+
+        The changes of the poses have the same axes in every view, and the views the same blur.
+        """
+        weights = [one.weight * np.float32(factor) for one, factor in zip(views, factors, strict=True)]
+        return replace(
+            views[0],
+            residual=np.concatenate([one.residual for one in views], axis=1),
+            weight=np.concatenate(weights, axis=1),
+            jacobian=np.concatenate([one.jacobian for one in views], axis=1),
+        )
+
     def normal_equations(self, change: Float64, cauchy: float) -> tuple[Float64, Float64]:
         """Compute information (C, D, D) and slope (C, D) of the robust loss at changes (C, D) of the poses.
 
@@ -144,6 +158,12 @@ class Quadratics:
     scale: Float64
     information: Float64
     slope: Float64
+
+    @staticmethod
+    def joined(groups: Sequence[Quadratics]) -> Quadratics:
+        """Return the terms of several groups of poses together."""
+        names = ("scale", "information", "slope")
+        return Quadratics(*(np.concatenate([getattr(one, name) for one in groups]) for name in names))
 
 
 def minimise(profiles: Profiles, terms: Quadratics, cauchy: float, damping: Float64, iterations: int) -> Float64:
