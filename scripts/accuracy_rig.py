@@ -1,8 +1,9 @@
 """Both eyes of stereo sessions against one: errors, modes, cost, and rigs whose calibration is wrong.
 
 Each frame is estimated from each eye alone, from both eyes, and from both with a rig whose baseline is 2 % off and
-whose rotation 0.3 deg, in a direction that the session's place in the list determines. The cost is the time of the
-process's CPU, so that other programs on the machine count little.
+whose rotation 0.3 deg, in a direction that the session's place in the list determines. Without readings, only the modes
+of the left eye and of both eyes are compared. The cost is the time of the process's CPU, so that other programs on the
+machine count little.
 """
 
 from __future__ import annotations
@@ -70,6 +71,12 @@ def rig_report(
     for number, folder in enumerate(folders):
         session = read_session(folder, known=body.instrument.joint_names)
         found += _session(session, number, body, single, frames, use_joints)
+    if not use_joints:
+        return {
+            "estimates": [_summary(kind, _of(found, kind)) for kind in (LEFT, BOTH)],
+            "both eyes against one": [_against(LEFT, _of(found, LEFT), _of(found, BOTH))],
+            "stated mode probability": [_probability(kind, _of(found, kind)) for kind in (LEFT, BOTH)],
+        }
     return {
         "estimates": [_summary(kind, _of(found, kind)) for kind in (LEFT, RIGHT, BOTH, OFF)],
         "both eyes against one": [_against(eye, _of(found, eye), _of(found, BOTH)) for eye in (LEFT, RIGHT)],
@@ -119,6 +126,8 @@ def _session(
             (BOTH, masks, session.rig),
             (OFF, masks, off),
         ):
+            if not use_joints and kind in (RIGHT, OFF):
+                continue
             started = time.process_time()
             result = estimate(given, rig, one.readings if use_joints else {}, body, frame=one.name, config=config)
             seconds = time.process_time() - started

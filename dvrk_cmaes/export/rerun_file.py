@@ -1,13 +1,15 @@
 """A followed recording for the Rerun viewer: images, masks, the links' meshes, camera and joints on a timeline.
 
 The program is that of rerun.io, of the extra ``viewer``. The space of the recording is the camera's: x right, y down, z
-forward, metres.
+forward, metres; with a rig, it is the first camera's, whose entity is ``camera``, and a further view NAME has its
+pictures in ``camera_NAME``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,14 +17,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import not_written, written_beside
 
 Bool = NDArray[np.bool_]
 
 EXTENSION: Final = ".rrd"
+_CAMERA: Final = "camera"
 _QUALITY: Final = 85  # of the images' JPEG
 _LONGEST_BATCH: Final = 60.0  # s of rows in a chunk; the viewer is slow with many small ones
 _HALF: Final = 0.5  # px; the centre of the viewer's first pixel is at (0.5, 0.5), of ours at (0, 0)
@@ -33,6 +37,15 @@ _EYE: Final = (0.09, -0.08, -0.09)  # m in the camera, from where the view in sp
 _LOOKED_AT: Final = (0.0, 0.0, 0.08)
 _LEVELS: Final = {"ok": "INFO", "doubtful": "WARN"}  # of a text; ERROR for other statuses
 _COLOURS: Final = {"ok": (0, 158, 115), "doubtful": (240, 228, 66), "lost": (213, 94, 0), "gone": (130, 130, 130)}
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPictures:
+    """What a view shows of a frame: image (H, W, 3) BGR, mask and silhouette of the pose, (H, W); None if missing."""
+
+    image: NDArray[np.uint8] | None = None
+    mask: Bool | None = None
+    silhouette: Bool | None = None
 
 
 def check_rerun(option: str, path: Path) -> None:
@@ -51,7 +64,7 @@ def check_rerun(option: str, path: Path) -> None:
 
 
 @contextmanager
-def rerun_file(path: Path, camera: Camera, instrument: Instrument, session: str) -> Iterator[RerunFile]:
+def rerun_file(path: Path, cameras: Camera | Rig, instrument: Instrument, session: str) -> Iterator[RerunFile]:
     """Open a recording that is written beside its place and renamed when it is complete.
 
     Raises
@@ -63,17 +76,18 @@ def rerun_file(path: Path, camera: Camera, instrument: Instrument, session: str)
     """
     rerun = _library()
     with written_beside(path, "a recording for Rerun") as beside:
+        rig = Rig.of(cameras)
         batches = rerun.ChunkBatcherConfig(flush_tick=_LONGEST_BATCH)
         stream = rerun.RecordingStream("dvrk_cmaes", recording_id=session, batcher_config=batches)
         try:
-            stream.save(beside, default_blueprint=_blueprint())
+            stream.save(beside, default_blueprint=_blueprint(rig))
         except RuntimeError as error:
             raise not_written(path, OSError(None, str(error)), "a recording for Rerun") from None
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         stream.reset_time()  # the library keeps the time of a recording of the same name by thread
         try:
-            yield RerunFile(stream, camera, instrument)
+            yield RerunFile(stream, rig, instrument)
         finally:
             stream.disconnect()
 
@@ -81,17 +95,21 @@ def rerun_file(path: Path, camera: Camera, instrument: Instrument, session: str)
 class RerunFile:
     """Logs the frames of a recording, in order, to a ``rerun.RecordingStream``."""
 
-    def __init__(self, stream: Any, camera: Camera, instrument: Instrument) -> None:
+    def __init__(self, stream: Any, rig: Rig, instrument: Instrument) -> None:
         import trimesh
 
         self._rerun, self._stream, self._instrument = _library(), stream, instrument
+        self._entities = _camera_entities(rig)
         self._status: str | None = None
         rr = self._rerun
         self._static("/", rr.ViewCoordinates.RDF)
-        size = [camera.width, camera.height]
-        matrix = camera.matrix
-        matrix[:2, 2] += _HALF
-        self._static("camera", rr.Pinhole(image_from_camera=matrix, resolution=size, image_plane_distance=0.05))
+        for entity, view in zip(self._entities, rig.views, strict=True):
+            if entity != _CAMERA:
+                self._static(entity, self._transform(inverse(view.view_from_camera)))
+            size = [view.camera.width, view.camera.height]
+            matrix = view.camera.matrix
+            matrix[:2, 2] += _HALF
+            self._static(entity, rr.Pinhole(image_from_camera=matrix, resolution=size, image_plane_distance=0.05))
         self._static("status", rr.StateConfiguration(values=list(_COLOURS), colors=list(_COLOURS.values())))
         for link in instrument.links:
             normals = trimesh.Trimesh(link.vertices, link.faces, process=False).vertex_normals
@@ -108,10 +126,7 @@ class RerunFile:
         number: int,
         row: Mapping[str, Any],
         read: Mapping[str, float],
-        *,
-        image: NDArray[np.uint8] | None,
-        mask: Bool | None,
-        silhouette: Bool | None,
+        views: Sequence[ViewPictures],
     ) -> None:
         """Log a frame.
 
@@ -121,13 +136,14 @@ class RerunFile:
             Index of the frame, from 0; its line of tracks.jsonl.
         read
             Readings by joint, rad, NaN where there is none.
-        image, mask, silhouette
-            (H, W, 3) BGR, and (H, W): its image, mask and the silhouette of its pose, as far as there are any.
+        views
+            What each view of the rig shows of it.
         """
         self._stream.set_time("frame", sequence=number)
         if row["time"] is not None:
             self._stream.set_time("time", duration=row["time"])
-        self._pictures(image, mask, silhouette)
+        for entity, view in zip(self._entities, views, strict=True):
+            self._pictures(entity, view)
         self._pose(row)
         for name in self._instrument.joint_names:
             self._scalar(f"joints/{_part(name)}/found", np.degrees(row["joints"].get(name, np.nan)))
@@ -138,27 +154,27 @@ class RerunFile:
             self._scalar("std/tips_mm", row["std"]["tip_mm"])
         self._say(row)
 
-    def _pictures(self, image: NDArray[np.uint8] | None, mask: Bool | None, silhouette: Bool | None) -> None:
-        """Log image, mask and outline; those that are missing are cleared."""
-        rr = self._rerun
+    def _pictures(self, entity: str, view: ViewPictures) -> None:
+        """Log image, mask and outline below a camera's entity; those that are missing are cleared."""
+        rr, image, mask, silhouette = self._rerun, view.image, view.mask, view.silhouette
         if image is not None:
             data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
-            self._log("camera/image", rr.EncodedImage(contents=data, media_type="image/jpeg", draw_order=0))
+            self._log(f"{entity}/image", rr.EncodedImage(contents=data, media_type="image/jpeg", draw_order=0))
         else:
-            self._log("camera/image", rr.Clear(recursive=False))
+            self._log(f"{entity}/image", rr.Clear(recursive=False))
         if mask is not None:
             red, green, blue, alpha = _MASK
             tint = np.where(mask[..., None], np.array([blue, green, red, alpha], np.uint8), np.uint8(0))
             data = cv2.imencode(".png", tint, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
-            self._log("camera/mask", rr.EncodedImage(contents=data, media_type="image/png", draw_order=1))
+            self._log(f"{entity}/mask", rr.EncodedImage(contents=data, media_type="image/png", draw_order=1))
         else:
-            self._log("camera/mask", rr.Clear(recursive=False))
+            self._log(f"{entity}/mask", rr.Clear(recursive=False))
         strips: list[NDArray[np.int32]] = []
         if silhouette is not None:
             contours, _ = cv2.findContours(silhouette.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
             strips = [np.concatenate([each[:, 0], each[:1, 0]]).astype(np.int32) for each in contours]
         placed = [strip + _HALF for strip in strips]
-        self._log("camera/outline", rr.LineStrips2D(placed, colors=_OUTLINE, draw_order=2))
+        self._log(f"{entity}/outline", rr.LineStrips2D(placed, colors=_OUTLINE, draw_order=2))
 
     def _pose(self, row: Mapping[str, Any]) -> None:
         """Log the poses of the root and of the links, and the tips; without a pose the instrument is hidden."""
@@ -203,6 +219,11 @@ def _part(name: str) -> str:
     return str(_library().escape_entity_path_part(name))
 
 
+def _camera_entities(rig: Rig) -> list[str]:
+    """Return the entity of each view of a rig."""
+    return [_CAMERA if number == 0 else _part(f"{_CAMERA}_{view.name}") for number, view in enumerate(rig.views)]
+
+
 def _library() -> Any:
     """Import the viewer's library."""
     try:
@@ -213,7 +234,7 @@ def _library() -> Any:
     return rerun
 
 
-def _blueprint() -> Any:
+def _blueprint(rig: Rig) -> Any:
     """Return the arrangement of the views."""
     views = _library().blueprint
     curves = [
@@ -222,9 +243,14 @@ def _blueprint() -> Any:
         views.StateTimelineView(origin="status", name="status"),
     ]
     eye = views.EyeControls3D(position=_EYE, look_target=_LOOKED_AT, eye_up=(0, -1, 0))
-    seen = ["camera/**", "instrument/**", "tips"]
+    entities = _camera_entities(rig)
+    seen = [*(f"{entity}/**" for entity in entities), "instrument/**", "tips"]
+    names = ["image"] if len(entities) == 1 else rig.names
     pictures = [
-        views.Spatial2DView(origin="camera", contents=["camera/**"], name="image"),
+        *(
+            views.Spatial2DView(origin=entity, contents=[f"{entity}/**"], name=name)
+            for entity, name in zip(entities, names, strict=True)
+        ),
         views.Spatial3DView(origin="/", contents=seen, name="in the camera's space", eye_controls=eye),
     ]
     rows = [views.Horizontal(*pictures), views.Horizontal(*curves), views.TextLogView(origin="reasons", name="reasons")]

@@ -12,7 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.track_overlay import TrackView, draw_track
-from dvrk_cmaes.export.rerun_file import rerun_file
+from dvrk_cmaes.export.rerun_file import ViewPictures, rerun_file
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.video_file import whole_video
@@ -87,7 +87,7 @@ def write_outputs(
     page
         Folder of the page, or None.
     rerun
-        Path of a recording for the Rerun viewer, of the first view, or None.
+        Path of a recording for the Rerun viewer, or None.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def write_outputs(
         writer = None if video is None else opened.enter_context(whole_video(video, size, frames_a_second))
         log = None
         if rerun is not None:
-            log = opened.enter_context(rerun_file(rerun, rig.camera, instrument, recording.session))
+            log = opened.enter_context(rerun_file(rerun, rig, instrument, recording.session))
         for number, one in enumerate(seen):
             if writer is not None:
                 row = one.row
@@ -112,7 +112,7 @@ def write_outputs(
                 pictures.add(number, one.views)
             if log is not None:
                 read = {name: float(values[number]) for name, values in recording.readings.items()}
-                first = one.views[0]
-                log.add(number, one.row, read, image=first.image, mask=first.mask, silhouette=first.silhouette)
+                views = [ViewPictures(view.image, view.mask, view.silhouette) for view in one.views]
+                log.add(number, one.row, read, views)
     if page is not None and pictures is not None:
         write_track_page(page, replace(recording, residuals=pictures.residuals, pictures=pictures.pictures))

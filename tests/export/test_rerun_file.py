@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from helpers.moving_worlds import SMALL
 from helpers.track_rows import row
 from rerun.chunk import RrdReader
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.export.rerun_file import check_rerun, rerun_file
+from dvrk_cmaes.export.rerun_file import ViewPictures, check_rerun, rerun_file
+from dvrk_cmaes.geometry import exp_rotation, inverse, transform
 from dvrk_cmaes.silhouette import Body
 
 SHAPE = (SMALL.height, SMALL.width)
@@ -61,9 +64,9 @@ def recording(bundled_body: Body, image: np.ndarray, mask: np.ndarray, tmp_path_
     path = tmp_path_factory.mktemp("rerun") / "new" / "recording.rrd"
     rows = [row(0), row(1, "gone", "no mask"), row(2, "doubtful", "uncertain: x")]
     with rerun_file(path, SMALL, bundled_body.instrument, "made") as log:
-        log.add(0, rows[0], {"jaw": 0.5}, image=image, mask=mask, silhouette=mask)
-        log.add(1, rows[1], {"jaw": 0.6}, image=None, mask=None, silhouette=None)
-        log.add(2, rows[2], {"jaw": np.nan}, image=None, mask=mask, silhouette=mask)
+        log.add(0, rows[0], {"jaw": 0.5}, [ViewPictures(image, mask, mask)])
+        log.add(1, rows[1], {"jaw": 0.6}, [ViewPictures()])
+        log.add(2, rows[2], {"jaw": np.nan}, [ViewPictures(None, mask, mask)])
     assert [entry.name for entry in path.parent.iterdir()] == ["recording.rrd"]
     return Recording(path)
 
@@ -130,9 +133,27 @@ def test_status_and_reasons_are_told(recording: Recording) -> None:
 
 def test_frames_without_times_have_numbers_only(bundled_body: Body, tmp_path: Path) -> None:
     with rerun_file(tmp_path / "a.rrd", SMALL, bundled_body.instrument, "made") as log:
-        log.add(0, row(0, time=None), {}, image=None, mask=None, silhouette=None)
+        log.add(0, row(0, time=None), {}, [ViewPictures()])
     names = {name for chunk in Recording(tmp_path / "a.rrd").chunks for name in chunk.timeline_names}
     assert names == {"frame"}
+
+
+def test_each_view_of_a_rig_has_its_camera_and_pictures(bundled_body: Body, mask: np.ndarray, tmp_path: Path) -> None:
+    right = replace(SMALL, cx=SMALL.cx + 3)
+    right_from_left = transform(exp_rotation([0.01, -0.02, 0.0]), [-0.005, 0.0, 0.0])
+    moved = np.roll(mask, 20, axis=1)
+    with rerun_file(
+        tmp_path / "a.rrd", Rig.stereo(SMALL, right, right_from_left), bundled_body.instrument, "made"
+    ) as log:
+        log.add(0, row(0), {}, [ViewPictures(None, mask, mask), ViewPictures(None, moved, moved)])
+    found = Recording(tmp_path / "a.rrd")
+    assert {"/camera", "/camera_right"} <= found.entities(static=True)
+    (place,) = found.column("/camera_right", "Transform3D:translation", static=True)
+    np.testing.assert_allclose(np.ravel(place), inverse(right_from_left)[:3, 3], atol=1e-7)
+    (matrix,) = found.column("/camera_right", "Pinhole:image_from_camera", static=True)
+    np.testing.assert_allclose(np.reshape(matrix, (3, 3)).T[0, 2], right.cx + 0.5)
+    ((strip,),) = found.column("/camera_right/outline", "LineStrips2D:strips")
+    np.testing.assert_allclose(np.min(strip, axis=0), [80.5, 40.5])
 
 
 def test_nothing_is_left_after_an_error(bundled_body: Body, tmp_path: Path) -> None:
