@@ -27,7 +27,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import SessionTool, chosen_tools, of_tool, read_calibration_of
-from dvrk_cmaes.cli.terminal import Line, frames_text, show
+from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
 
@@ -150,7 +150,7 @@ def track(
     from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.track_arms import write_track_arms
+    from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
 
@@ -201,7 +201,9 @@ def track(
             )
             if done.interrupted:
                 break
+    exchanged: list[str] = []
     if len(tools) > 1 and not done.interrupted:
+        exchanged = exchanged_arms(target, {arm: one.readings for arm, one in finished.items()})
         write_track_arms(
             target, sessions, bodies, every=every, frames_a_second=done.frames_a_second, video=video, page=page
         )
@@ -214,9 +216,11 @@ def track(
             show(_lines(one, target / arm if several else target, page=page, rerun=rerun))
         if len(tools) > 1 and page and not done.interrupted:
             show([Line(f"all arms: {target / 'report.html'}")])
+    for text in exchanged:
+        warn(text)
     if done.interrupted:
         return _INTERRUPTED
-    return _DOUBTFUL if any(set(one.counts) - {"ok"} for one in finished.values()) else 0
+    return _DOUBTFUL if exchanged or any(set(one.counts) - {"ok"} for one in finished.values()) else 0
 
 
 def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:

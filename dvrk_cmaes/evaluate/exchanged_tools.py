@@ -9,9 +9,14 @@ import numpy as np
 
 from dvrk_cmaes.results.result import Result
 
+FoundAndRead = tuple[Mapping[str, float], Mapping[str, float]]
+"""The joints of a tool as found and as read in one frame, rad."""
+
 _LEAST_FRAMES = 3
 _FACTOR = 2.0  # of the squared distances from the own readings and from those of the other tool
 _JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
+_LEAST_FOLLOWED = 15  # frames at the end of a recording
+_LEAST_OFF = np.deg2rad(30)  # from the own readings there, of both tools together; more than cables explain
 
 
 def exchanged_tools(results: Mapping[str, Mapping[str, Result]]) -> list[str]:
@@ -22,25 +27,59 @@ def exchanged_tools(results: Mapping[str, Mapping[str, Result]]) -> list[str]:
     """
     found = []
     for first, second in combinations(results, 2):
-        frames = [
-            (a, b)
-            for name, a in results[first].items()
-            if (b := results[second].get(name)) is not None and a.joints and b.joints and a.readings and b.readings
-        ]
-        if len(frames) < _LEAST_FRAMES:
+        distances = _distances(_of_results(results[first]), _of_results(results[second]))
+        if len(distances) < _LEAST_FRAMES:
             continue
-        own = np.median([_distance(a, a) + _distance(b, b) for a, b in frames])
-        other = np.median([_distance(a, b) + _distance(b, a) for a, b in frames])
+        own, other = np.median(list(distances.values()), axis=0)
         if own > _FACTOR * other:
-            found.append(
-                f"{first} and {second}: the joints found for each are nearer to the readings of the other "
-                f"({np.degrees(np.sqrt(other)):.0f} instead of {np.degrees(np.sqrt(own)):.0f} deg); "
-                "their masks or readings seem to be exchanged"
-            )
+            found.append(_described(first, second, own, other))
     return found
 
 
-def _distance(found: Result, read: Result) -> float:
-    """Return the summed squares of the distances of found joints from the readings of a result, rad^2."""
-    names = [name for name in _JOINTS if name in found.joints and name in read.readings]
-    return float(sum((found.joints[name] - read.readings[name]) ** 2 for name in names))
+def exchanged_while_followed(tracks: Mapping[str, Mapping[str, FoundAndRead]]) -> list[str]:
+    """Say which followed tools seem to be exchanged, and from which frame on to the end; empty without any.
+
+    ``tracks`` have the joints of each arm by frame, in the order of the frames, for those in which they were found and
+    read. The first frame is that from which on the distances from the own readings exceed the others' most.
+    """
+    found = []
+    for first, second in combinations(tracks, 2):
+        distances = _distances(tracks[first], tracks[second])
+        if len(distances) < _LEAST_FOLLOWED:
+            continue
+        names, values = list(distances), np.array(list(distances.values()))
+        excess = np.cumsum((values[:, 0] - values[:, 1])[::-1])[::-1]
+        start = int(np.argmax(excess[: len(names) - _LEAST_FOLLOWED + 1]))
+        own, other = np.median(values[start:], axis=0)
+        if own > _FACTOR * other and own > _LEAST_OFF**2:
+            found.append(_described(first, second, own, other) + f" from frame {names[start]} on")
+    return found
+
+
+def _described(first: str, second: str, own: float, other: float) -> str:
+    """Say that two tools seem to be exchanged, given the squared distances from the own and the other's readings."""
+    return (
+        f"{first} and {second}: the joints found for each are nearer to the readings of the other "
+        f"({np.degrees(np.sqrt(other)):.0f} instead of {np.degrees(np.sqrt(own)):.0f} deg); "
+        "their masks or readings seem to be exchanged"
+    )
+
+
+def _of_results(results: Mapping[str, Result]) -> dict[str, FoundAndRead]:
+    """Return the joints of the results that have a pose and readings."""
+    return {name: (one.joints, one.readings) for name, one in results.items() if one.joints and one.readings}
+
+
+def _distances(first: Mapping[str, FoundAndRead], second: Mapping[str, FoundAndRead]) -> dict[str, tuple[float, float]]:
+    """Return the squared distances of two tools' joints from the own and the other's readings, rad^2, by frame."""
+    pairs = {name: (a, second[name]) for name, a in first.items() if name in second}
+    return {
+        name: (_distance(a[0], a[1]) + _distance(b[0], b[1]), _distance(a[0], b[1]) + _distance(b[0], a[1]))
+        for name, (a, b) in pairs.items()
+    }
+
+
+def _distance(found: Mapping[str, float], read: Mapping[str, float]) -> float:
+    """Return the summed squares of the distances of found joints from readings, rad^2."""
+    names = [name for name in _JOINTS if name in found and name in read]
+    return float(sum((found[name] - read[name]) ** 2 for name in names))

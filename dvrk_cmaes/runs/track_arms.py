@@ -1,4 +1,4 @@
-"""What the followed arms of a recording have in common: a video with all tools, and a page that leads to each arm's."""
+"""What the followed arms of a recording have in common: a video with all tools, a page, and exchanged tools."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
+from dvrk_cmaes.evaluate.exchanged_tools import exchanged_while_followed
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.video_file import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
@@ -66,6 +68,27 @@ def write_track_arms(
                 pictures.append(followed_picture(frame, drawn, statuses))
     if page:
         write_followed_arms_page(out, rows, pictures)
+
+
+def exchanged_arms(out: Path, readings: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[str]:
+    """Say which arms, whose results are in OUT/ARM, seem to be exchanged, and from which frame on.
+
+    ``readings`` are, by arm and joint, those of each followed frame, NaN where there is none.
+
+    Raises
+    ------
+    InputError
+        A file of results cannot be read.
+    """
+    tracks = {}
+    for arm, of_joints in readings.items():
+        found = {}
+        for number, row in enumerate(read_tracks(out / arm / TRACKS)):
+            read = {name: float(v[number]) for name, v in of_joints.items() if np.isfinite(v[number])}
+            if row["camera_from_root"] is not None and read:
+                found[row["frame"]] = row["joints"], read
+        tracks[arm] = found
+    return exchanged_while_followed(tracks)
 
 
 def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:

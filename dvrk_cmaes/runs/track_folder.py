@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
@@ -53,13 +54,14 @@ _SAVED_EVERY: Final = 100  # frames
 class TrackSummary:
     """Numbers of frames by status, whether the run was stopped before the end, and what was found.
 
-    ``frames_a_second`` are those that were followed.
+    ``frames_a_second`` are those that were followed; ``readings`` those of each joint at the frames, less the lag.
     """
 
     counts: dict[str, int]
     interrupted: bool
     calibration: SessionCalibration | None
     frames_a_second: float
+    readings: Mapping[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +163,13 @@ def track_folder(
         calibration = tracker.calibration(clock.interval, clock.unit)
         if calibration is not None and rows:
             write_json(out / SESSION, calibration.to_dict())
+        readings = _readings(run, tracker)
         if not interrupted:
             write_table(out / TABLE, rows, body.instrument.joint_names)
             if rows and (video or page or rerun is not None):
-                _show(run, rows, tracker, calibration, video=video, page=page, rerun=rerun)
+                _show(run, rows, readings, calibration, video=video, page=page, rerun=rerun)
     counts = Counter(row["status"] for row in rows)
-    return TrackSummary(dict(counts), interrupted, calibration, run.frames_a_second)
+    return TrackSummary(dict(counts), interrupted, calibration, run.frames_a_second, readings)
 
 
 def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
@@ -207,10 +210,17 @@ def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
     return rows, tracker
 
 
+def _readings(run: _Run, tracker: Tracker) -> dict[str, NDArray[np.float64]]:
+    """Return the readings of each joint at the times of the frames less the lag, NaN where there are none."""
+    late = 0.0 if tracker.lag is None else tracker.lag.seconds
+    times = np.array([run.clock.times[files.name] for files in run.frames]) - late
+    return run.clock.readings_at(times, run.settings.config.track.reading_gap)
+
+
 def _show(
     run: _Run,
     rows: list[dict[str, Any]],
-    tracker: Tracker,
+    readings: Mapping[str, NDArray[np.float64]],
     calibration: SessionCalibration | None,
     *,
     video: bool,
@@ -218,15 +228,13 @@ def _show(
     rerun: Path | None,
 ) -> None:
     """Write the overlay video, the page, and a recording for Rerun."""
-    rig, clock = Rig.of(run.session.cameras), run.clock
-    late = 0.0 if tracker.lag is None else tracker.lag.seconds
-    times = np.array([clock.times[files.name] for files in run.frames]) - late
+    rig = Rig.of(run.session.cameras)
     recording = FollowedRecording(
         rows,
         run.session.folder.resolve().name,
         run.body.instrument.name,
         calibration,
-        clock.readings_at(times, run.settings.config.track.reading_gap),
+        readings,
     )
     write_outputs(
         seen_frames(run.frames, rows, rig, run.body),

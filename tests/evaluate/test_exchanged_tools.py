@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from dvrk_cmaes.evaluate.exchanged_tools import exchanged_tools
+from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_tools, exchanged_while_followed
 from dvrk_cmaes.results.result import Result
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
@@ -41,3 +42,28 @@ def test_two_frames_tell_nothing() -> None:
     rng = np.random.default_rng(1)
     true = rng.uniform(-0.8, 0.8, (2, 2, 3))
     assert exchanged_tools({"PSM1": results(true[0], true[1]), "PSM2": results(true[1], true[0])}) == []
+
+
+def followed(joints: np.ndarray, readings: np.ndarray) -> dict[str, FoundAndRead]:
+    """Give the joints of followed frames as found and as read (N, 3), rad."""
+    return {name: (one.joints, one.readings) for name, one in results(joints, readings).items()}
+
+
+@pytest.mark.parametrize("start", [0, 25])
+def test_exchange_while_followed_is_told_with_its_first_frame(start: int) -> None:
+    rng = np.random.default_rng(2)
+    true = np.cumsum(0.03 * rng.standard_normal((2, 60, 3)), axis=1) + np.array([0.5, -0.5])[:, None, None]
+    read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
+    assert exchanged_while_followed({"PSM1": followed(true[0], read[0]), "PSM2": followed(true[1], read[1])}) == []
+    seen = true.copy()
+    seen[:, start:] = true[::-1, start:]
+    (text,) = exchanged_while_followed({"PSM1": followed(seen[0], read[0]), "PSM2": followed(seen[1], read[1])})
+    assert text.startswith("PSM1 and PSM2: the joints found for each are nearer to the readings of the other")
+    assert text.endswith(f"from frame {start:04d} on")
+
+
+def test_tools_of_the_same_joints_are_not_taken_for_exchanged() -> None:
+    rng = np.random.default_rng(3)
+    true = np.cumsum(0.03 * rng.standard_normal((60, 3)), axis=0)
+    read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
+    assert exchanged_while_followed({"PSM1": followed(true, read[0]), "PSM2": followed(true, read[1])}) == []
