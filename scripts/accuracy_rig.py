@@ -23,6 +23,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.evaluate.rig_check import rig_doubts
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.view_frames import read_views
@@ -53,6 +54,7 @@ class Found:
     disagree: bool
     tips: tuple[tuple[float, ...], ...]
     seconds: float
+    result: Result
 
 
 def rig_report(
@@ -154,6 +156,7 @@ def _found(
         disagree=any(reason.startswith("views disagree") for reason in result.reasons),
         tips=tuple(tuple(tip.tolist()) for tip in result.tips),
         seconds=seconds,
+        result=result,
     )
 
 
@@ -198,6 +201,11 @@ def _probability(kind: str, found: Sequence[Found]) -> dict[str, Any]:
     }
 
 
+def _named(found: Sequence[Found], kind: str) -> str:
+    """Say whether the frames together, as a batch compares them, name the rig."""
+    return "yes" if rig_doubts([one.result for one in _of(found, kind)]) else "no"
+
+
 def _wrong_rigs(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
     """Yield for each session in how many frames a right and a wrong rig are named, and what the wrong one moves."""
     for session in dict.fromkeys(one.session for one in found):
@@ -209,5 +217,6 @@ def _wrong_rigs(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
             "frames": len(pairs),
             "right rig named": sum(a.disagree for a, _ in pairs),
             "wrong rig named": sum(b.disagree for _, b in pairs),
+            "named by all frames": f"right {_named(own, BOTH)}, wrong {_named(own, OFF)}",
             "tips moved, median mm": round(float(np.median(moved)), 3),
         }

@@ -225,6 +225,8 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
             show([Line(arm, "bold")])
         if not (several and json):
             _report(done.document, done.folder, json, shard=shard)
+        for text in done.document.get("rig_doubts", ()):
+            warn(f"{arm}: {text}" if arm else text)
     if len(finished) > 1 and shard is None:
         for text in exchanged_tools({arm: read_results(done.folder).frames for arm, done in finished.items()}):
             warn(text)

@@ -9,6 +9,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
+from dvrk_cmaes.evaluate.rig_check import rig_doubts
 from dvrk_cmaes.results.result import Result, Status
 
 _SCHEMA: Final = 1
@@ -72,6 +73,7 @@ def summarize(
         "lag": None if calibration is None else calibration.get("lag"),
         "timing": {"frame_seconds": _seconds(values), "run": None if timing is None else asdict(timing)},
         "config": manifest["config"],
+        **({"rig_doubts": rig_doubts(values)} if any(result.view_fits for result in values) else {}),
     }
 
 
