@@ -26,10 +26,12 @@ def pose() -> np.ndarray:
     return lookat_pose(0.5, 1.0, 0.7, 0.11)
 
 
-def refiner(body: Body, readings: np.ndarray, shrink: int = 1, **settings: float) -> OutlineRefiner:
+def refiner(
+    body: Body, readings: np.ndarray, shrink: int = 1, ignore: np.ndarray | None = None, **settings: float
+) -> OutlineRefiner:
     renderer = Renderer(body, CAMERA)
     mask = renderer.coverage(pose()[None], JOINTS[None])[0] > 0.5
-    evidence = gather_evidence(mask, CAMERA, body.instrument)
+    evidence = gather_evidence(mask, CAMERA, body.instrument, ignore=ignore)
     limits = body.instrument.limits.T
     known = Readings(readings, SPREAD, limits[0], limits[1])
     return OutlineRefiner(renderer, evidence, known, OutlineConfig(**settings), shrink=shrink)
@@ -52,6 +54,17 @@ def test_batch_agrees_with_single_refinements(bundled_body: Body) -> None:
     for start, fit in zip(starts, together, strict=True):
         alone = at.refine_all(start[None], JOINTS[None])[0]
         assert alone.score == pytest.approx(fit.score, abs=0.5)
+
+
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_border_of_ignored_pixels_is_no_edge(bundled_body: Body, shrink: int) -> None:
+    ignore = np.zeros((CAMERA.height, CAMERA.width), dtype=bool)
+    wrist = CAMERA.project(pose()[None, :3, 3])[0].astype(int)
+    ignore[wrist[1] - 25 : wrist[1] + 25, wrist[0] - 25 : wrist[0] + 25] = True  # across the instrument
+    whole, hidden = (
+        refiner(bundled_body, JOINTS, shrink, ignore=one).assess(pose(), JOINTS).residual for one in (None, ignore)
+    )
+    assert hidden <= whole
 
 
 def test_weight_of_readings_follows_correlation(bundled_body: Body) -> None:

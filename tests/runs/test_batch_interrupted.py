@@ -46,7 +46,7 @@ def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -
     there = len(results(tmp_path))
     assert batch.returncode == 130
     assert 2 <= there < 8
-    assert said.splitlines() == [
+    assert [line for line in said.splitlines() if " a second, " not in line] == [  # without progress, on slow machines
         "dvrk-cmaes: warning: stopping: the frames that are running are finished and written first "
         "(Ctrl-C again: at once)",
         f"dvrk-cmaes: interrupted: {8 - there} of 8 frames are left; the same command goes on from here",
@@ -69,6 +69,6 @@ def test_second_interrupt_ends_at_once(command: list[str], tmp_path: Path) -> No
     batch.send_signal(signal.SIGINT)
     _, said = batch.communicate(timeout=60)
     assert batch.returncode == 130
-    first, last = said.splitlines()
+    first, last = [line for line in said.splitlines() if " a second, " not in line]
     assert first.startswith("dvrk-cmaes: warning: stopping")
     assert last.startswith("dvrk-cmaes: interrupted")

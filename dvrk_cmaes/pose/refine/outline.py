@@ -35,7 +35,7 @@ from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
 
-_EMPTY = np.zeros((0, 0)), np.zeros(0)  # information and slope that were not computed
+_BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 _LARGEST_DAMPING = 10.0  # beyond which a refinement stops
 
 
@@ -119,7 +119,9 @@ class OutlineRefiner:
         self._camera = self._in_window(camera)
         self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
         self._config = config
-        self._weight = np.ascontiguousarray(weight[window])
+        beside = 2 * int(np.ceil(_BLURRED_IN * config.blur)) + 1
+        clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
+        self._weight = np.ascontiguousarray(clear[window])
         self._mask = mask[window] > 0.5
         self._target = self._blurred(np.ascontiguousarray(mask[window]))
         self.shrink = shrink
@@ -221,7 +223,7 @@ class OutlineRefiner:
 
     @property
     def weight(self) -> NDArray[np.float32]:
-        """Weights of the pixels in the refiner's window, (H, W): 0 for ignored ones, 1 for others."""
+        """Weights of the pixels in the refiner's window, (H, W): 0 for ignored ones and beside them, 1 for others."""
         return self._weight
 
     def outline_jacobian(self, pose: Float64, joints: Float64) -> tuple[OutlinePoints, Float64]:
