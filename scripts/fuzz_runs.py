@@ -59,10 +59,14 @@ def in_this_process(command: list[str]) -> Outcome:
 
 
 def in_a_process(command: list[str]) -> Outcome:
-    """Run a command line in a process of its own, whose files are limited to 100 MB; it is killed after 60 s."""
+    """Run a command line in a process of its own, whose files are limited to 100 MB; it is killed after 60 s.
+
+    Null characters are left out: no process can be given them.
+    """
+    arguments = [argument.replace("\0", "") for argument in command]
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         process = subprocess.Popen(
-            [sys.executable, "-m", "dvrk_cmaes", *command],
+            [sys.executable, "-m", "dvrk_cmaes", *arguments],
             stdout=out,
             stderr=err,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (10**8, 10**8)),
