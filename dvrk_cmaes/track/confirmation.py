@@ -42,6 +42,11 @@ class Confirmation:
         self.credit = _AFTER_A_CHANGE if changed else float(result.status == "ok")
         self.left = self.wait = _FIRST_WAIT
 
+    def doubt(self) -> None:
+        """Doubt the pose that is followed: it may be of another mode than that of the images before."""
+        self.credit = 0.0
+        self.left = self.wait = _FIRST_WAIT
+
     def due(self) -> bool:
         """Count an image that supports the pose; return whether to solve it by itself."""
         self.left -= 1

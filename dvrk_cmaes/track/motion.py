@@ -47,6 +47,10 @@ class Anchor:
         """Return the anchor before any reading, for J joints."""
         return Anchor(np.zeros(4), np.zeros(joints), np.zeros(4), np.zeros(joints), False, np.zeros(joints, np.bool_))
 
+    def moves_from(self, before: Anchor) -> bool:
+        """Whether the outer joints are read, and their readings differ from those ``before``."""
+        return self.outer_read and not np.array_equal(before.outer, self.outer)
+
     def then(self, reading: ReadingAt, *, moving: bool = True, expected: Float64 | None = None) -> Anchor:
         """Return the anchor of later readings; if they are not ``moving``, they are not used.
 

@@ -11,7 +11,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.geometry import change_between, inverse
+from dvrk_cmaes.geometry import change_between, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Box
@@ -28,46 +28,85 @@ from dvrk_cmaes.track.update import Fit
 Float64 = NDArray[np.float64]
 
 _WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
-_SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
-_DOUBTFUL = 0.25  # part of an image without support that one with doubtful support counts for
-_OUT_OF_VIEW = 0.1  # the same of an image in which the instrument is not expected to be seen
-_SEARCH_AFTER = 2.0  # images without support before a global search
-_MOST_WAIT = 32.0  # images between global searches
-_CERTAIN = {"mask": 0.85, "image": 0.6}  # least such difference of a pose that was found around a wrong prediction
-_CLEARLY = 0.1  # difference of the shares of supported outline less unexplained edges
 _HELD = (3e-3, 0.08, 0.2, 0.2)
+_KNOWN_JOINT = 0.06  # rad, instead of that of the joints, where readings tell how the instrument moves
+_JUMP = 0.17  # rad, change of the joints with which a found pose may be of another mode
+_ROLLS = np.deg2rad([-60.0, -30.0, 30.0, 60.0])  # from the prediction, where no reading tells how it moved
+_PASSES = 2  # further corrections of the best pose that was found
+_JOINT_PENALTY = 0.3  # of agreement for each rad that the joints are changed
+_SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
+_CERTAIN = {"mask": 0.85, "image": 0.6}  # least agreement of a pose that was found around a wrong prediction
 
 
-def _widened(state: FilterState, sizes: tuple[float, float, float, float]) -> FilterState:
-    """Return a state with larger standard deviations of the pose and the joints."""
+def _widened(
+    state: FilterState, sizes: tuple[float, float, float, float], known: NDArray[np.bool_] | bool = False
+) -> FilterState:
+    """Return a state with larger standard deviations of the pose and the joints, of which (J,) are ``known``."""
     at = state.layout
     covariance = state.covariance.copy()
     diagonal = np.einsum("ii->i", covariance)
     diagonal[at.slack] += np.square([sizes[0]] * 3 + [sizes[1]] * 2 + [sizes[2]])
-    diagonal[at.offsets] += sizes[3] ** 2
+    diagonal[at.offsets] += np.where(known, _KNOWN_JOINT, sizes[3]) ** 2
     return replace(state, covariance=covariance)
 
 
-def search_around(
-    follower: Follower, before: Hypothesis, predicted: Hypothesis, evidence: RigEvidence
-) -> tuple[Hypothesis, Fit] | None:
-    """Search for a pose around the prediction, and around the pose before that, and return the better supported.
+def _rolled(state: FilterState, angle: float) -> FilterState:
+    """Return a state whose root is turned about its z axis by an angle, rad."""
+    return replace(state, slack=moved(state.slack, np.array([0.0, 0.0, 0.0, 0.0, 0.0, angle])))
 
-    The latter is found where readings jumped, or stopped while the instrument moves on.
+
+def search_around(
+    follower: Follower,
+    before: Hypothesis,
+    predicted: Hypothesis,
+    corrected: Hypothesis | None,
+    evidence: RigEvidence,
+) -> tuple[Hypothesis, Fit] | None:
+    """Search for a pose around a prediction that an image does not support well, and return the best supported.
+
+    It starts from the prediction, from where the image ``corrected`` it to, and from the pose ``before``, where
+    readings jumped, or stopped while the instrument moves on. Where the roll is not read, or its reading stands still,
+    the instrument is also turned about its shaft. Of poses that are supported alike, the one whose joints change less
+    is returned.
     """
     motion = follower.motion
     pose, joints = motion.pose(before.state, before.anchor)
-    moved, bent = motion.pose(predicted.state, predicted.anchor)
-    slack = predicted.state.slack @ inverse(moved) @ pose
+    ahead, bent = motion.pose(predicted.state, predicted.anchor)
+    moves = predicted.anchor.moves_from(before.anchor)
+    known = predicted.anchor.joint_read & moves & (np.abs(bent - joints) < _JUMP)
+    slack = predicted.state.slack @ inverse(ahead) @ pose
     offsets = np.concatenate([predicted.state.offsets[:1], predicted.state.offsets[1:] + joints - bent])
-    held = replace(predicted, state=_widened(replace(predicted.state, slack=slack, offsets=offsets), _HELD))
-    around = replace(predicted, state=_widened(predicted.state, _WIDENED))
-    starts = [around]
-    if np.abs(change_between(moved, pose)).max() > 1e-4 or np.abs(joints - bent).max() > 1e-3:
+    held = replace(predicted, state=_widened(replace(predicted.state, slack=slack, offsets=offsets), _HELD, known))
+    starts = [replace(predicted, state=_widened(predicted.state, _WIDENED, known))]
+    if np.abs(change_between(ahead, pose)).max() > 1e-4 or np.abs(joints - bent).max() > 1e-3:
         starts.append(held)
+    if corrected is not None:
+        starts.append(replace(corrected, state=_widened(corrected.state, _WIDENED, known)))
+    if not moves:
+        turned = (starts[0],) if corrected is None else (starts[0], corrected)
+        starts += [replace(one, state=_rolled(one.state, angle)) for one in turned for angle in _ROLLS]
+
+    def merit(one: tuple[Hypothesis, Fit]) -> float:
+        found = motion.pose(one[0].state, one[0].anchor)[1]
+        return one[1].agreement - _JOINT_PENALTY * float(np.linalg.norm(found - joints))
+
     wider = evidence.wider()
-    found = [one for start in starts if (one := follower.corrected(start, wider)) is not None]
-    return max(found, key=lambda one: one[1].supported - one[1].unexplained, default=None)
+    all_found = [one for start in starts if (one := follower.corrected(start, wider)) is not None]
+    best = max(all_found, key=merit, default=None)
+    for _ in range(_PASSES):
+        if best is None:
+            break
+        again = follower.corrected(replace(best[0], state=_widened(best[0].state, _HELD, known)), evidence)
+        if again is None or merit(again) <= merit(best):
+            break
+        best = again
+    return best
+
+
+def has_jumped(follower: Follower, before: Hypothesis, found: Hypothesis) -> bool:
+    """Whether the joints of a found pose differ so much from those before that it may be of another mode."""
+    joints = [follower.motion.pose(one.state, one.anchor)[1] for one in (before, found)]
+    return float(np.linalg.norm(joints[1] - joints[0])) > _JUMP
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +151,9 @@ class GlobalSearch:
         return {} if rim is None else self.sight.boxes_of(rim)
 
 
-def same_base(follower: Follower, main: Hypothesis, result: Result, evidence: RigEvidence) -> Hypothesis | None:
+def same_base(
+    follower: Follower, main: Hypothesis, result: Result, evidence: RigEvidence
+) -> tuple[Hypothesis, Fit] | None:
     """Return the predicted hypothesis corrected by the nearest mode of a single frame's result, and by the image.
 
     None if no mode is near enough to be of the same base, or the image does not support it.
@@ -128,7 +169,7 @@ def same_base(follower: Follower, main: Hypothesis, result: Result, evidence: Ri
     ]
     nearest, deviation = min(fused, key=lambda one: one[1])
     corrected = follower.corrected(nearest, evidence) if deviation < _SAME_BASE else None
-    return None if corrected is None or not is_supported(corrected[1], follower.config) else corrected[0]
+    return None if corrected is None or not is_supported(corrected[1], follower.config) else corrected
 
 
 def explains(result: Result, trust: TrustConfig) -> bool:
@@ -142,33 +183,6 @@ def explains(result: Result, trust: TrustConfig) -> bool:
     )
 
 
-@dataclass
-class Searching:
-    """When to search globally: images without support so far, and how many there must be for the next search.
-
-    An image that supports the pose, but not convincingly, counts as a part of one.
-    """
-
-    unsupported: float = 0.0
-    wait: float = _SEARCH_AFTER
-
-    def missed(self, *, doubtful: bool, out_of_view: bool = False) -> bool:
-        """Count an image without support, or with doubtful support; return whether to search in it.
-
-        ``out_of_view`` tells that the instrument is not expected to be seen in it.
-        """
-        self.unsupported += _DOUBTFUL if doubtful else _OUT_OF_VIEW if out_of_view else 1.0
-        if self.unsupported < self.wait:
-            return False
-        self.wait = min(2 * self.wait, self.wait + _MOST_WAIT)
-        return True
-
-
-def is_better(fit: Fit, other: Fit) -> bool:
-    """Whether a fit is clearly better supported than another."""
-    return fit.supported - fit.unexplained > other.supported - other.unexplained + _CLEARLY
-
-
 def is_certain(fit: Fit, source: str) -> bool:
     """Whether a pose that was found around a wrong prediction fits its mask or image too well for a local optimum."""
-    return fit.supported - fit.unexplained >= _CERTAIN[source]
+    return fit.agreement >= _CERTAIN[source]

@@ -132,6 +132,11 @@ def based_on_arm(
     """Return a hypothesis with the arm's base where the outer joints are read for the first time, else as it is."""
     if one.anchor.based or not anchor.outer_read:
         return one
+    return rebased(follower, config, one, anchor, lag_std)
+
+
+def rebased(follower: Follower, config: EstimateConfig, one: Hypothesis, anchor: Anchor, lag_std: float) -> Hypothesis:
+    """Return a hypothesis with its pose and joints, and the arm's base and the offsets that readings then give it."""
     located, motion = follower.located(one), follower.motion
     blank = unknown_state(config, motion, anchor, follower.instrument.joint_names, lag_std)
     state = placed(blank, motion, anchor, located.camera_from_root, located.joints, located.covariance)

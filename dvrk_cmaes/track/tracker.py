@@ -28,17 +28,18 @@ from dvrk_cmaes.track.confirmation import CHANGED, UNCONFIRMED, Confirmation
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
-from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_convincing, is_supported
+from dvrk_cmaes.track.judge import doubts_of_fit, doubts_of_pose, is_supported
 from dvrk_cmaes.track.lag import LAGS, FoundLag, LagSearch
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
-from dvrk_cmaes.track.recovery import GlobalSearch, Searching, explains, is_better, is_certain, same_base, search_around
+from dvrk_cmaes.track.recovery import GlobalSearch, explains, has_jumped, is_certain, same_base, search_around
 from dvrk_cmaes.track.rig_outline import RigEvidence, RigOutlines
 from dvrk_cmaes.track.rig_sight import Images, Masks, RigSeen, RigSight
+from dvrk_cmaes.track.searching import WORSE, Searching, is_better
 from dvrk_cmaes.track.sight import EvidenceKind
 from dvrk_cmaes.track.smoother import FilterStep, Recorder
-from dvrk_cmaes.track.start import based_on_arm, starting_hypotheses
+from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
 
 Float64 = NDArray[np.float64]
@@ -156,7 +157,7 @@ class Tracker:
             "hypotheses": [plain_hypothesis(one) for one in self._hypotheses],
             "lag": [self._lag.seconds, self._lag.std],
             "lags": self._lags.checkpoint(),
-            "search": [self._search.unsupported, self._search.wait],
+            "search": [self._search.unsupported, self._search.wait, self._search.usual, self._search.astray],
             "confirmation": [self._confirmation.credit, self._confirmation.left, self._confirmation.wait],
             "sight": self._sight.checkpoint(),
             "cables": None if self._cables is None else self._cables.checkpoint(),
@@ -175,7 +176,9 @@ class Tracker:
             self._hypotheses = [read_hypothesis(one, self._follower.model) for one in saved["hypotheses"]]
             self._lag = FoundLag(*(float(value) for value in saved["lag"]))
             self._lags.restore(saved["lags"])
-            self._search = Searching(*(float(value) for value in saved["search"]))
+            unsupported, wait, usual, astray = saved["search"]
+            usual = None if usual is None else float(usual)
+            self._search = Searching(float(unsupported), float(wait), usual, int(astray))
             credit, left, wait = saved["confirmation"]
             self._confirmation = Confirmation(float(credit), int(left), int(wait))
             if self._cables is not None:
@@ -211,7 +214,7 @@ class Tracker:
             )
         self._check_time(time)
         seen = None if image is None else self._sight.look(None, image, None)
-        self._begin(time, result)
+        self._begin(time, result, self._starts(time, result))
         if seen is not None:
             self._learn(seen)
 
@@ -285,7 +288,8 @@ class Tracker:
         result = self._solve(seen, self._anchor(time), first=True)
         if result is None or result.camera_from_root is None:
             return without_pose(time, "not found: the first image could not be solved", searched=True)
-        self._begin(time, result)
+        self._begin(time, result, self._starts(time, result))
+        self._expect(seen)
         self._learn(seen)
         status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
         return replace(self._result(time, status, result.reasons), searched=True)
@@ -296,16 +300,26 @@ class Tracker:
         if views:
             self._sight.learn(seen, self._follower.outlines(self._hypotheses[0], views), anew=anew)
 
-    def _begin(self, time: float, result: Result, *, changed: bool = False) -> None:
-        """Start all modes of a single frame's result as hypotheses; ``changed`` as in `Confirmation.start`."""
-        self._hypotheses = starting_hypotheses(
-            self._follower, self._config, self._calibration, self._anchor(time), self._lag.std, result
-        )
+    def _starts(self, time: float, result: Result) -> list[Hypothesis]:
+        """Return the modes of a single frame's result as hypotheses."""
+        anchor, std = self._anchor(time), self._lag.std
+        return starting_hypotheses(self._follower, self._config, self._calibration, anchor, std, result)
+
+    def _begin(self, time: float, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
+        """Start all modes of a single frame's result, ``starts``; ``changed`` as in `Confirmation.start`."""
+        self._hypotheses = starts
         self._search = Searching()
         self._confirmation.start(result, changed=changed)
         self._lags.clear()
         self._step = None
         self._time = time
+
+    def _expect(self, seen: RigSeen) -> None:
+        """Take the agreement of a mask with the pose that was found in it for the usual one."""
+        evidence = self._sight.evidence(seen) if seen.source == "mask" else None
+        found = None if evidence is None else self._follower.corrected(self._hypotheses[0], evidence)
+        if found is not None:
+            self._search.settle(found[1])
 
     def _follow(self, time: float, seen: RigSeen) -> TrackResult:
         """Predict all hypotheses and correct them by the image."""
@@ -327,24 +341,30 @@ class Tracker:
         if evidence is None:
             return self._unsupported(time, "lost: no instrument was found in the image")
         fits = [self._follower.corrected(one, evidence) for one in self._hypotheses]
-        main = fits[0]
-        if main is None or not is_convincing(main[1], self._config.track):
-            around = search_around(self._follower, before[0], self._hypotheses[0], evidence)
+        main, track = fits[0], self._config.track
+        away = False
+        if self._search.is_weak(main and main[1], seen.source, track):
+            around = search_around(self._follower, before[0], self._hypotheses[0], main and main[0], evidence)
             certain = around is not None and is_certain(around[1], seen.source)
             if around is not None and certain and (main is None or is_better(around[1], main[1])):
-                main = fits[0] = around
+                main, away = around, anchor.moves_from(before[0].anchor)
                 self._step = None
-        supported = main is not None and is_supported(main[1], self._config.track)
-        searched = False
-        if main is None or not is_convincing(main[1], self._config.track):
+                if has_jumped(self._follower, before[0], around[0]):
+                    self._confirmation.doubt()
+        if self._search.is_led_astray(away=away) and main is not None:
+            main = rebased(self._follower, self._config, main[0], anchor, self._lag.std), main[1]
+        fits[0] = main
+        fit = None if main is None else main[1]
+        supported, searched = fit is not None and is_supported(fit, track), False
+        if self._search.is_weak(fit, seen.source, track):
             in_view = main is not None or self._follower.outlines(self._hypotheses[0], tuple(seen.clear))
             gone = seen.source == "image" and not in_view
-            searched = self._search.missed(doubtful=supported, out_of_view=gone)
-            found = self._searched(time, anchor, seen, evidence) if searched else None
+            searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
+            found = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
             if found is not None:
                 return found
         if supported:
-            result = self._supported(time, seen, [one for one in fits if one is not None])
+            result = self._supported(time, seen, [one for one in fits if one is not None], away=away)
             if self._confirmation.needed and result.status == "ok":
                 result = self._confirmed(time, anchor, seen, result)
         else:
@@ -360,27 +380,35 @@ class Tracker:
         if solved is not None:
             agrees = self._confirmation.add(self._follower, self._hypotheses[0], solved)
             if not agrees and solved.status == "ok":
-                self._begin(time, solved, changed=True)
+                self._begin(time, solved, self._starts(time, solved), changed=True)
+                self._expect(seen)
                 self._learn(seen, anew=True)
                 doubtful = self._result(time, "doubtful", (CHANGED,))
         return replace(doubtful if self._confirmation.needed else result, searched=True)
 
-    def _supported(self, time: float, seen: RigSeen, fits: list[tuple[Hypothesis, Fit]]) -> TrackResult:
-        """Keep the corrected hypotheses, decide between them, and judge the best one."""
+    def _supported(self, time: float, seen: RigSeen, fits: list[tuple[Hypothesis, Fit]], *, away: bool) -> TrackResult:
+        """Keep the corrected hypotheses, decide between them, and judge the best one.
+
+        ``away`` tells that its pose was found away from where the readings say.
+        """
         track, decision = self._config.track, decide(fits)
         self._hypotheses, fit = decision.kept, decision.fit
         reasons = [*decision.reasons, *doubts_of_fit(fit, track, seen.source, self._rig.names)]
+        if away:
+            reasons.append("readings against outline: the pose was found away from where they say")
         if decision.switched:
             self._step = None
             self._lags.clear()
         located = self._follower.located(self._hypotheses[0])
-        if is_convincing(fit, track):
+        if not self._search.is_weak(fit, seen.source, track):
             self._find_lag(time, located)
             if not reasons:
                 self._learn(seen)
             if self._search.unsupported >= 1:
                 reasons.append("found again: one image supports the pose so far")
-            self._search = Searching()
+            self._search.found(fit)
+        elif not reasons:
+            reasons.append(WORSE)
         result = self._result(time, "doubtful" if reasons else "ok", tuple(reasons), located)
         return replace(result, residual_px=fit.sigma)
 
@@ -394,21 +422,40 @@ class Tracker:
         certain = found.tip_std_mm is None or found.tip_std_mm <= self._config.track.largest_tip_mm
         return found if certain else replace(found, status="lost")
 
-    def _searched(self, time: float, anchor: Anchor, seen: RigSeen, evidence: RigEvidence) -> TrackResult | None:
-        """Search an image globally, and go on from what is found; None if that does not explain the image."""
+    def _searched(
+        self, time: float, anchor: Anchor, seen: RigSeen, evidence: RigEvidence, fit: Fit | None
+    ) -> TrackResult | None:
+        """Search an image globally, and go on from what is found; None if that does not explain the image.
+
+        What is found must be clearly better supported than the followed pose, whose ``fit`` is given if the image
+        supports it at all.
+        """
         result = self._solve(seen, anchor)
         reason = "found again by a global search"
         if result is None or not explains(result, self._config.trust):
             return None
         found = same_base(self._follower, self._hypotheses[0], result, evidence)
+        starts = [] if found is not None else self._starts(time, result)
+        if fit is not None:
+            other = self._follower.corrected(starts[0], evidence) if found is None else found
+            if other is None or not is_better(other[1], fit) or not self._is_known(result):
+                self._search.settle(fit)
+                return None
         if found is not None:
-            self._hypotheses = [found]
+            self._hypotheses = [found[0]]
             self._step = None
         else:
-            self._begin(time, result)
+            self._begin(time, result, starts)
+            self._expect(seen)
             self._learn(seen, anew=True)
             reason += ", away from where the readings say: readings jumped, or the base moved"
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
+
+    def _is_known(self, result: Result) -> bool:
+        """Whether a single frame tells where the tips are nearly as well as the followed pose does."""
+        now = self._follower.located(self._hypotheses[0]).tip_std * 1e3
+        least = max(now, self._config.track.largest_tip_mm)
+        return result.expected_error is not None and result.expected_error.of_tips_mm <= least
 
     def _find_lag(self, time: float, located: Located) -> None:
         """Add the best pose, which is ``located``, to those from which the lag is found."""

@@ -42,6 +42,11 @@ class Fit:
     cost: float
     of_views: Mapping[int, tuple[float, float]]
 
+    @property
+    def agreement(self) -> float:
+        """Share of the outline that is supported less that of the edge that is unexplained."""
+        return self.supported - self.unexplained
+
 
 @dataclass(frozen=True, eq=False)
 class Updated:

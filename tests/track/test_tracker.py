@@ -191,6 +191,23 @@ def test_base_that_moved_is_found_again(world: MovingWorld, first: Result) -> No
     assert np.linalg.norm(last.tips - after[23].tips, axis=1).mean() < 2e-3  # type: ignore[operator]
 
 
+@pytest.mark.parametrize("turn_deg", [-60, -25, 40])
+def test_roll_that_no_reading_tells_is_found_at_once(world: MovingWorld, first: Result, turn_deg: float) -> None:
+    turned = moved(np.eye(4), [0, 0, 0, 0, 0, np.deg2rad(turn_deg)])
+    truths = [
+        replace(truth, camera_from_root=truth.camera_from_root @ turned) if k >= 12 else truth
+        for k, truth in enumerate(world.truths)
+    ]
+    masks = [exact_mask(world.body, world.camera, truth) for truth in truths[:24]]
+    after = replace(world, truths=truths, masks=masks)
+    frozen = world.readings[0]
+    followed = after.follow(started(world, first), frames=range(1, 24), readings=lambda _: frozen)
+    errors = errors_mm(after, followed)
+    assert errors[13:].max() < 1.5
+    assert not [k for k, one in enumerate(followed) if one.status == "ok" and errors[k] > 3]
+    assert followed[-1].status == "ok"
+
+
 def test_first_image_in_doubt_is_never_ok_and_wrong() -> None:
     world = moving_world(right=0.008)
     followed = world.follow(Tracker(world.camera, world.body, lag=0.0), frames=range(24))
