@@ -1,4 +1,4 @@
-"""Whether the pose that following started from is believed, if its image alone left it in doubt."""
+"""Whether the mode that is followed is believed, if the image in which it was found left it in doubt."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _FIRST_WAIT, _MOST_WAIT = 5, 32  # images between those that are solved by thems
 _SAME_POSE = 60.0  # squared deviation, in standard deviations, up to which two poses agree
 _SAME_TIPS = 3e-3  # m, between the tips of two poses that agree
 
-UNCONFIRMED = "mode not confirmed: the image from which the instrument is followed left its pose in doubt"
+UNCONFIRMED = "mode not confirmed: an image left it in doubt, and none since, solved by itself, has agreed with it"
 CHANGED = "switched to the pose of this image solved by itself: the one that was followed had not been confirmed"
 
 
 @dataclass
 class Confirmation:
-    """How far later images, solved by themselves, have confirmed the pose that following started from.
+    """How far later images, solved by themselves, have confirmed the mode that is followed.
 
     The pose is believed when ``credit`` reaches 1. ``left`` images pass before the next one is solved; that number is
     doubled each time, from ``wait`` on.

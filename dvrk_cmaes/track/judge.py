@@ -15,6 +15,8 @@ from dvrk_cmaes.track.update import Fit
 
 Float64 = NDArray[np.float64]
 
+AWAY = "readings against outline: the pose was found away from where they say"
+
 
 def is_supported(fit: Fit, config: TrackConfig) -> bool:
     """Whether an image supports a pose at all; otherwise the pose is lost."""

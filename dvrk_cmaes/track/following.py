@@ -1,0 +1,280 @@
+"""Following an instrument from image to image: predicted, corrected, judged, and searched for where it was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
+from dvrk_cmaes.track.confirmation import CHANGED, UNCONFIRMED, Confirmation
+from dvrk_cmaes.track.describe import described, without_pose
+from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
+from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_supported
+from dvrk_cmaes.track.modes import decide
+from dvrk_cmaes.track.motion import Anchor
+from dvrk_cmaes.track.readings import Readings
+from dvrk_cmaes.track.recovery import GlobalSearch, explains, has_jumped, is_certain, same_base, search_around
+from dvrk_cmaes.track.rig_outline import RigEvidence
+from dvrk_cmaes.track.rig_sight import RigSeen, RigSight
+from dvrk_cmaes.track.searching import WORSE, Searching, is_better
+from dvrk_cmaes.track.smoother import FilterStep
+from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
+from dvrk_cmaes.track.update import Fit
+
+
+@dataclass(eq=False)
+class Following:
+    """The modes that are followed, and how far they are believed.
+
+    ``hypotheses`` are the modes, the one that is believed first; none before the first pose. ``last_step`` is the
+    prediction and correction of the last image, None where the pose was found otherwise.
+    """
+
+    follower: Follower
+    rig: Rig
+    sight: RigSight
+    solve: GlobalSearch
+    readings: Readings
+    config: EstimateConfig
+    calibration: SessionCalibration | None
+    hypotheses: list[Hypothesis] = field(default_factory=list)
+    last_step: FilterStep | None = None
+    _search: Searching = field(default_factory=Searching)
+    _confirmation: Confirmation = field(default_factory=Confirmation)
+
+    @property
+    def best(self) -> Hypothesis | None:
+        """The mode that is believed; None before the first pose."""
+        return self.hypotheses[0] if self.hypotheses else None
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the state as plain values."""
+        return {
+            "hypotheses": [plain_hypothesis(one) for one in self.hypotheses],
+            "search": [self._search.unsupported, self._search.wait, self._search.usual, self._search.astray],
+            "confirmation": [self._confirmation.credit, self._confirmation.left, self._confirmation.wait],
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
+        self.hypotheses = [read_hypothesis(one, self.follower.model) for one in saved["hypotheses"]]
+        unsupported, wait, usual, astray = saved["search"]
+        usual = None if usual is None else float(usual)
+        self._search = Searching(float(unsupported), float(wait), usual, int(astray))
+        credit, left, wait = saved["confirmation"]
+        self._confirmation = Confirmation(float(credit), int(left), int(wait))
+
+    def anchor(self, time: float) -> Anchor:
+        """Return the readings at the time of an image, based on those of the image before."""
+        return self.readings.anchor(time, None if self.best is None else self.best.anchor)
+
+    def first(self, time: float, seen: RigSeen) -> TrackResult:
+        """Solve the first image by itself."""
+        anchor = self.anchor(time)
+        if seen.problem is not None:
+            return without_pose(time, seen.problem)
+        result = self.solve(seen, anchor, first=True)
+        if result is None or result.camera_from_root is None:
+            return without_pose(time, "not found: the first image could not be solved", searched=True)
+        self.begin(result, self.starts(anchor, result))
+        self._expect(seen)
+        self.learn(seen)
+        status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
+        return replace(self._result(time, status, result.reasons), searched=True)
+
+    def starts(self, anchor: Anchor, result: Result) -> list[Hypothesis]:
+        """Return the modes of a single frame's result as hypotheses."""
+        std = self.readings.lag.std
+        return starting_hypotheses(self.follower, self.config, self.calibration, anchor, std, result)
+
+    def begin(self, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
+        """Start all modes of a single frame's result, ``starts``; ``changed`` as in `Confirmation.start`."""
+        self.hypotheses = starts
+        self._search = Searching()
+        self._confirmation.start(result, changed=changed)
+        self.readings.forget_poses()
+        self.last_step = None
+
+    def learn(self, seen: RigSeen, *, anew: bool = False) -> None:
+        """Learn the colours of the images along the outlines of the best hypothesis; ``anew`` forgets those before."""
+        views = tuple(view for view, one in seen.clear.items() if one.image is not None)
+        if views:
+            self.sight.learn(seen, self.follower.outlines(self.hypotheses[0], views), anew=anew)
+
+    def _expect(self, seen: RigSeen) -> None:
+        """Take the agreement of a mask with the pose that was found in it for the usual one."""
+        evidence = self.sight.evidence(seen) if seen.source == "mask" else None
+        found = None if evidence is None else self.follower.corrected(self.hypotheses[0], evidence)
+        if found is not None:
+            self._search.settle(found[1])
+
+    def follow(self, time: float, elapsed: float, seen: RigSeen) -> TrackResult:
+        """Predict all hypotheses for an image ``elapsed`` s after the last, and correct them by it."""
+        anchor = self.anchor(time)
+        before = [
+            based_on_arm(self.follower, self.config, one, anchor, self.readings.lag.std) for one in self.hypotheses
+        ]
+        predictions = [self.follower.predicted(one, anchor, elapsed, self.readings.lag.std) for one in before]
+        self.hypotheses = [one for one, _ in predictions]
+        first, transition = predictions[0]
+        self.last_step = FilterStep(first.state, transition, first.state, anchor)
+        if seen.problem is not None and seen.main.mask is not None:
+            return self._unsupported(time, seen.problem)
+        if seen.any_same and self.follower.has_moved(before[0], self.hypotheses[0]):
+            seen = seen.without_frozen()
+        if seen.problem is not None:
+            return self._unseen(time, seen.problem)
+        evidence = self.sight.evidence(seen)
+        if evidence is None:
+            return self._unsupported(time, "lost: no instrument was found in the image")
+        fits = [self.follower.corrected(one, evidence) for one in self.hypotheses]
+        fits[0], away = self._found_around(before[0], fits[0], anchor, evidence, seen.source)
+        main, track = fits[0], self.config.track
+        fit = None if main is None else main[1]
+        supported, searched = fit is not None and is_supported(fit, track), False
+        if self._search.is_weak(fit, seen.source, track):
+            in_view = main is not None or self.follower.outlines(self.hypotheses[0], tuple(seen.clear))
+            gone = seen.source == "image" and not in_view
+            searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
+            found = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
+            if found is not None:
+                return found
+        if supported:
+            result = self._supported(time, seen, [one for one in fits if one is not None], away=away)
+            if self._confirmation.needed and result.status == "ok":
+                result = self._confirmed(time, anchor, seen, result)
+        else:
+            result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
+        return replace(result, searched=searched or result.searched)
+
+    def _found_around(
+        self,
+        before: Hypothesis,
+        main: tuple[Hypothesis, Fit] | None,
+        anchor: Anchor,
+        evidence: RigEvidence,
+        source: str,
+    ) -> tuple[tuple[Hypothesis, Fit] | None, bool]:
+        """Return what the image corrected the prediction to, ``main``, or a better pose from a search around it.
+
+        Also returns whether that pose lies away from where the readings say. If it did so in the images before, too,
+        the base is placed anew.
+        """
+        away = False
+        if self._search.is_weak(main and main[1], source, self.config.track):
+            found = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
+            certain = found is not None and is_certain(found[1], source)
+            if found is not None and certain and (main is None or is_better(found[1], main[1])):
+                main, away = found, anchor.moves_from(before.anchor)
+                self.last_step = None
+                if has_jumped(self.follower, before, found[0]):
+                    self._confirmation.doubt()
+        if self._search.is_led_astray(away=away) and main is not None:
+            main = rebased(self.follower, self.config, main[0], anchor, self.readings.lag.std), main[1]
+            self.readings.forget_poses()
+        return main, away
+
+    def _confirmed(self, time: float, anchor: Anchor, seen: RigSeen, result: TrackResult) -> TrackResult:
+        """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
+        doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
+        if not self._confirmation.due():
+            return doubtful
+        solved = self.solve(seen, anchor)
+        if solved is not None:
+            agrees = self._confirmation.add(self.follower, self.hypotheses[0], solved)
+            if not agrees and solved.status == "ok":
+                self.begin(solved, self.starts(anchor, solved), changed=True)
+                self._expect(seen)
+                self.learn(seen, anew=True)
+                doubtful = self._result(time, "doubtful", (CHANGED,))
+        return replace(doubtful if self._confirmation.needed else result, searched=True)
+
+    def _supported(self, time: float, seen: RigSeen, fits: list[tuple[Hypothesis, Fit]], *, away: bool) -> TrackResult:
+        """Keep the corrected hypotheses, decide between them, and judge the best one.
+
+        ``away`` tells that its pose was found away from where the readings say.
+        """
+        track, decision = self.config.track, decide(fits)
+        self.hypotheses, fit = decision.kept, decision.fit
+        reasons = [*decision.reasons, *doubts_of_fit(fit, track, seen.source, self.rig.names)]
+        if away:
+            reasons.append(AWAY)
+        if decision.switched:
+            self.last_step = None
+            self.readings.forget_poses()
+        located = self.follower.located(self.hypotheses[0])
+        if not self._search.is_weak(fit, seen.source, track):
+            if len(self.hypotheses) == 1:
+                self.readings.learn_lag(time, self.hypotheses[0], located)
+            if not reasons:
+                self.learn(seen)
+            if self._search.unsupported >= 1:
+                reasons.append("found again: one image supports the pose so far")
+            self._search.found(fit)
+        elif not reasons:
+            reasons.append(WORSE)
+        result = self._result(time, "doubtful" if reasons else "ok", tuple(reasons), located)
+        return replace(result, residual_px=fit.sigma)
+
+    def _unsupported(self, time: float, reason: str) -> TrackResult:
+        """Return the prediction of an image that does not support it."""
+        return self._result(time, "lost", (reason,))
+
+    def _unseen(self, time: float, reason: str) -> TrackResult:
+        """Return the prediction of an image in which nothing can be seen; doubtful as long as it is certain."""
+        found = self._result(time, "doubtful", (reason,))
+        certain = found.tip_std_mm is None or found.tip_std_mm <= self.config.track.largest_tip_mm
+        return found if certain else replace(found, status="lost")
+
+    def _searched(
+        self, time: float, anchor: Anchor, seen: RigSeen, evidence: RigEvidence, fit: Fit | None
+    ) -> TrackResult | None:
+        """Search an image globally, and go on from what is found; None if that does not explain the image.
+
+        What is found must be clearly better supported than the followed pose, whose ``fit`` is given if the image
+        supports it at all.
+        """
+        result = self.solve(seen, anchor)
+        reason = "found again by a global search"
+        if result is None or not explains(result, self.config.trust):
+            return None
+        found = same_base(self.follower, self.hypotheses[0], result, evidence)
+        starts = [] if found is not None else self.starts(anchor, result)
+        if fit is not None:
+            other = self.follower.corrected(starts[0], evidence) if found is None else found
+            if other is None or not is_better(other[1], fit) or not self._is_known(result):
+                self._search.settle(fit)
+                return None
+        if found is not None:
+            self.hypotheses = [found[0]]
+            self.last_step = None
+        else:
+            self.begin(result, starts)
+            self._expect(seen)
+            self.learn(seen, anew=True)
+            reason += ", away from where the readings say: readings jumped, or the base moved"
+        return replace(self._result(time, "doubtful", (reason,)), searched=True)
+
+    def _is_known(self, result: Result) -> bool:
+        """Whether a single frame tells where the tips are nearly as well as the followed pose does."""
+        now = self.follower.located(self.hypotheses[0]).tip_std * 1e3
+        least = max(now, self.config.track.largest_tip_mm)
+        return result.expected_error is not None and result.expected_error.of_tips_mm <= least
+
+    def _result(
+        self, time: float, status: TrackStatus, reasons: tuple[str, ...], located: Located | None = None
+    ) -> TrackResult:
+        """Describe the best hypothesis, which is ``located`` if that is given."""
+        best = self.hypotheses[0]
+        located = self.follower.located(best) if located is None else located
+        doubts = tuple(doubts_of_pose(located, self.rig, self.config.track))
+        if status == "ok" and doubts:
+            status = "doubtful"
+        found = TrackResult(time, status, (*reasons, *doubts) if status != "ok" else (), None, {}, None, None, None)
+        return described(self.follower, best, found, located)
