@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag, Unit
@@ -174,6 +173,8 @@ def _smoothed(stamps: Float64, values: Float64, times: Float64) -> Float64:
     """Evaluate the cubic spline with readings (M,) at times (M,) as control points at times (N,) between them."""
     if len(stamps) < 2:
         return np.interp(times, stamps, values)
+    from scipy.interpolate import BSpline  # here, since its import takes a third of the start of a process
+
     rows = np.stack([stamps, values], axis=1)
     control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
     spline = BSpline(np.arange(-3.0, len(stamps) + 3.0), control, 3)
