@@ -30,7 +30,7 @@ from dvrk_cmaes.draw.canvas import (
 from dvrk_cmaes.draw.panels import footer, header
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
-from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.results.result import Result
@@ -208,7 +208,7 @@ def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: 
     contour = evidence.contour.pixels
     if silhouette.all() or not silhouette.any():
         return []
-    distances = sampled(signed_distance(silhouette), frame.at(contour)) / frame.scale
+    distances = distances_to(silhouette, frame.at(contour)) / frame.scale
     index = np.flatnonzero(steady_stretches(contour, distances))
     breaks = np.flatnonzero((np.diff(index) > 1) | (np.diff(distances[index] > 0) != 0)) + 1
     return [frame.at(contour[part]) for part in np.split(index, breaks) if len(part)]

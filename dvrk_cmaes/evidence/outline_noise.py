@@ -21,6 +21,7 @@ Float64 = NDArray[np.float64]
 _LEAST_SIGMA = 0.25  # px; that of an exact mask, from quantisation to pixels
 _LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length
 _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that it samples
+_AROUND = 2  # px around a silhouette and pixels, so that the window has background and the samples their neighbours
 _CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
 
 
@@ -49,6 +50,23 @@ def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.where(mask, 0.5 - distance_within(mask), distance_within(~mask) - 0.5).astype(np.float32)
 
 
+def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
+    """Compute the signed distances (N,), px, of pixels (N, 2) to a silhouette's outline, as `signed_distance`.
+
+    The distance transforms are of the part of the image that has both: the nearest pixels of either kind are in it.
+    """
+    height, width = silhouette.shape
+    rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
+    low = np.minimum([columns[0], rows[0]], np.floor(pixels.min(axis=0, initial=np.inf))) - _AROUND
+    high = np.maximum([columns[-1], rows[-1]], np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
+    left, top = np.clip(low, 0, [width, height]).astype(int)
+    right, bottom = np.clip(high, 0, [width, height]).astype(int)
+    distance = np.zeros(silhouette.shape, dtype=np.float32)
+    window = np.s_[top:bottom, left:right]
+    distance[window] = signed_distance(silhouette[window])
+    return sampled(distance, pixels)
+
+
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
     """Sample an image (H, W) at pixels (N, 2) with bilinear interpolation, (N,)."""
     rows = -(-len(at) // _REMAP_WIDTH)
@@ -67,7 +85,7 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoi
     """Estimate the noise of a mask's contour from its distances to the silhouette (H, W) fitted to it."""
     if len(contour.pixels) < 40 or silhouette.all() or not silhouette.any():
         return OutlineNoise(sigma=2.0, length=_LENGTHS[1])
-    error = sampled(signed_distance(silhouette), contour.pixels)
+    error = distances_to(silhouette, contour.pixels)
     sigma = max(1.4826 * float(np.median(np.abs(error))), _LEAST_SIGMA)
     error = np.clip(error, -_CLIP * sigma, _CLIP * sigma)
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)

@@ -12,7 +12,7 @@ from dvrk_cmaes.config import LossWeights
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, window_around
 from dvrk_cmaes.evidence.joint_prior import Readings
-from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
@@ -32,7 +32,7 @@ def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float6
     """Compute signed distances, px, of points (N, 2) to a silhouette's outline, negative inside; inf without one."""
     if not len(points) or silhouette.all() or not silhouette.any():
         return np.full(len(points), np.inf)
-    return sampled(signed_distance(silhouette), points)
+    return distances_to(silhouette, points)
 
 
 def _distal_error(evidence: Evidence, pose: Float64, signed: Float64) -> float:

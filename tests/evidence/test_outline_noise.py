@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.distance_field import distance_within
-from dvrk_cmaes.evidence.outline_noise import measure_noise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import distances_to, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour
 
 CAMERA = Camera(320, 240, 400, 400, 160, 120)
@@ -31,6 +31,17 @@ def test_signed_distance_of_disc() -> None:
     distance = signed_distance(disc(60))
     v, u = np.mgrid[:240, :320]
     np.testing.assert_allclose(distance, np.hypot(u - 150.3, v - 119.6) - 60, atol=1.0)
+
+
+@pytest.mark.parametrize("centre", [(150.0, 120.0), (3.0, 5.0), (318.0, 238.0), (-20.0, 100.0)])
+def test_distances_to_silhouette_are_those_of_the_whole_image(centre: tuple[float, float]) -> None:
+    v, u = np.mgrid[:240, :320]
+    silhouette = (np.hypot(u - centre[0], v - centre[1]) < 40) & ((u + v) % 31 > 0)
+    rng = np.random.default_rng(0)
+    for low, high in (([0, 0], [319, 239]), ([100, 90], [180, 150]), ([-5, -5], [30, 20])):
+        points = rng.uniform(low, high, (200, 2))
+        np.testing.assert_array_equal(distances_to(silhouette, points), sampled(signed_distance(silhouette), points))
+    assert len(distances_to(silhouette, np.zeros((0, 2)))) == 0
 
 
 def test_exact_mask_has_pixel_grid_noise() -> None:
