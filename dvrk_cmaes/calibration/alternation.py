@@ -41,6 +41,7 @@ from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
@@ -349,6 +350,11 @@ class Alternation:
         used = np.array([_explains(fit) and stored.in_reference for fit, stored in pairs])
         stored = tuple(one.reference for one in self._stored)
         return SessionOutlines(stored, readings, own, used, self._run)
+
+    @property
+    def evidence(self) -> dict[str, Evidence]:
+        """Evidence of the first view of each frame in use by its name, without the images."""
+        return {frame.name: stored.reference.evidence for frame, stored in zip(self.frames, self._stored, strict=True)}
 
     def report(self) -> tuple[list[FrameReport], dict[str, str]]:
         """Return the reports of the frames in use, and by name the reason for each frame that is left out.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -42,12 +43,14 @@ class SolvedSession:
     """A session's calibration and, by frame name, results and leave-one-out predictions.
 
     ``results`` has all frames: the results with the session's prior, and the own results of frames that are left out.
-    ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session.
+    ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session,
+    and ``evidence`` what was found in the mask of the first view of each of them, without the images.
     """
 
     calibration: SessionCalibration
     results: dict[str, Result]
     leave_one_out: dict[str, LeaveOneOutPrediction]
+    evidence: dict[str, Evidence] = field(default_factory=dict)
 
 
 @single_blas_thread()
@@ -143,7 +146,7 @@ def calibrate_session(
         **described,
     )
     predicted = {frame.name: one.leave_one_out for frame, one in zip(alternation.frames, reports, strict=True)}
-    return SolvedSession(calibration, results, predicted)
+    return SolvedSession(calibration, results, predicted, alternation.evidence)
 
 
 def find_lag(

@@ -21,6 +21,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
@@ -50,7 +51,8 @@ _of_this_process: dict[str, Any] = {}
 class DrawTask:
     """Draw a frame's result and what the session's other frames predict for it; ``files`` has a mask.
 
-    ``camera`` is that of the camera file or the rig, ``calibrated`` the one with which the session was solved.
+    ``camera`` is that of the camera file or the rig, ``calibrated`` the one with which the session was solved, and
+    ``evidence`` what was found with it.
     """
 
     files: FrameFiles
@@ -58,6 +60,7 @@ class DrawTask:
     calibrated: Camera | Rig
     result: Result
     left_out: LeaveOneOutPrediction
+    evidence: Evidence
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
     data = read_masked_frame(task.files, task.calibrated)
     # a frame that is left out keeps its own result
     drawn = data if task.result.source == "session" else read_masked_frame(task.files, task.camera)
-    overlay = draw_frame(task.result, task.files, drawn, body)
+    overlay = draw_frame(task.result, task.files, drawn, body, task.evidence if drawn is data else None)
     left_out = task.left_out
     shown = []
     for view in seen_in(data):
@@ -141,7 +144,7 @@ def calibrate_folder(
             (out / name).unlink(missing_ok=True)
         camera = solved.calibration.corrected(session.camera) if session.rig is None else session.rig
         tasks = [
-            DrawTask(files[name], session.cameras, camera, solved.results[name], left_out)
+            DrawTask(files[name], session.cameras, camera, solved.results[name], left_out, solved.evidence[name])
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))

@@ -17,6 +17,7 @@ from dvrk_cmaes.draw.overlay import draw_failed, draw_overlay
 from dvrk_cmaes.draw.view_overlays import DrawnView, draw_views
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.view_frames import read_views
@@ -199,15 +200,24 @@ def estimate_frame(
     )
 
 
-def draw_frame(result: Result, files: FrameFiles, data: FrameData, body: Body) -> NDArray[np.uint8]:
+def draw_frame(
+    result: Result, files: FrameFiles, data: FrameData, body: Body, evidence: Evidence | None = None
+) -> NDArray[np.uint8]:
     """Draw a frame's result over its image, or over its mask where it has no image; returns (H, W, 3) BGR.
 
-    The views of a rig are drawn side by side.
+    The views of a rig are drawn side by side. ``evidence`` is that of the mask, for a frame without a rig, where known.
     """
     if data.rig is not None:
         return draw_views(result, seen_in(data), body)
     return draw_overlay(
-        result, data.mask, data.camera, body, image=data.image, ignore=data.ignore, keypoints=files.keypoints
+        result,
+        data.mask,
+        data.camera,
+        body,
+        image=data.image,
+        ignore=data.ignore,
+        keypoints=files.keypoints,
+        evidence=evidence,
     )
 
 
