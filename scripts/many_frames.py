@@ -1,18 +1,23 @@
-"""Sessions with many frames for measurements of batches: the frames of one session repeated as symbolic links."""
+"""Sessions with many frames for measurements: the frames of one session, and their results, repeated."""
 
 from __future__ import annotations
 
 import csv
 import itertools
+import json
 import shutil
+from collections.abc import Container
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 
 
-def repeated_session(source: Path, folder: Path, count: int) -> Path:
-    """Write a session of ``count`` frames whose files are links to those of a session, with its readings and tips."""
-    masks = sorted((source / "masks").iterdir())
+def repeated_session(source: Path, folder: Path, count: int, only: Container[str] | None = None) -> Path:
+    """Write a session of ``count`` frames whose files are links to those of a session, with its readings and tips.
+
+    ``only`` are the names of the frames that are repeated, by default all.
+    """
+    masks = [path for path in sorted((source / "masks").iterdir()) if only is None or path.stem in only]
     if not masks:
         raise InputError(f"{source / 'masks'}: expected masks, got none")
     names = [(f"{k:05d}", mask) for k, mask in zip(range(count), itertools.cycle(masks), strict=False)]
@@ -26,6 +31,17 @@ def repeated_session(source: Path, folder: Path, count: int) -> Path:
     for table in (source / "joints.csv", source / "keypoints.csv"):
         if table.exists():
             _write_repeated(table, folder / table.name, [(name, mask.stem) for name, mask in names])
+    return folder
+
+
+def repeated_results(source: Path, folder: Path, count: int) -> Path:
+    """Write ``count`` results, those of a folder of `batch` in the order of their frames and repeated."""
+    documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((source / "frames").glob("*.json"))]
+    (folder / "frames").mkdir(parents=True)
+    for number, document in zip(range(count), itertools.cycle(documents), strict=False):
+        name = f"{number:05d}"
+        text = json.dumps({**document, "frame": name})
+        (folder / "frames" / f"{name}.json").write_text(text, encoding="utf-8")
     return folder
 
 

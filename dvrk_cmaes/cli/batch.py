@@ -216,7 +216,6 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
     """Print the summaries of all arms, and which of them seem to be exchanged."""
     from dvrk_cmaes.evaluate.exchanged_tools import exchanged_tools
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.results.folder import read_results
 
     if several and json:
         print(json_text({arm: done.document for arm, done in finished.items()}), end="")
@@ -228,7 +227,7 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
         for text in done.document.get("rig_doubts", ()):
             warn(f"{arm}: {text}" if arm else text)
     if len(finished) > 1 and shard is None:
-        for text in exchanged_tools({arm: read_results(done.folder).frames for arm, done in finished.items()}):
+        for text in exchanged_tools({arm: done.results for arm, done in finished.items()}):
             warn(text)
 
 

@@ -154,40 +154,46 @@ def _calibrate_tool(
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.batch import run_batch, usable_cores
-    from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
+    from dvrk_cmaes.runs.calibrate_folder import calibrate_folder, instrument_processes
 
     if results is not None and results.resolve() == target.resolve():
         raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
     instrument = chosen.options
     model = instrument.load().instrument
     found = chosen.read(folder, camera, known=model.joint_names, joints=joints)
-    if results is None:
-        results = target / ALONE
-        with stopping_on_interrupt() as stop, progress() as reporter:
-            done = run_batch(
-                found,
-                results,
-                model,
-                config=settings,
-                arm=instrument.kinematics,
-                workers=workers,
-                stop=stop,
-                progress=reporter,
-            )
-        if done.interrupted:
-            return None
-    return calibrate_folder(
-        found,
-        read_results(results).frames,
-        model,
-        target,
-        alone=results,
-        arm=instrument.kinematics,
-        refine_camera=refine_camera,
-        config=settings,
-        workers=workers or usable_cores(),
-        progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
-    )
+    count = workers or usable_cores()
+    with instrument_processes(model, count) as processes:
+        if results is not None:
+            alone = read_results(results).frames
+        else:
+            results = target / ALONE
+            with stopping_on_interrupt() as stop, progress() as reporter:
+                done = run_batch(
+                    found,
+                    results,
+                    model,
+                    config=settings,
+                    arm=instrument.kinematics,
+                    processes=processes,
+                    stop=stop,
+                    progress=reporter,
+                )
+            if done.interrupted:
+                return None
+            alone = done.results
+        return calibrate_folder(
+            found,
+            alone,
+            model,
+            target,
+            alone=results,
+            arm=instrument.kinematics,
+            refine_camera=refine_camera,
+            config=settings,
+            workers=count,
+            processes=processes,
+            progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
+        )
 
 
 def _is_doubtful(solved: SolvedSession) -> bool:

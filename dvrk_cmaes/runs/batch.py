@@ -22,8 +22,8 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.results.folder import SUMMARY, read_results
-from dvrk_cmaes.results.result import Status
+from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
+from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.fellows import compare_frames
@@ -48,7 +48,7 @@ from dvrk_cmaes.runs.output import (
     remove_temporary_files,
     write_outcome,
 )
-from dvrk_cmaes.runs.processes import WorkerDied, run_in_processes
+from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
@@ -81,7 +81,8 @@ class BatchSummary:
     """Summary of a batch run.
 
     ``folder`` has the results; ``counts`` has the numbers of its frames by status and the number ``missing``; ``ran``
-    is the number of frames estimated by this run. ``document`` is the content of summary.json.
+    is the number of frames estimated by this run. ``document`` is the content of summary.json, ``results`` are all
+    results in the folder by frame.
     """
 
     folder: Path
@@ -89,6 +90,7 @@ class BatchSummary:
     ran: int
     interrupted: bool
     document: dict[str, Any]
+    results: dict[str, Result]
 
 
 def run_batch(
@@ -107,6 +109,7 @@ def run_batch(
     retry_failed: bool = False,
     workers: int | None = None,
     executor: Executor | ExternalExecutor | None = None,
+    processes: Processes | None = None,
     time_limit: float = TIME_LIMIT,
     stop: threading.Event | None = None,
     progress: BatchProgress | None = None,
@@ -142,6 +145,8 @@ def run_batch(
         Number of worker processes; by default as many as the cores allow.
     executor
         Executor to use instead of worker processes.
+    processes
+        Open worker processes to use instead of ``workers`` of its own.
     time_limit
         Seconds after which a frame in a worker process is given up.
     stop
@@ -189,18 +194,19 @@ def run_batch(
         )
         progress.on_start(len(todo), kept)
         ran = 0
-        for outcome in _outcomes(setup, todo, workers, executor, time_limit, stop):
+        for outcome in _outcomes(setup, todo, workers, executor or processes, time_limit, stop):
             write_outcome(folder, outcome)
             ran += 1
             progress.on_frame(outcome)
         seconds = time.monotonic() - started
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
-        document = finish(out, timing) if shard is None else _summarize_shard(folder, timing)
-    return BatchSummary(folder, document["counts"], ran, stop.is_set() and ran < len(todo), document)
+        finished = finish(out, timing) if shard is None else _summarize_shard(folder, timing)
+    document = finished.summary or {}
+    return BatchSummary(folder, document["counts"], ran, stop.is_set() and ran < len(todo), document, finished.frames)
 
 
-def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
-    """Write the tables and the page of the results in a folder, and return the summary.
+def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
+    """Write the tables and the page of the results in a folder, and return these results with their new summary.
 
     Each result is parsed once.
 
@@ -211,27 +217,33 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> dict[str, Any]:
     """
     out = Path(out)
     manifest = _manifest(out)
-    results = read_results(out, summary=False) if has_results(out) else None  # a summary that is there is replaced
-    if results is not None:
+    results = _read(out)
+    if results.frames:
         limit = manifest["config"].get("trust", {}).get("largest_base_deg", TrustConfig.largest_base_deg)
         results = replace(results, frames=compare_frames(out, results.frames, limit))
-    found, session = ({}, None) if results is None else (results.frames, results.session)
-    document = summarize(found, manifest, timing, calibration=session)
-    if results is not None:
+    document = summarize(results.frames, manifest, timing, calibration=results.session)
+    if results.frames:
         write_text(out / POSES, table_text(pose_rows(results.frames.values())))
     write_json(out / SUMMARY, document)
-    if results is not None:
+    results = replace(results, summary=document)
+    if results.frames:
         from dvrk_cmaes.report.page import write_page
 
-        write_page(out, replace(results, summary=document))
-    return document
+        write_page(out, results)
+    return results
 
 
-def _summarize_shard(folder: Path, timing: RunTiming | None) -> dict[str, Any]:
-    """Summarize the results of a shard, without writing anything."""
-    manifest = _manifest(folder)
-    results = read_results(folder, summary=False).frames if has_results(folder) else {}
-    return summarize(results, manifest, timing, whole=False)
+def _summarize_shard(folder: Path, timing: RunTiming | None) -> ResultsFolder:
+    """Return the results of a shard with their summary, without writing anything."""
+    manifest, results = _manifest(folder), _read(folder)
+    return replace(results, summary=summarize(results.frames, manifest, timing, whole=False))
+
+
+def _read(folder: Path) -> ResultsFolder:
+    """Read the results in a folder, if there are any, without the summary that is there, since it is replaced."""
+    if not has_results(folder):
+        return ResultsFolder(folder, {}, None, None)
+    return read_results(folder, summary=False)
 
 
 def _manifest(folder: Path) -> Manifest:
@@ -281,16 +293,18 @@ def _outcomes(
     setup: BatchSetup,
     todo: Sequence[FrameFiles],
     workers: int | None,
-    executor: Executor | ExternalExecutor | None,
+    given: Executor | ExternalExecutor | Processes | None,
     time_limit: float,
     stop: threading.Event,
 ) -> Iterator[FrameOutcome]:
-    """Yield the outcomes of frames in the order of completion."""
+    """Yield the outcomes of frames in the order of completion, by the workers that are ``given`` or by its own."""
     if not todo:
         return
     packed = PackedSetup.of(setup)
     call = functools.partial(run_task, packed)
-    if executor is None:
+    if isinstance(given, Processes):
+        done = given.run(todo, call, time_limit=time_limit, stop=stop)
+    elif given is None:
         most = workers or max(1, usable_cores() // setup.config.threads)
         done = run_in_processes(
             todo,
@@ -301,11 +315,7 @@ def _outcomes(
             stop=stop,
         )
     else:
-        external = (
-            executor
-            if isinstance(executor, ExternalExecutor)
-            else ExternalExecutor(executor, lambda: 2 * usable_cores())
-        )
+        external = given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
         done = run_in_executor(todo, call, external=external, stop=stop)
     for files, outcome in done:
         yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome

@@ -18,7 +18,6 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import BatchSummary
 from dvrk_cmaes.runs.output import refuse_foreign_results
 
@@ -65,11 +64,11 @@ def find_batch_lag(
     refuse_foreign_results(out)
     index = np.unique(np.linspace(0, len(session.frames) - 1, min(_FRAMES, len(session.frames))).round().astype(int))
     some = replace(session, frames=tuple(session.frames[i] for i in index))
-    if run(some, out / LAG).interrupted:
+    done = run(some, out / LAG)
+    if done.interrupted:
         raise DvrkCmaesError(f"interrupted while the lag was searched; the same command goes on from {out / LAG}")
-    results = read_results(out / LAG).frames
     frames = [
-        SessionFrame(files.name, partial(read_frame, files, session.camera), results[files.name])
+        SessionFrame(files.name, partial(read_frame, files, session.camera), done.results[files.name])
         for files in some.frames
     ]
     lag, untold = find_lag(frames, instrument, series=session.reading_series(), arm=arm, config=config)

@@ -7,8 +7,8 @@ OUT/overlays_left_out/FRAME.jpg, OUT/layers/FRAME.json, OUT/poses.csv, OUT/summa
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,19 +32,17 @@ from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import check_output, layers_path, left_out_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
-from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
 from dvrk_cmaes.runs.frame import draw_frame, layers_of_frame, read_masked_frame, seen_in
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes, WorkerDied
-from dvrk_cmaes.runs.worker import BatchSetup
+from dvrk_cmaes.runs.worker import BatchSetup, prepare_instrument, prepared_body
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.synth.files import write_camera_info
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own."""
-
-_of_this_process: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +98,13 @@ def calibrate_folder(
     refine_camera: bool = False,
     config: EstimateConfig,
     workers: int,
+    processes: Processes | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there.
+    are taken from there. ``processes`` are those of `instrument_processes` to use instead of ``workers`` new ones.
 
     Raises
     ------
@@ -128,7 +127,9 @@ def calibrate_folder(
         # The image is only needed for the overlay.
         reader = functools.partial(_read_without_image, one, session.cameras)
         frames.append(SessionFrame(name, reader, result, one.keypoints))
-    with _workers(workers, instrument, config) as run:
+    with ExitStack() as stack:
+        used = stack.enter_context(instrument_processes(instrument, workers)) if processes is None else processes
+        run = functools.partial(_run, used, instrument_digest(instrument), config)
         solved = calibrate_session(
             frames,
             instrument,
@@ -152,33 +153,42 @@ def calibrate_folder(
     return solved
 
 
-@contextmanager
-def _workers(
-    count: int, instrument: Instrument, config: EstimateConfig
-) -> Iterator[Callable[[Callable[[Body, EstimateConfig, Any], Any], Sequence[Any]], list[Any]]]:
-    """Start worker processes, and give a function that applies a function of body, settings and task to all tasks."""
-    with Processes(functools.partial(_start, instrument, config), count) as processes:
-        yield functools.partial(_run, processes)
+def instrument_processes(instrument: Instrument, workers: int) -> Processes:
+    """Return worker processes in which an instrument is prepared once, for `run_batch` and `calibrate_folder`."""
+    return Processes(functools.partial(_start, instrument), workers)
 
 
-def _run(processes: Processes, function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]) -> list[Any]:
-    """Return the values of a function for tasks, in the order of the tasks."""
+def _run(
+    processes: Processes,
+    key: str,
+    config: EstimateConfig,
+    function: Callable[[Body, EstimateConfig, Any], Any],
+    tasks: Sequence[Any],
+) -> list[Any]:
+    """Return the values of a function of body, settings and task, in the order of the tasks.
+
+    ``key`` is the digest of the instrument that is prepared in the processes.
+    """
     values = {}
-    for (number, _), value in processes.run(enumerate(tasks), functools.partial(_call, function)):
+    for (number, _), value in processes.run(enumerate(tasks), functools.partial(_call, key, config, function)):
         if isinstance(value, WorkerDied):
             raise DvrkCmaesError(f"frame {number + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
         values[number] = value
     return [values[number] for number in range(len(tasks))]
 
 
-def _start(instrument: Instrument, config: EstimateConfig) -> None:
+def _start(instrument: Instrument) -> None:
     """Build the instrument's scenes in a worker process."""
-    _of_this_process["body"] = body_by(Body.prepare(instrument), config.silhouette.method)
-    _of_this_process["config"] = config
+    prepare_instrument(instrument)
 
 
-def _call(function: Callable[[Body, EstimateConfig, Any], Any], numbered: tuple[int, Any]) -> Any:
-    return function(_of_this_process["body"], _of_this_process["config"], numbered[1])
+def _call(
+    key: str,
+    config: EstimateConfig,
+    function: Callable[[Body, EstimateConfig, Any], Any],
+    numbered: tuple[int, Any],
+) -> Any:
+    return function(body_by(prepared_body(key), config.silhouette.method), config, numbered[1])
 
 
 def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:

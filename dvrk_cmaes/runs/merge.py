@@ -66,7 +66,7 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
                 shutil.rmtree(folder)
         except OSError as error:
             raise not_written(out, error, "results") from None
-        summary = finish(out)
+        summary = finish(out).summary or {}
     with suppress(OSError):  # not empty, because a shard was started in the meantime; or not there
         shards_folder(out).rmdir()
     return summary

@@ -28,12 +28,14 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, layers_of_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
 _unpacking = threading.Lock()
+_prepared: dict[str, Body] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,20 @@ class FrameOutcome:
     overlay: bytes | None = field(repr=False)
     mask: bytes | None = field(default=None, repr=False)
     layers: bytes | None = field(default=None, repr=False)
+
+
+def prepare_instrument(instrument: Instrument) -> Body:
+    """Build an instrument's scenes, once in each process for all instruments of the same content."""
+    key = instrument_digest(instrument)
+    if key not in _prepared:
+        _prepared.clear()  # one at a time: a process that works for several sessions does so one after the other
+        _prepared[key] = Body.prepare(instrument)
+    return _prepared[key]
+
+
+def prepared_body(key: str) -> Body:
+    """Return the scenes of the instrument with a digest, which was prepared in this process."""
+    return _prepared[key]
 
 
 def prepare_process(packed: PackedSetup) -> None:
@@ -173,7 +189,7 @@ def _made(packed: PackedSetup) -> tuple[BatchSetup, Body]:
     if packed.home != _here():
         limit_library_threads()
     setup: BatchSetup = pickle.loads(packed.data)
-    return setup, Body.prepare(setup.instrument)
+    return setup, prepare_instrument(setup.instrument)
 
 
 def _here() -> tuple[str, int]:

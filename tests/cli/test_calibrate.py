@@ -19,6 +19,8 @@ from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.runs import processes
+from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.files import write_camera_info
 
@@ -128,9 +130,19 @@ def test_estimate_and_batch_use_calibration(command: Command, calibrated: Path) 
     np.testing.assert_equal([found[key] for key in keys], [results[0][key] for key in keys])
 
 
-def test_frames_are_estimated_first_without_results(command: Command, place: Path) -> None:
+def test_frames_are_estimated_first_without_results(
+    command: Command, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+
+    def start() -> WorkerProcess:
+        started.append(WorkerProcess())
+        return started[-1]
+
+    monkeypatch.setattr(processes, "WorkerProcess", start)
     ran = command("calibrate", "session", "--out", "whole", *QUICKLY)
     assert ran.code in (0, 3)
+    assert len(started) == 1  # the process that estimated the frames has fitted and drawn them, too
     alone = [json.loads(path.read_text()) for path in (place / "whole" / "alone" / "frames").iterdir()]
     assert [one["source"] for one in alone] == ["frame"] * 5
     lines = ran.out.splitlines()

@@ -101,7 +101,7 @@ def test_interrupted_search_of_the_lag_says_how_to_go_on(bundled_body: Body, tmp
 
     def interrupted(some: Session, out: Path) -> BatchSummary:
         assert len(some.frames) == len(NAMES)
-        return BatchSummary(out, {}, 0, interrupted=True, document={})
+        return BatchSummary(out, {}, 0, interrupted=True, document={}, results={})
 
     with pytest.raises(DvrkCmaesError, match="interrupted while the lag was searched; the same command goes on"):
         find_batch_lag(session, tmp_path / "out", interrupted, instrument, QUICK_CONFIG, "classic")

@@ -1,0 +1,100 @@
+"""Measure how the calibration of a session grows with its frames, after `batch`, with all files written.
+
+    python scripts/bench_many.py SESSION --results RESULTS --frames 100 200 400 600 --workers 2
+
+The frames are those of SESSION that have a result in RESULTS, a folder of `batch`, in their order and repeated. Seconds
+are from the start of the workers to the page; the processor time of the parent and that of all workers are beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from many_frames import repeated_results, repeated_session
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.instrument import Instrument, load_instrument
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
+
+SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
+
+
+def main() -> int:
+    """Measure each number of frames and print a row for each; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("session", type=Path, help="session")
+    parser.add_argument("--results", type=Path, required=True, metavar="DIR", help="results of batch")
+    parser.add_argument("--frames", type=int, nargs="+", default=[100, 200, 400, 600], metavar="N", help="frames")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="workers (default: %(default)s)")
+    parser.add_argument(
+        "--instrument",
+        default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"),
+        help="bundled instrument or URDF",
+    )
+    parser.add_argument("--stages", action="store_true", help="print the seconds of each stage, too")
+    arguments = parser.parse_args()
+    try:
+        instrument = load_instrument(arguments.instrument)
+        for frames in arguments.frames:
+            row = _measure(arguments.session, arguments.results, instrument, frames, arguments.workers)
+            stages = row.pop("stages")
+            print(json.dumps(row), *([json.dumps(stages)] if arguments.stages else []), sep="\n", flush=True)
+    except DvrkCmaesError as error:
+        print(f"bench_many.py: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def _measure(source: Path, results: Path, instrument: Instrument, frames: int, workers: int) -> dict[str, Any]:
+    """Calibrate a session of repeated frames, and return its times, memory and the size of its page."""
+    with tempfile.TemporaryDirectory() as place:
+        known = read_results(results).frames
+        folder = repeated_session(source, Path(place, "session"), frames, [*known])
+        alone = repeated_results(results, Path(place, "results"), frames)
+        session = read_session(folder, known=instrument.joint_names)
+        began, processor = time.perf_counter(), _processor()
+        stages = {"reading, lag and consensus": began}
+        out = Path(place, "out")
+        solved = calibrate_folder(
+            session,
+            read_results(alone).frames,
+            instrument,
+            out,
+            alone=alone,
+            config=EstimateConfig(),
+            workers=workers,
+            progress=lambda stage, _: stages.__setitem__(stage, time.perf_counter()),
+        )
+        ended, used = time.perf_counter(), _processor()
+        ends = [*list(stages.values())[1:], ended]
+        return {
+            "frames": frames,
+            "used": len(solved.calibration.frames),
+            "seconds": round(ended - began, 1),
+            "processor s, parent": round(used[0] - processor[0], 1),
+            "processor s, workers": round(used[1] - processor[1], 1),
+            "parent's peak, MB": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
+            "page, MB": round((out / "report.html").stat().st_size / 1e6, 2),
+            "stages": {name: round(end - start, 1) for (name, start), end in zip(stages.items(), ends, strict=True)},
+        }
+
+
+def _processor() -> tuple[float, float]:
+    """Return the processor seconds of this process, and of its processes that have ended."""
+    used = (resource.getrusage(whose) for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    own, ended = (one.ru_utime + one.ru_stime for one in used)
+    return own, ended
+
+
+if __name__ == "__main__":
+    sys.exit(main())
