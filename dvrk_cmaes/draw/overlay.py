@@ -27,7 +27,7 @@ from dvrk_cmaes.draw.canvas import (
     YELLOW,
     Canvas,
 )
-from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.panels import footer, header, heights
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import distances_to
@@ -119,6 +119,11 @@ def text_strips(result: Result, width: int, unit: float) -> tuple[NDArray[np.uin
     """Return the strips of text above and below the drawing of a result, (h, width, 3) BGR each."""
     legend = () if result.camera_from_root is None else LEGEND
     return header(result, width, unit), footer(result, legend, width, unit)
+
+
+def strip_heights(result: Result, width: int, unit: float) -> tuple[int, int]:
+    """Return the heights, px, of the strips of `text_strips`, without drawing them."""
+    return heights(result, () if result.camera_from_root is None else LEGEND, width, unit)
 
 
 def _between_strips(result: Result, canvas: Canvas) -> NDArray[np.uint8]:

@@ -16,24 +16,36 @@ BADGES: dict[str, tuple[str, Colour]] = {
     "failed": ("FAILED", VERMILLION),
 }
 
+Legend = Sequence[tuple[str, Colour, str]]
+"""Text, colour and kind of sample of each entry."""
+
+Places = list[list[tuple[int, float]]]
+"""Index and left end, px, of the entries of each row."""
+
 _BACKGROUND: Colour = (52, 46, 43)
 _LINE = 26.0  # units of the canvas from line to line
 _MARGIN = 14.0  # units of the canvas
 _MOST_REASONS = 4  # lines of reasons
 
 
-def _strip(width: int, lines: float, unit: float) -> Canvas:
-    height = max(1, round((lines * _LINE + 12) * unit))
-    return Canvas(np.full((height, width, 3), _BACKGROUND, dtype=np.uint8), unit)
+def _strip(width: int, lines: int, unit: float) -> Canvas:
+    return Canvas(np.full((_height(lines, unit), width, 3), _BACKGROUND, dtype=np.uint8), unit)
+
+
+def _height(lines: int, unit: float) -> int:
+    return max(1, round((lines * _LINE + 12) * unit))
+
+
+def heights(result: Result, legend: Legend, width: int, unit: float) -> tuple[int, int]:
+    """Return the heights, px, of `header` and `footer`, without drawing them."""
+    rows, columns = _rows(result, legend, width, unit)
+    return _height(1 + len(_reasons(result, width, unit)), unit), _height(len(rows) + len(columns), unit)
 
 
 def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
     """Draw the strip above: accuracy, status, frame, IoU, contour distances and the reasons, (h, width, 3) BGR."""
-    probe = _strip(width, 1, unit)
     margin = _MARGIN * unit
-    reasons = [line for reason in result.reasons for line in probe.wrapped(f"- {reason}", width - 2 * margin)]
-    if len(reasons) > _MOST_REASONS:
-        reasons[_MOST_REASONS - 1 :] = ["- ... (all of them are in the result's JSON)"]
+    reasons = _reasons(result, width, unit)
     canvas = _strip(width, 1 + len(reasons), unit)
     middle = (6 + _LINE / 2) * unit
     left, right = margin, width - margin
@@ -59,12 +71,10 @@ def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
     return canvas.image
 
 
-def footer(result: Result, legend: Sequence[tuple[str, Colour, str]], width: int, unit: float) -> NDArray[np.uint8]:
+def footer(result: Result, legend: Legend, width: int, unit: float) -> NDArray[np.uint8]:
     """Draw the strip below: the legend, and each joint's estimate and reading, (h, width, 3) BGR."""
-    probe = _strip(width, 1, unit)
-    rows = _flow([_entry_width(probe, text) for text, _, _ in legend], width, unit)
+    rows, columns = _rows(result, legend, width, unit)
     joints = [_joint(result, name) for name in result.joints]
-    columns = _flow([probe.text_width(text) + 28 * unit for text in joints], width, unit)
     below = len(rows)
     canvas = _strip(width, below + len(columns), unit)
 
@@ -82,6 +92,23 @@ def footer(result: Result, legend: Sequence[tuple[str, Colour, str]], width: int
     return canvas.image
 
 
+def _reasons(result: Result, width: int, unit: float) -> list[str]:
+    """Return the lines of a result's reasons, as many as are drawn."""
+    probe = _strip(width, 1, unit)
+    lines = [line for text in result.reasons for line in probe.wrapped(f"- {text}", width - 2 * _MARGIN * unit)]
+    if len(lines) > _MOST_REASONS:
+        lines[_MOST_REASONS - 1 :] = ["- ... (all of them are in the result's JSON)"]
+    return lines
+
+
+def _rows(result: Result, legend: Legend, width: int, unit: float) -> tuple[Places, Places]:
+    """Lay out the legend and the joints in rows, as `_flow`."""
+    probe = _strip(width, 1, unit)
+    rows = _flow([_entry_width(probe, text) for text, _, _ in legend], width, unit)
+    joints = (_joint(result, name) for name in result.joints)
+    return rows, _flow([probe.text_width(text) + 28 * unit for text in joints], width, unit)
+
+
 def _joint(result: Result, name: str) -> str:
     """Return one joint as text: estimate and standard deviation, reading, and their difference."""
     std = (result.std_joints_deg or {}).get(name)
@@ -95,9 +122,9 @@ def _entry_width(canvas: Canvas, text: str) -> float:
     return canvas.text_width(text) + 56 * canvas.unit
 
 
-def _flow(widths: Sequence[float], width: float, unit: float) -> list[list[tuple[int, float]]]:
+def _flow(widths: Sequence[float], width: float, unit: float) -> Places:
     """Lay out entries of given widths, px, in rows; each row lists the index and the left end of its entries."""
-    rows: list[list[tuple[int, float]]] = []
+    rows: Places = []
     left = np.inf
     for index, wide in enumerate(widths):
         if left + wide > width:
