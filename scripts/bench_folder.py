@@ -4,7 +4,8 @@
 
 To be run by hand on a machine without other load. The frames are those of --session, repeated. Memory is the resident
 set, in MB, of the largest worker and of the parent process, after the first 100 frames and at the end. Rates are given
-from the first result to the last, and for the whole run.
+from the first result to the last, and for the whole run. With --page, the time that Chromium takes to load the page is
+the median of five.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 import psutil
+from bench_page import chromium, load
 from many_frames import repeated_session
 
 from dvrk_cmaes.config import EstimateConfig
@@ -34,6 +36,7 @@ from dvrk_cmaes.runs.worker import FrameOutcome
 
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
 SETTLED: Final = 100  # frames after which memory should be constant
+_LOADS: Final = 5
 _AROUND: Final = 10  # samples whose median is taken, since single ones scatter
 
 
@@ -75,6 +78,7 @@ def main() -> int:
         "--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of workers (default: 1 2)"
     )
     parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
+    parser.add_argument("--page", action="store_true", help="load the page in Chromium, too")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     try:
@@ -83,6 +87,8 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as place:
             session = repeated_session(arguments.session, Path(place, "session"), arguments.frames)
             rows = [_measure(session, Path(place, f"out-{n}"), instrument, config, n) for n in arguments.workers]
+            if arguments.page:
+                rows[0] |= _page_load(Path(place, f"out-{arguments.workers[0]}", "report.html"), Path(place, "profile"))
     except DvrkCmaesError as error:
         print(f"bench_folder.py: {error}", file=sys.stderr)
         return error.exit_code
@@ -115,7 +121,14 @@ def _measure(session: Path, out: Path, instrument: Instrument, config: EstimateC
         row[f"{name} after {early} frames, MB"] = round(float(first), 1)
         row[f"{name} at the end, MB"] = round(float(last), 1)
         row[f"{name} grew, %"] = round(float(100 * (last / first - 1)), 2)
+    row["page, MB"] = round((out / "report.html").stat().st_size / 1e6, 2)
     return row
+
+
+def _page_load(page: Path, profile: Path) -> dict[str, Any]:
+    """Return the time that Chromium takes to load a page."""
+    with chromium(profile) as browser:
+        return {"page loaded, s": round(float(np.median([load(browser, page) for _ in range(_LOADS)])), 2)}
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def page_report(frames: int, repeats: int) -> dict[str, Any]:
         path = write_track_page(Path(folder), recording)
         row: dict[str, Any] = {"frames": frames, "pictures": len(recording.pictures), "MB": path.stat().st_size / 1e6}
         row["written, s CPU"] = time.process_time() - began
-        with _browser(Path(folder) / "profile") as browser:
+        with chromium(Path(folder) / "profile") as browser:
             loads = [_load(browser, path) for _ in range(repeats)]
             row |= {"loaded, s, median": float(np.median(loads)), "worst": max(loads)}
             row["redrawn, ms, median"] = float(np.median(browser.execute_async_script(_REDRAW)))
@@ -116,7 +116,7 @@ def made_recording(frames: int) -> FollowedRecording:
 
 
 @contextmanager
-def _browser(profile: Path) -> Iterator[Any]:
+def chromium(profile: Path) -> Iterator[Any]:
     """Run headless Chromium."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
@@ -142,9 +142,15 @@ def _browser(profile: Path) -> Iterator[Any]:
 
 
 def _load(browser: Any, path: Path) -> float:
-    """Open a page; gives the seconds until all is drawn."""
-    browser.get("about:blank")
-    browser.get(path.as_uri())
+    """Open a page of a recording; gives the seconds until all is drawn."""
+    seconds = load(browser, path)
     if not browser.execute_script(_LOADED):
         raise DvrkCmaesError(f"{path}: the curves were not drawn")
+    return seconds
+
+
+def load(browser: Any, path: Path) -> float:
+    """Open a page; gives the seconds until it is loaded."""
+    browser.get("about:blank")
+    browser.get(path.as_uri())
     return 1e-3 * float(browser.execute_script(_LOAD))
