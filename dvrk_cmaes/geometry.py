@@ -38,16 +38,17 @@ def log_rotation(rotation: ArrayLike) -> Float64:
     x, y, z = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     a, b, c = r[..., 2, 1], r[..., 0, 2], r[..., 1, 0]
     d, e, f = r[..., 1, 2], r[..., 2, 0], r[..., 0, 1]
-    rows = np.stack(
-        [
-            np.stack([1 + x + y + z, a - d, b - e, c - f], axis=-1),
-            np.stack([a - d, 1 + x - y - z, f + c, b + e], axis=-1),
-            np.stack([b - e, f + c, 1 - x + y - z, d + a], axis=-1),
-            np.stack([c - f, b + e, d + a, 1 - x - y + z], axis=-1),
-        ],
-        axis=-2,
-    )
-    largest = np.argmax(np.stack([x + y + z, x, y, z], axis=-1), axis=-1)
+    rows, diagonal = np.empty((*x.shape, 4, 4)), np.empty((*x.shape, 4))
+    rows[..., 0, 0], rows[..., 1, 1] = 1 + x + y + z, 1 + x - y - z
+    rows[..., 2, 2], rows[..., 3, 3] = 1 - x + y - z, 1 - x - y + z
+    rows[..., 0, 1] = rows[..., 1, 0] = a - d
+    rows[..., 0, 2] = rows[..., 2, 0] = b - e
+    rows[..., 0, 3] = rows[..., 3, 0] = c - f
+    rows[..., 1, 2] = rows[..., 2, 1] = f + c
+    rows[..., 1, 3] = rows[..., 3, 1] = b + e
+    rows[..., 2, 3] = rows[..., 3, 2] = d + a
+    diagonal[..., 0], diagonal[..., 1], diagonal[..., 2], diagonal[..., 3] = x + y + z, x, y, z
+    largest = np.argmax(diagonal, axis=-1)
     q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     q = np.where(q[..., :1] < 0, -q, q)

@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 import psutil
 from bench_page import chromium, load
-from many_frames import repeated_session
+from many_frames import repeated_session, small_session
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -78,6 +78,7 @@ def main() -> int:
         "--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of workers (default: 1 2)"
     )
     parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
+    parser.add_argument("--shrink", type=int, default=1, metavar="N", help="masks at 1 / N of their size")
     parser.add_argument("--page", action="store_true", help="load the page in Chromium, too")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
@@ -85,7 +86,10 @@ def main() -> int:
         instrument = load_instrument(arguments.instrument)
         config = EstimateConfig() if arguments.config is None else read_config(arguments.config, EstimateConfig())
         with tempfile.TemporaryDirectory() as place:
-            session = repeated_session(arguments.session, Path(place, "session"), arguments.frames)
+            source = arguments.session
+            if arguments.shrink > 1:
+                source = small_session(source, Path(place, "small"), arguments.shrink)
+            session = repeated_session(source, Path(place, "session"), arguments.frames)
             rows = [_measure(session, Path(place, f"out-{n}"), instrument, config, n) for n in arguments.workers]
             if arguments.page:
                 rows[0] |= _page_load(Path(place, f"out-{arguments.workers[0]}", "report.html"), Path(place, "profile"))

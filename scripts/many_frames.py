@@ -9,6 +9,9 @@ import shutil
 from collections.abc import Container
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from dvrk_cmaes.errors import InputError
 
 
@@ -31,6 +34,21 @@ def repeated_session(source: Path, folder: Path, count: int, only: Container[str
     for table in (source / "joints.csv", source / "keypoints.csv"):
         if table.exists():
             _write_repeated(table, folder / table.name, [(name, mask.stem) for name, mask in names])
+    return folder
+
+
+def small_session(source: Path, folder: Path, shrink: int) -> Path:
+    """Write a session with the masks of a session at 1 / ``shrink`` of their size, and its readings.
+
+    The camera is that of the whole size, which is scaled to the masks' size when the frames are read.
+    """
+    (folder / "masks").mkdir(parents=True)
+    for name in ("camera.yaml", "joints.csv"):
+        shutil.copy(source / name, folder)
+    for path in (source / "masks").iterdir():
+        mask = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        small = cv2.resize(mask, (mask.shape[1] // shrink, mask.shape[0] // shrink), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / "masks" / path.with_suffix(".png").name), small)
     return folder
 
 

@@ -166,11 +166,11 @@ class Alternation:
             self._select([i for i, frame in enumerate(self.frames) if frame.name not in self._left_out])
             consensus = find_consensus(self.model, self._modes, self._offset_std)
         calibration = consensus.calibration
-        self._chosen, _ = choose_modes(self.model, self._modes, calibration)
+        self._chosen = choose_modes(self.model, self._modes, calibration)
         for _ in range(_MODE_ITERATIONS):
             self.solution = solve(self.model, FrameFits.of_modes(self._chosen), calibration, self._prior)
             calibration, previous = self.solution.calibration, self._chosen
-            self._chosen, _ = choose_modes(self.model, self._modes, calibration)
+            self._chosen = choose_modes(self.model, self._modes, calibration)
             if all(a is b for a, b in zip(self._chosen, previous, strict=True)):
                 break
 

@@ -107,28 +107,33 @@ def find_consensus(
     return Consensus(best, scores.chosen, scores.misfit)
 
 
-def choose_modes(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration
-) -> tuple[list[Mode], Float64]:
-    """Choose the mode of each frame that is nearest to a calibration's prediction.
-
-    Returns the N modes, and their squared Mahalanobis distances from the prediction divided by D, (N,).
-    """
+def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
+    """Choose the mode of each of N frames with the least Mahalanobis distance from a calibration's prediction."""
     poses, joints = model.predict(calibration)
-    predicted = model.covariance(calibration)
-    chosen, misfit = [], []
-    for of_frame, pose, joint, covariance in zip(modes, poses, joints, predicted, strict=True):
-        changes = [
-            np.concatenate([change_between(pose, mode.camera_from_root), mode.joints - joint]) for mode in of_frame
-        ]
-        squares = [
-            change @ np.linalg.solve(covariance + mode.covariance, change)
-            for change, mode in zip(changes, of_frame, strict=True)
-        ]
-        best = int(np.argmin(squares))
-        chosen.append(of_frame[best])
-        misfit.append(squares[best] / len(changes[best]))
-    return chosen, np.array(misfit)
+    own_poses, own_joints, own_covariance = _stacked(modes)
+    changes = np.concatenate([change_between(poses[:, None], own_poses), own_joints - joints[:, None]], axis=-1)
+    squares = _squared_distances(changes, model.covariance(calibration)[:, None] + own_covariance)
+    return [of_frame[best] for of_frame, best in zip(modes, squares.argmin(axis=1), strict=True)]
+
+
+def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Float64, Float64, Float64]:
+    """Return the poses (N, M, 4, 4), joints (N, M, J) and covariances (N, M, D, D) of N frames' modes, at most M each.
+
+    The last mode of a frame with fewer is repeated, which changes neither the minimum over the frame's modes nor the
+    first index at which it is reached.
+    """
+    most = max(len(of_frame) for of_frame in modes)
+    padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
+    return (
+        np.array([[m.camera_from_root for m in of_frame] for of_frame in padded]),
+        np.array([[m.joints for m in of_frame] for of_frame in padded]),
+        np.array([[m.covariance for m in of_frame] for of_frame in padded]),
+    )
+
+
+def _squared_distances(changes: Float64, covariance: Float64) -> Float64:
+    """Return the squared Mahalanobis lengths (V, M) of changes (V, M, D) with covariances (V, M, D, D)."""
+    return np.asarray(np.einsum("vmi,vmi->vm", changes, np.linalg.solve(covariance, changes[..., None])[..., 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,12 +160,7 @@ class _HypothesisScorer:
     def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> None:
         self._model = model
         self._modes = modes
-        most = max(len(of_frame) for of_frame in modes)
-        # Repeated modes do not change the minimum over a frame's modes, nor the first index at which it is reached.
-        padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
-        self._poses = np.array([[m.camera_from_root for m in of_frame] for of_frame in padded])
-        self._joints = np.array([[m.joints for m in of_frame] for of_frame in padded])
-        self._covariance = np.array([[m.covariance for m in of_frame] for of_frame in padded])
+        self._poses, self._joints, self._covariance = _stacked(modes)
         # No hypothesis has an offset of insertion or roll, so the kinematics and their errors are the same for all.
         none = Calibration(np.eye(4), np.zeros(len(offset_std)))
         self._base_from_root, self._read = model.predict(none)
@@ -196,7 +196,7 @@ class _HypothesisScorer:
             axis=-1,
         )
         total = predicted[:, None] + self._covariance[test_frames]
-        misfit = np.einsum("vmi,vmi->vm", changes, np.linalg.solve(total, changes[..., None])[..., 0]) / dimension
+        misfit = _squared_distances(changes, total) / dimension
         log_determinant = np.linalg.slogdet(total)[1] / dimension
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
         outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1

@@ -72,7 +72,7 @@ class LagEstimate:
         start = Delay(found.lag)
         has = np.flatnonzero(self._clock.has_readings(start))
         shifted = self._clock.model_at(model, start).subset(has)
-        chosen, _ = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
+        chosen = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
         clock = self._clock.subset(has)
         self._refine(LagRefiner(clock, shifted, FrameFits.of_modes(chosen), found.calibration, prior, start))
 

@@ -28,7 +28,7 @@ def test_true_modes_are_chosen(seed: int, bundled_body: Body) -> None:
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
     assert found.agree.all()
     assert found.chosen.tolist() == [1, 0, 0, 1, 0, 0, 1, 0, 0]
-    chosen, _ = choose_modes(world.model, modes, found.calibration)
+    chosen = choose_modes(world.model, modes, found.calibration)
     assert [own.index(mode) for own, mode in zip(modes, chosen, strict=True)] == found.chosen.tolist()
 
 
