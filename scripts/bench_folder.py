@@ -5,7 +5,9 @@
 To be run by hand on a machine without other load. The frames are those of --session, repeated. Memory is the resident
 set, in MB, of the largest worker and of the parent process, after the first 100 frames and at the end. Rates are given
 from the first result to the last, and for the whole run. With --page, the time that Chromium takes to load the page is
-the median of five.
+the median of five. With --results, the page of that folder's results, repeated, is measured alone:
+
+    python scripts/bench_folder.py --results RESULTS --frames 1000
 """
 
 from __future__ import annotations
@@ -23,13 +25,14 @@ from typing import Any, Final
 import numpy as np
 import psutil
 from bench_page import chromium, load
-from many_frames import repeated_session, small_session
+from many_frames import repeated_results, repeated_session, small_session
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.toml_file import read_config
+from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.batch import BatchProgress, run_batch
 from dvrk_cmaes.runs.worker import FrameOutcome
@@ -79,6 +82,7 @@ def main() -> int:
     )
     parser.add_argument("--config", type=Path, metavar="TOML", help="settings of the estimates")
     parser.add_argument("--shrink", type=int, default=1, metavar="N", help="masks at 1 / N of their size")
+    parser.add_argument("--results", type=Path, metavar="DIR", help="results of batch, whose page alone is measured")
     parser.add_argument("--page", action="store_true", help="load the page in Chromium, too")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
@@ -86,6 +90,10 @@ def main() -> int:
         instrument = load_instrument(arguments.instrument)
         config = EstimateConfig() if arguments.config is None else read_config(arguments.config, EstimateConfig())
         with tempfile.TemporaryDirectory() as place:
+            if arguments.results is not None:
+                rows = [_page_row(arguments.results, Path(place), arguments.frames)]
+                print(json.dumps(rows, indent=1))
+                return 0
             source = arguments.session
             if arguments.shrink > 1:
                 source = small_session(source, Path(place, "small"), arguments.shrink)
@@ -127,6 +135,16 @@ def _measure(session: Path, out: Path, instrument: Instrument, config: EstimateC
         row[f"{name} grew, %"] = round(float(100 * (last / first - 1)), 2)
     row["page, MB"] = round((out / "report.html").stat().st_size / 1e6, 2)
     return row
+
+
+def _page_row(results: Path, place: Path, frames: int) -> dict[str, Any]:
+    """Write the page of repeated results, load it, and return its size and the times."""
+    out = repeated_results(results, place / "out", frames)
+    began = time.process_time()
+    page = write_page(out)
+    seconds = time.process_time() - began
+    row = {"frames": frames, "page, MB": round(page.stat().st_size / 1e6, 2), "written, s CPU": round(seconds, 1)}
+    return row | _page_load(page, place / "profile")
 
 
 def _page_load(page: Path, profile: Path) -> dict[str, Any]:

@@ -53,13 +53,20 @@ def small_session(source: Path, folder: Path, shrink: int) -> Path:
 
 
 def repeated_results(source: Path, folder: Path, count: int) -> Path:
-    """Write ``count`` results, those of a folder of `batch` in the order of their frames and repeated."""
+    """Write ``count`` results, those of a folder of `batch` in the order of their frames and repeated.
+
+    Overlays and layers are links to those of the folder.
+    """
     documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((source / "frames").glob("*.json"))]
     (folder / "frames").mkdir(parents=True)
     for number, document in zip(range(count), itertools.cycle(documents), strict=False):
         name = f"{number:05d}"
         text = json.dumps({**document, "frame": name})
         (folder / "frames" / f"{name}.json").write_text(text, encoding="utf-8")
+        for other, ending in (("overlays", "jpg"), ("layers", "json")):
+            (folder / other).mkdir(exist_ok=True)
+            drawn = source / other / f"{document['frame']}.{ending}"
+            (folder / other / f"{name}.{ending}").symlink_to(drawn.resolve())
     return folder
 
 

@@ -102,30 +102,15 @@ def fit_frame(
         The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
     """
     main = views[0]
-    limits = _limits(main.renderer, readings)
-    settings = [_outline_config(config, own_estimate, k) for k in range(len(views))]
     shrinks = (2, 1) if len(starts) > 1 and main.evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
     count = 0
     for shrink in shrinks:
-        refiner: OutlineRefiner | JointRefiner
-        if len(views) == 1 and np.array_equal(main.view_from_camera, np.eye(4)):
-            refiner = OutlineRefiner(
-                main.renderer, main.evidence, limits, settings[0], shrink=shrink, expected=expected
-            )
-            if own_estimate is not None:
-                refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints, camera=own_camera)
-        else:
-            refiner = JointRefiner.of_views(
-                views,
-                [view.renderer for view in views],
-                limits,
-                settings,
-                shrinks=[shrink] * len(views),
-                expected=expected,
-            )
-            if own_estimate is not None:
-                refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints)
+        refiner = _refiner(views, readings, config, own_estimate, shrink, expected)
+        if own_estimate is not None and shrink == 1 and own_estimate.noise is not None:
+            refiner.noise = own_estimate.noise
+        elif own_estimate is not None:
+            _set_noise(refiner, own_estimate, own_camera)
         fits = sorted(refiner.refine_all(poses, joints), key=lambda fit: fit.score)[:_KEPT]
         poses, joints = np.stack([fit.camera_from_root for fit in fits]), np.stack([fit.joints for fit in fits])
         count += refiner.silhouettes
@@ -138,6 +123,41 @@ def fit_frame(
     # At the optimum, the slopes of outline and priors add up to zero.
     information = best.information - prior_information
     return FrameFit(best.camera_from_root, best.joints, information, -prior_slope, best.score, count, iou, own_iou)
+
+
+def with_noise(
+    own_estimate: OwnEstimate, views: Sequence[FrameView], readings: Readings, config: EstimateConfig
+) -> OwnEstimate:
+    """Return a frame's own estimate with the noise of the residuals there; arguments as in `fit_frame`."""
+    refiner = _refiner(views, readings, config, own_estimate)
+    _set_noise(refiner, own_estimate, None)
+    return replace(own_estimate, noise=refiner.noise)
+
+
+def _refiner(
+    views: Sequence[FrameView],
+    readings: Readings,
+    config: EstimateConfig,
+    own_estimate: OwnEstimate | None,
+    shrink: int = 1,
+    expected: PosePrior | None = None,
+) -> OutlineRefiner | JointRefiner:
+    """Return the refiner of a frame's views at 1 / ``shrink`` of the image size; arguments as in `fit_frame`."""
+    main = views[0]
+    limits = _limits(main.renderer, readings)
+    settings = [_outline_config(config, own_estimate, k) for k in range(len(views))]
+    if len(views) == 1 and np.array_equal(main.view_from_camera, np.eye(4)):
+        return OutlineRefiner(main.renderer, main.evidence, limits, settings[0], shrink=shrink, expected=expected)
+    renderers, shrinks = [view.renderer for view in views], [shrink] * len(views)
+    return JointRefiner.of_views(views, renderers, limits, settings, shrinks=shrinks, expected=expected)
+
+
+def _set_noise(refiner: OutlineRefiner | JointRefiner, own_estimate: OwnEstimate, camera: Camera | None) -> None:
+    """Measure the noise at the own estimate; ``camera`` is that of the own estimate, as in `fit_frame`."""
+    if isinstance(refiner, OutlineRefiner):
+        refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints, camera=camera)
+    else:
+        refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints)
 
 
 def camera_terms(
@@ -156,7 +176,10 @@ def camera_terms(
     """
     seen = replace(evidence, camera=camera)
     refiner = OutlineRefiner(renderer, seen, _limits(renderer, readings), _outline_config(config, own_estimate, 0))
-    refiner.set_noise_at(own_estimate.camera_from_root, own_estimate.joints, camera=evidence.camera)
+    if len(own_estimate.lengths) == 1 and own_estimate.noise is not None:
+        refiner.noise = own_estimate.noise
+    else:  # that of this view alone
+        _set_noise(refiner, own_estimate, evidence.camera)
     return refiner.terms_with_camera(*fitted)
 
 

@@ -143,7 +143,8 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
     pose, joints = frame.result.camera_from_root, frame.result.joints
     assert pose is not None
     own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
-    return StoredFrame.of(data, own, body, config, frame.keypoints)
+    readings = _of_instrument(body, config, frame.result.readings)
+    return StoredFrame.of(data, own, readings, body, config, frame.keypoints)
 
 
 def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:

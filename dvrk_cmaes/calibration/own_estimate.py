@@ -23,13 +23,15 @@ class OwnEstimate:
     """A frame's pose camera_from_root (4, 4) and joints (J,), rad, to which no session has contributed.
 
     ``lengths`` are the correlation lengths of the contours' errors there, px, one of each view; ``iou`` is the
-    intersection over union of its silhouettes and the masks.
+    intersection over union of its silhouettes and the masks. ``noise`` is the robust sum of squares of the residuals of
+    coverage there at the whole image size, from which the outlines' error is estimated; None where it is not measured.
     """
 
     camera_from_root: Float64
     joints: Float64
     lengths: tuple[float, ...]
     iou: float
+    noise: float | None = None
 
     @classmethod
     def of(cls, views: Sequence[FrameView], camera_from_root: Float64, joints: Float64) -> OwnEstimate:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.frame_fit import with_noise
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.views import FrameView
@@ -78,11 +80,17 @@ class StoredFrame:
 
     @classmethod
     def of(
-        cls, data: FrameData, own: HasPose, body: Body, config: EstimateConfig, keypoints: Float64 | None = None
+        cls,
+        data: FrameData,
+        own: HasPose,
+        readings: Readings,
+        body: Body,
+        config: EstimateConfig,
+        keypoints: Float64 | None = None,
     ) -> StoredFrame:
         """Gather the evidence of a frame's views, and measure the frame's own estimate in them.
 
-        ``keypoints`` (2, 2) px are the jaw tips in the first view.
+        ``readings`` are those of the instrument's joints; ``keypoints`` (2, 2) px are the jaw tips in the first view.
 
         Raises
         ------
@@ -101,7 +109,8 @@ class StoredFrame:
             renderer = Renderer(body, evidence.camera, threads=1)
             views.append(FrameView(name, evidence, renderer, places.get(name, np.eye(4))))
         stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
-        return cls(tuple(stored), data.camera, OwnEstimate.of(views, own.camera_from_root, own.joints))
+        measured = OwnEstimate.of(views, own.camera_from_root, own.joints)
+        return cls(tuple(stored), data.camera, with_noise(measured, views, readings, config))
 
     @property
     def reference(self) -> StoredEvidence:

@@ -49,13 +49,13 @@ class JointRefiner:
     """Refines poses on the masks of several views; poses are in the reference camera.
 
     ``views`` are the refiner of each view and its ``view_from_camera`` (4, 4). The readings are priors of the first
-    one's refiner only. ``settings`` are the first view's.
+    one's refiner only. ``settings`` are the first view's. ``noise`` is as in `OutlineRefiner`, of all views together.
     """
 
     def __init__(self, views: Sequence[tuple[OutlineRefiner, Float64]], settings: OutlineConfig) -> None:
         self.views = tuple(views)
         self._settings = settings
-        self._noise: float | None = None
+        self.noise: float | None = None
 
     @staticmethod
     def of_views(
@@ -88,7 +88,7 @@ class JointRefiner:
         Otherwise they are estimated from the residuals of each fit, to which a prior of the pose contributes.
         """
         (terms,) = self._terms(pose[None], joints[None], None, outlines=False)
-        self._noise = _mean_residual([term.residual for term in terms], terms)
+        self.noise = _mean_residual([term.residual for term in terms], terms)
 
     def with_views(self, views: Sequence[tuple[OutlineRefiner, Float64]]) -> JointRefiner:
         """Return a refiner of other views with the same settings."""
@@ -200,13 +200,13 @@ class JointRefiner:
 
     def _scales(self, terms: Sequence[OutlineTerms]) -> list[float]:
         """Return the factor of each view from sums of squares of coverage to sums of squares in standard deviations."""
-        mean = _mean_residual([term.loss for term in terms], terms) if self._noise is None else self._noise
+        mean = _mean_residual([term.loss for term in terms], terms) if self.noise is None else self.noise
         return [term.count / (term.length * mean) for term in terms]
 
     def _score(self, terms: Sequence[OutlineTerms], residuals: Sequence[float]) -> float:
         """Return the negative log-likelihood of all views and of the priors, up to a constant."""
         prior = 0.5 * sum(term.prior for term in terms)
-        if self._noise is not None:
+        if self.noise is not None:
             pairs = zip(self._scales(terms), residuals, strict=True)
             return 0.5 * sum(scale * residual for scale, residual in pairs) + prior
         count = sum(term.count for term in terms)

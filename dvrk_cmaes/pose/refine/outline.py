@@ -93,7 +93,8 @@ class OutlineDerivatives:
 class OutlineRefiner:
     """Refines poses on one frame's mask at one image size, 1 / ``shrink`` of the full size.
 
-    ``expected`` is a prior of the pose, for example from a session's calibration.
+    ``expected`` is a prior of the pose, for example of a session. ``noise`` is the robust sum of squares
+    of the residuals of coverage from which the outline's error is estimated in all fits; None to take each fit's own.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class OutlineRefiner:
         # At smaller sizes, modes only need to be distinguished.
         self.tolerance = config.tolerance * (1 if shrink == 1 else 4)
         self.inner_steps = config.inner_steps if shrink == 1 else max(config.inner_steps // 3, 1)
-        self._noise_loss: float | None = None
+        self.noise: float | None = None
         self._length = max(len(evidence.contour.pixels) / shrink, 20.0)
         joints = len(readings.values)
         c = config
@@ -196,18 +197,18 @@ class OutlineRefiner:
         renderer = self._renderer
         if camera is not None:
             renderer = Renderer(renderer.body, self._in_window(camera), threads=renderer.threads)
-        self._noise_loss = self._loss(self._render_coverage(pose[None], joints[None], renderer)[0], width)
+        self.noise = self._loss(self._render_coverage(pose[None], joints[None], renderer)[0], width)
 
     def _scale(self, loss: float) -> float:
         """Return the factor from sums of squares of coverage to sums of squares in standard deviations."""
         c = self._config
-        loss = loss if self._noise_loss is None else self._noise_loss
+        loss = loss if self.noise is None else self.noise
         floor = self._length * c.noise_floor**2 / (2 * np.sqrt(np.pi) * c.blur)
         return float(self._length / c.correlation * self.shrink / max(loss, floor))
 
     def _outline_score(self, loss: float) -> float:
         """Compute the outline's negative log-likelihood up to a constant, with the variance estimated from the loss."""
-        if self._noise_loss is not None:
+        if self.noise is not None:
             return 0.5 * self._scale(loss) * loss
         count = self._length * self.shrink / self._config.correlation
         floor = self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur)
