@@ -4,23 +4,29 @@
 
 The frames are those of SESSION that have a result in RESULTS, a folder of `batch`, in their order and repeated. Seconds
 are from the start of the workers to the page; the processor time of the parent and that of all workers are beside them.
+With --lag, the search for the lag between images and readings, which is a part of the parent's work, is measured alone.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import resource
 import sys
 import tempfile
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from many_frames import repeated_results, repeated_session
 
+from dvrk_cmaes.calibration import SessionFrame, find_lag
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.results.folder import read_results
@@ -41,11 +47,15 @@ def main() -> int:
         default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"),
         help="bundled instrument or URDF",
     )
+    parser.add_argument("--lag", action="store_true", help="measure the search for the lag alone")
     parser.add_argument("--stages", action="store_true", help="print the seconds of each stage, too")
     arguments = parser.parse_args()
     try:
         instrument = load_instrument(arguments.instrument)
         for frames in arguments.frames:
+            if arguments.lag:
+                print(json.dumps(_measure_lag(arguments.session, arguments.results, instrument, frames)), flush=True)
+                continue
             row = _measure(arguments.session, arguments.results, instrument, frames, arguments.workers)
             stages = row.pop("stages")
             print(json.dumps(row), *([json.dumps(stages)] if arguments.stages else []), sep="\n", flush=True)
@@ -87,6 +97,24 @@ def _measure(source: Path, results: Path, instrument: Instrument, frames: int, w
             "page, MB": round((out / "report.html").stat().st_size / 1e6, 2),
             "stages": {name: round(end - start, 1) for (name, start), end in zip(stages.items(), ends, strict=True)},
         }
+
+
+def _measure_lag(source: Path, results: Path, instrument: Instrument, frames: int) -> dict[str, Any]:
+    """Find the lag of a session of repeated frames, and return the processor time."""
+    known = read_results(results).frames
+    with tempfile.TemporaryDirectory() as place:
+        session = read_session(
+            repeated_session(source, Path(place, "session"), frames, [*known]), known=instrument.joint_names
+        )
+        repeated = zip(session.frames, itertools.cycle(known.values()), strict=False)
+        used = [
+            SessionFrame(files.name, partial(read_frame, files, session.camera), replace(result, frame=files.name))
+            for files, result in repeated
+        ]
+        began = time.process_time()
+        lag, untold = find_lag(used, instrument, series=session.reading_series())
+        seconds = round(time.process_time() - began, 2)
+    return {"frames": frames, "processor s": seconds, "lag": untold if lag is None else lag.describe()}
 
 
 def _processor() -> tuple[float, float]:
