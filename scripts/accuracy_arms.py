@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,8 +19,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.silhouette import Body
@@ -58,19 +60,40 @@ def arms_report(
     return {"estimates": rows, "with the other tool against alone": [{"tips median": round(ratio, 3)}]}
 
 
-def _session(folder: str, body: Body, config: EstimateConfig, frames: int | None) -> Iterator[Found]:
-    """Yield the estimates of all tools of a session."""
+def named_arms(folder: str | Path) -> tuple[str, ...]:
+    """Return the arms of a session's session.toml if it names several; else none."""
     entries = read_session_toml(folder)
-    if entries is None or not entries.tools:
+    arms = () if entries is None else tuple(tool.arm for tool in entries.tools)
+    return arms if len(arms) > 1 else ()
+
+
+def golden_of(folder: str | Path, arm: str | None) -> Path:
+    """Return the path of the truth of a session, or of one of its arms."""
+    return Path(folder) / ("golden.json" if arm is None else f"golden_{arm}.json")
+
+
+def read_session_of_arm(folder: str | Path, arm: str, body: Body, video: SessionVideo | None = None) -> Session:
+    """Read a session with the masks and readings of one of its arms; InputError if it names no such arm."""
+    entries = read_session_toml(folder)
+    if entries is None:
         raise InputError(f"{folder}: expected a session.toml that names tools, got none")
-    for tool in entries.tools:
-        joints = () if tool.joints is None else (tool.joints,)
-        session = read_session(folder, known=body.instrument.joint_names, joints=joints)
-        golden = read_golden(entries.path.with_name(f"golden_{tool.arm}.json"))
-        files = frames_of_tool(session, entries, tool.arm).frames[:frames]
+    joints = entries.tool(arm).joints
+    known, files = body.instrument.joint_names, () if joints is None else (joints,)
+    return frames_of_tool(read_session(folder, known=known, joints=files, video=video), entries, arm)
+
+
+def _session(folder: str, body: Body, config: EstimateConfig, frames: int | None) -> Iterator[Found]:
+    """Yield the estimates of all tools of a session, by its first view."""
+    arms = named_arms(folder)
+    if not arms:
+        raise InputError(f"{folder}: expected a session.toml that names several tools, got none")
+    for arm in arms:
+        session = read_session_of_arm(folder, arm, body)
+        golden = read_golden(golden_of(folder, arm))
+        files = session.frames[:frames]
         for count, one in enumerate(files, start=1):
             crossed = read_frame(one, session.camera)
-            lone = entries.path.parent / "alone" / tool.arm / f"{one.name}.png"
+            lone = Path(folder) / "alone" / arm / session.view_names[0] / f"{one.name}.png"
             alone = read_frame(replace(one, mask=lone, label=None, other_tools=()), session.camera)
             hidden = 1 - crossed.mask.sum() / alone.mask.sum()
             truth = golden.frames[one.name]
@@ -83,7 +106,7 @@ def _session(folder: str, body: Body, config: EstimateConfig, frames: int | None
                 assert error.tip_mm is not None
                 right = error.rotation_deg < RIGHT_MODE_DEG
                 yield Found(kind, float(hidden), error.tip_mm, right, result.status == "ok")
-            print_progress(f"{session.folder.name} {tool.arm}", count, len(files))
+            print_progress(f"{session.folder.name} {arm}", count, len(files))
 
 
 def _summary(kind: str, found: Sequence[Found]) -> dict[str, Any]:

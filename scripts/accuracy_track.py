@@ -1,4 +1,4 @@
-"""Errors of followed recordings: against the truth, or against the masks where there is none.
+"""Errors of followed recordings: against the truth, or against the masks where there is none; of each arm.
 
 Tips are compared in their order, and the mirror twin is never forgiven. Errors of tips are those of the frames in which
 at least half of the jaws can be seen (``visible`` in golden.json); a frame without a pose counts as a metre off.
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from accuracy_arms import golden_of, named_arms, read_session_of_arm
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Rig
@@ -50,9 +51,11 @@ class FollowedSession:
     tracker: Tracker
 
 
-def follow(folder: str, body: Body, settings: TrackSettings, *, frames: int | None = None) -> FollowedSession:
-    """Follow the first ``frames`` frames of a session, or all."""
-    session, settings = read_recording(Path(folder), body, settings)
+def follow(
+    folder: str, body: Body, settings: TrackSettings, *, frames: int | None = None, arm: str | None = None
+) -> FollowedSession:
+    """Follow the first ``frames`` frames of a session, or all; of one with several arms, the tool of one ``arm``."""
+    session, settings = read_recording(Path(folder), body, settings, arm)
     chosen = session.frames[:: settings.every][:frames]
     clock = TrackClock.of(session, chosen, settings.frames_a_second, use_joints=settings.use_joints)
     tracker = settings.tracker(session.cameras, body)
@@ -67,11 +70,16 @@ def follow(folder: str, body: Body, settings: TrackSettings, *, frames: int | No
     return FollowedSession(session, chosen, results, tracker)
 
 
-def read_recording(folder: Path, body: Body, settings: TrackSettings) -> tuple[Session, TrackSettings]:
+def read_recording(
+    folder: Path, body: Body, settings: TrackSettings, arm: str | None = None
+) -> tuple[Session, TrackSettings]:
     """Read a session with the masks and images that are used, and return the settings that say which these are."""
     path = None if settings.evidence in (None, "masks") else own_video(folder)
     video = None if path is None else SessionVideo.open(path)
-    session = read_session(folder, known=body.instrument.joint_names, video=video)
+    if arm is None:
+        session = read_session(folder, known=body.instrument.joint_names, video=video)
+    else:
+        session = read_session_of_arm(folder, arm, body, video)
     session, evidence = used_session(session, settings.evidence)
     return session, replace(settings, evidence=evidence)
 
@@ -94,10 +102,11 @@ def track_report(
     body = prepare(instrument)
     settings = TrackSettings(config, **options)
     with_truth, without = [], []
-    for folder in folders:
-        done = follow(folder, body, settings, frames=frames)
-        row: dict[str, Any] = {"session": Path(folder).name, "frames": len(done.results), **_statuses(done.results)}
-        golden = Path(folder) / "golden.json"
+    for folder, arm in [(one, arm) for one in folders for arm in named_arms(one) or (None,)]:
+        done = follow(folder, body, settings, frames=frames, arm=arm)
+        name = Path(folder).name if arm is None else f"{Path(folder).name} {arm}"
+        row: dict[str, Any] = {"session": name, "frames": len(done.results), **_statuses(done.results)}
+        golden = golden_of(folder, arm)
         if golden.exists():
             with_truth.append(row | truth_figures(done, json.loads(golden.read_text(encoding="utf-8")), body))
         else:

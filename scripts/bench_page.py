@@ -19,7 +19,7 @@ from dvrk_cmaes.report.track_pictures import TrackPictures, chosen_frames
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS, moving_arm
-from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, RecordingImages
+from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
 from dvrk_cmaes.synth.session import default_camera
 from dvrk_cmaes.synth.truth import exact_coverage
 
@@ -101,11 +101,11 @@ def made_recording(frames: int) -> FollowedRecording:
             }
         )
     pictures = TrackPictures(rows)
-    images = RecordingImages(camera, truths, IMAGE_LEVELS["easy"], (0,), 1 / FRAMES_A_SECOND)
+    images = RecordingImages(camera, IMAGE_LEVELS["easy"], (0,), 1 / FRAMES_A_SECOND)
     drawn = []
     for k in np.linspace(0, len(truths) - 1, min(_DRAWN, frames)).astype(int).tolist():
         coverage = exact_coverage(body, camera, truths[k])
-        drawn.append((images.draw(k, coverage, None, None), coverage > 0.5))
+        drawn.append((images.draw(k, [DrawnTool(truths, coverage)]), coverage > 0.5))
     for number in chosen_frames(rows):
         image, mask = drawn[number % len(drawn)]
         pictures.add(number, [TrackView(image, mask, mask, (camera.width, camera.height))])

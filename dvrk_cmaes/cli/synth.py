@@ -104,7 +104,8 @@ def synth(
         Distance of the two eyes, metres.
     arms
         2: two arms whose tools cross, up to 30 % of a tool hidden by the other: masks of labels, a session.toml,
-        joints_ARM.csv and golden_ARM.json of each arm, no images.
+        joints_ARM.csv and golden_ARM.json of each arm; alone/ARM has the masks of each tool without the other. Of
+        --motion video with images, an own lag and cables of each arm, and --stereo; of --motion rcm without images.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
@@ -129,14 +130,17 @@ def synth(
         raise InputError("--mp4: expected it with --motion video, --images and one eye only")
     if not _BASELINES[0] <= baseline <= _BASELINES[1]:
         raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
-    if arms > 1 and (stereo or motion != "rcm"):
-        raise InputError("--arms: expected --motion rcm and one eye with two arms")
+    if arms > 1 and (motion == "free" or (stereo and motion == "rcm")):
+        raise InputError("--arms: expected --motion video, or --motion rcm and one eye, with two arms")
     from dvrk_cmaes.frames.markers import read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.synth.levels import LEVELS
     from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND
+    from dvrk_cmaes.synth.recording import Pictures, write_recording
     from dvrk_cmaes.synth.session import SessionPlan, default_camera, write_session
+    from dvrk_cmaes.synth.two_arms import write_two_arms
+    from dvrk_cmaes.synth.two_arms_recording import write_recording_of_arms
 
     body = instrument.load()
     table = read_marker_table(bundled_path("markers", "lnd.json"))
@@ -156,14 +160,12 @@ def synth(
         baseline=baseline if stereo else None,
         tool=(tool := instrument.as_tool("PSM1")),
     )
-    if arms > 1:
-        from dvrk_cmaes.synth.two_arms import write_two_arms
-
+    pictures: Pictures = "none" if not images else "video" if mp4 else "files"
+    if arms > 1 and motion == "video":
+        write_recording_of_arms(out, plan, tool, pictures=pictures, overwrite=overwrite)
+    elif arms > 1:
         write_two_arms(out, plan, tool, overwrite=overwrite)
     elif motion == "video":
-        from dvrk_cmaes.synth.recording import Pictures, write_recording
-
-        pictures: Pictures = "none" if not images else "video" if mp4 else "files"
         write_recording(out, plan, pictures=pictures, overwrite=overwrite)
     else:
         write_session(out, plan, images=images, overwrite=overwrite)

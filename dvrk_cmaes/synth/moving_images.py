@@ -67,13 +67,26 @@ IMAGE_LEVELS: Final[Mapping[str, ImageLevel]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class DrawnTool:
+    """An instrument in an image.
+
+    truths : its true pose and joints in each frame of the recording. coverage : (H, W), share of each pixel that it
+    covers. shadow : direction in the image, rad, of the shadow that a segmenter takes for it.
+    """
+
+    truths: Sequence[Truth]
+    coverage: Float32
+    shadow: float | None = None
+
+
 class RecordingImages:
-    """Draws the images of a recording; each depends on its number and the seed only.
+    """Draws the images of a recording; each depends on its number, what is in it, and the seed only.
 
     Parameters
     ----------
-    camera, truths
-        The camera, and the instrument's true pose and joints in each frame.
+    camera
+        The camera.
     level
         Difficulty of the images.
     seed
@@ -87,13 +100,12 @@ class RecordingImages:
     def __init__(
         self,
         camera: Camera,
-        truths: Sequence[Truth],
         level: ImageLevel,
         seed: Sequence[int],
         interval: float,
         baseline: float = 0.0,
     ) -> None:
-        self._camera, self._truths, self._level = camera, truths, level
+        self._camera, self._level = camera, level
         self._seed, self._interval = tuple(seed), interval
         self._noise = int(baseline > 0)  # each camera has its own
         self._shift = camera.fx * baseline / _TISSUE_DEPTH
@@ -107,36 +119,34 @@ class RecordingImages:
         self._phases = rng.uniform(0, 2 * np.pi, 4)
         self._smoke = 0.5 + 0.5 * np.tanh(smooth_noise((camera.height // 4, camera.width // 4), rng, 60 * self._scale))
 
-    def draw(
-        self, number: int, coverage: Float32, occluder: Occluder | None, shadow: float | None
-    ) -> NDArray[np.uint8]:
+    def draw(self, number: int, tools: Sequence[DrawnTool], occluder: Occluder | None = None) -> NDArray[np.uint8]:
         """Draw an image, (H, W, 3) uint8 BGR, before its compression.
 
         Parameters
         ----------
         number
             Number of the frame, from 0.
-        coverage
-            (H, W), share of each pixel that the instrument covers.
+        tools
+            The instruments, the farthest first.
         occluder
-            What is before the instrument.
-        shadow
-            Direction in the image, rad, of the shadow that a segmenter takes for the instrument.
+            What is before them.
         """
-        truth, time = self._truths[number], number * self._interval
         rng = np.random.default_rng([*self._seed, 1, number, self._noise])
-        image = self._moved_tissue(time)
-        image *= 1 - self._level.shadow * self._shadow(coverage, shadow)[..., None]
-        if coverage.any():
-            part = _around(coverage > 0, _LONGEST_BLUR)
-            tool = self._blurred(number, self._tool(truth, coverage[part], self._rays[part]))
-            image[part] *= 1 - tool[..., 3:]
-            image[part] += tool[..., :3]
+        image = self._moved_tissue(number * self._interval)
+        for tool in tools:
+            image *= 1 - self._level.shadow * self._shadow(tool.coverage, tool.shadow)[..., None]
+        for tool in tools:
+            if tool.coverage.any():
+                part = _around(tool.coverage > 0, _LONGEST_BLUR)
+                drawn = self._tool(tool.truths[number], tool.coverage[part], self._rays[part])
+                drawn = self._blurred(tool.truths, number, drawn)
+                image[part] *= 1 - drawn[..., 3:]
+                image[part] += drawn[..., :3]
         if occluder is not None:
             image = blend_over(image, self._before(occluder), occluder.region)
         image *= self._light
         if self._level.smoke:
-            image += self._smoke_at(time)[..., None] * (_SMOKE - image)
+            image += self._smoke_at(number * self._interval)[..., None] * (_SMOKE - image)
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.6), np.float32)
         if self._level.noise:
             noise = rng.standard_normal(image.shape, dtype=np.float32)
@@ -188,10 +198,10 @@ class RecordingImages:
         colour[..., 3] = coverage
         return colour
 
-    def _blurred(self, number: int, picture: Float32) -> Float32:
+    def _blurred(self, truths: Sequence[Truth], number: int, picture: Float32) -> Float32:
         """Blur a picture (H, W, C) along the motion of the wrist in the image during the exposure."""
-        after, before = min(number + 1, len(self._truths) - 1), max(number - 1, 0)
-        ends = [self._truths[k].camera_from_root[:3, 3] for k in (before, after)]
+        after, before = min(number + 1, len(truths) - 1), max(number - 1, 0)
+        ends = [truths[k].camera_from_root[:3, 3] for k in (before, after)]
         if after == before or min(end[2] for end in ends) <= 0:
             return picture
         pixels = self._camera.project(np.array(ends))

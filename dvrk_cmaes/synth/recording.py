@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
@@ -21,70 +19,54 @@ from dvrk_cmaes.io.video_file import whole_video
 from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.files import rounded, rounded_truth
 from dvrk_cmaes.synth.levels import LEVELS
-from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.moving_arm import (
     FRAMES_A_SECOND,
     MOTION_LEVELS,
+    MotionLevel,
     arm_with_cables,
     cable_joints,
     level_offsets,
     read_moving,
 )
-from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, RecordingImages
-from dvrk_cmaes.synth.passing import Occluder, passing_occluder
-from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, write_cameras
-from dvrk_cmaes.synth.truth import Truth, exact_coverage
-from dvrk_cmaes.synth.views import trace_links
+from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
+from dvrk_cmaes.synth.passing import Occluder
+from dvrk_cmaes.synth.recorded_frames import RecordedFrame, recorded_frames
+from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, check_shaft, frame_name, write_cameras
+from dvrk_cmaes.synth.truth import Truth
 
-Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
 Pictures = Literal["none", "files", "video"]
 
 VIDEO: Final = "video.mp4"
 
-_SHADOW: Final = (7.0, 70.0)  # px at 640 x 480, shift of the shadow, and radius about the wrist in which it counts
-_VISIBLE_SHRINK: Final = 4  # factor on the size of the image in which the visible share of the jaws is counted
-
 
 @dataclass(frozen=True, eq=False)
-class RecordedFrame:
-    """A frame of a synthetic recording.
+class RecordedArm:
+    """An arm of a recording: ``camera_from_base`` (4, 4), each frame's truth, and the readings (frames,) by joint."""
 
-    truth : true pose and joints. mask : (H, W), with a segmenter's mistakes. visible : share of the jaws that can be
-    seen. coverage : (H, W), share of each pixel that the instrument covers. occluder : what is before it. shadow :
-    direction in the image, rad, of a shadow that is taken for it.
-    """
-
-    truth: Truth
-    mask: Bool
-    visible: float
-    coverage: NDArray[np.float32]
-    occluder: Occluder | None
-    shadow: float | None
+    base: Float64
+    truths: list[Truth]
+    readings: Mapping[str, Float64]
 
 
-def recorded_frames(
-    plan: SessionPlan, truths: list[Truth], rng: np.random.Generator, baseline: float = 0.0
-) -> Iterator[RecordedFrame]:
-    """Yield the frames of a recording with given true poses in a camera, ``baseline`` m to the right of the first."""
-    level, scale = MOTION_LEVELS[plan.level.name], plan.camera.width / 640
-    shadow: float | None = None
-    for k, truth in enumerate(truths):
-        occluder: Occluder | None = None
-        if level.occluders:
-            occluder = passing_occluder(plan.camera, truth, k / len(truths), rng, baseline)
-        hidden = None if occluder is None else occluder.region
-        coverage = exact_coverage(plan.body, plan.camera, truth)
-        mask = np.asarray(coverage > 0.5)
-        if rng.random() < 1 / FRAMES_A_SECOND:  # a shadow comes and goes about once in a second
-            shadow = rng.uniform(0, 2 * np.pi) if rng.random() < level.shadow else None
-        if shadow is not None:
-            mask = _with_shadow(plan.camera, truth, mask, shadow, scale)
-        visible = _visible_share(plan, truth, hidden)
-        if mask.any() and plan.level.mistakes is not None:
-            mask = simulate_segmentation(mask, rng, replace(plan.level.mistakes, holes=0), hidden).mask
-        elif hidden is not None:
-            mask = mask & ~hidden
-        yield RecordedFrame(truth, mask, visible, coverage, occluder, shadow)
+def level_index(plan: SessionPlan) -> int:
+    """Return the place of a plan's level among all levels, a part of the seeds."""
+    return list(LEVELS).index(plan.level.name)
+
+
+def motion_level(plan: SessionPlan) -> MotionLevel:
+    """Return the difficulty of a plan's motion, with the lag that it asks for."""
+    level = MOTION_LEVELS[plan.level.name]
+    return level if plan.lag is None else replace(level, lag=plan.lag)
+
+
+def record_arm(plan: SessionPlan, level: MotionLevel, rng: np.random.Generator) -> RecordedArm:
+    """Draw the motion of an arm, its readings and the errors of its cables; errors as `write_recording`."""
+    check_shaft(plan)
+    names = cable_joints(plan.body)
+    cables = draw_cables(names, level_offsets(names, level), rng) if plan.cables == "measured" else None
+    base, truths, paths = arm_with_cables(plan.body, plan.camera, rng, plan.frames, level, cables, arm=plan.arm)
+    return RecordedArm(base, truths, read_moving(truths, rng, level, cables, None if cables is None else paths))
 
 
 def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none", overwrite: bool = False) -> None:
@@ -100,35 +82,70 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
     DvrkCmaesError
         No motion was found that keeps the instrument in view.
     """
-    if plan.body.instrument.shaft is None:
-        raise InputError(f"{plan.body.instrument.name}: expected an instrument with a straight shaft, got one without")
-    level = MOTION_LEVELS[plan.level.name]
-    level = level if plan.lag is None else replace(level, lag=plan.lag)
-    rng = np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), 2])
+    level = motion_level(plan)
+    rng = np.random.default_rng([plan.seed, level_index(plan), 2])
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
-        names = cable_joints(plan.body)
-        cables = draw_cables(names, level_offsets(names, level), rng) if plan.cables == "measured" else None
-        base, truths, paths = arm_with_cables(plan.body, plan.camera, rng, plan.frames, level, cables, arm=plan.arm)
-        readings = read_moving(truths, rng, level, cables, None if cables is None else paths)
-        digits = max(4, len(str(plan.frames - 1)))
-        columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
-        rows, golden = [",".join(["frame", "time", *columns])], {}
+        arm = record_arm(plan, level, rng)
         with ExitStack() as opened:
-            views = [opened.enter_context(_view(folder, plan, truths, pictures, rng))]
+            views = [opened.enter_context(_view(folder, plan, arm.truths, pictures, rng))]
             if plan.baseline is not None:
-                views.append(opened.enter_context(_right_view(folder, plan, truths, pictures)))
-            for k, (frame, *_) in enumerate(zip(*views, strict=True)):
-                name = f"{k:0{digits}d}"
-                cells = [f"{readings[joint][k]:.6f}" for joint in columns]
-                rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
-                truth = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
-                golden[name] = truth | {"visible": round(frame.visible, 3)}
-        write_cameras(folder, plan)
-        write_text(folder / "joints.csv", "\n".join(rows) + "\n")
-        write_json(folder / "golden.json", {"camera_from_base": rounded(base), "frames": golden})
-        drawn = {} if pictures == "none" else {"image_level": asdict(IMAGE_LEVELS[plan.level.name])}
-        described = plan.describe() | {"motion_level": asdict(level), "cables": plan.cables} | drawn
-        write_json(folder / PLAN_FILE, described)
+                views.append(opened.enter_context(_right_view(folder, plan, arm.truths, pictures)))
+            visible = [frame.visible for frame, *_ in zip(*views, strict=True)]
+        write_cameras(folder, plan, plan.tools)
+        write_recorded_arm(folder, plan, arm, visible)
+        write_json(folder / PLAN_FILE, describe_recording(plan, level, pictures))
+
+
+def write_recorded_arm(
+    folder: Path, plan: SessionPlan, arm: RecordedArm, visible: Sequence[float], suffix: str = ""
+) -> None:
+    """Write joints.csv and golden.json of an arm, whose jaws' shares ``visible`` can be seen in the frames.
+
+    ``suffix`` is added to the names of the files.
+    """
+    columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
+    rows, golden = [",".join(["frame", "time", *columns])], {}
+    for k, (truth, share) in enumerate(zip(arm.truths, visible, strict=True)):
+        name = frame_name(plan, k)
+        cells = [f"{arm.readings[joint][k]:.6f}" for joint in columns]
+        rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
+        golden[name] = rounded_truth(truth, "T_camera_roll_link", "tips_camera_m") | {"visible": round(share, 3)}
+    write_text(folder / f"joints{suffix}.csv", "\n".join(rows) + "\n")
+    write_json(folder / f"golden{suffix}.json", {"camera_from_base": rounded(arm.base), "frames": golden})
+
+
+def describe_recording(plan: SessionPlan, level: MotionLevel, pictures: Pictures) -> dict[str, Any]:
+    """Return the parameters of a recording as plain values for JSON."""
+    drawn = {} if pictures == "none" else {"image_level": asdict(IMAGE_LEVELS[plan.level.name])}
+    return plan.describe() | {"motion_level": asdict(level), "cables": plan.cables} | drawn
+
+
+@contextmanager
+def picture_writer(
+    folder: Path, plan: SessionPlan, pictures: Pictures, part: str, baseline: float = 0.0
+) -> Iterator[Callable[[int, Sequence[DrawnTool], Occluder | None], None]]:
+    """Give a function that draws a frame of a view, by number, tools and occluder, and writes it as ``pictures`` says.
+
+    ``part`` is the view's folder, ``baseline`` m how far it is to the right of the first one.
+    """
+    level = IMAGE_LEVELS[plan.level.name]
+    if pictures == "none":
+        yield lambda number, tools, occluder: None
+        return
+    images = RecordingImages(plan.camera, level, (plan.seed, level_index(plan), 5), 1 / FRAMES_A_SECOND, baseline)
+    size = (plan.camera.width, plan.camera.height)
+    with whole_video(folder / VIDEO, size, FRAMES_A_SECOND) if pictures == "video" else nullcontext() as video:
+
+        def write(number: int, tools: Sequence[DrawnTool], occluder: Occluder | None) -> None:
+            path = folder / "images" / part / f"{frame_name(plan, number)}.jpg"
+            image = images.draw(number, tools, occluder)
+            if video is None:
+                write_image(path, image, quality=level.quality)
+            else:
+                encoded = np.frombuffer(encoded_image(path, image, quality=level.quality), np.uint8)
+                video.write(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+
+        yield write
 
 
 @contextmanager
@@ -144,66 +161,26 @@ def _view(
 
     The view is the right one if it has a ``baseline``, m.
     """
-    level = IMAGE_LEVELS[plan.level.name]
-    seed = (plan.seed, list(LEVELS).index(plan.level.name), 5)
-    images = None
-    if pictures != "none":
-        images = RecordingImages(plan.camera, truths, level, seed, 1 / FRAMES_A_SECOND, baseline)
     part = "" if plan.baseline is None else "right" if baseline else "left"
-    digits = max(4, len(str(plan.frames - 1)))
-    size = (plan.camera.width, plan.camera.height)
-    with whole_video(folder / VIDEO, size, FRAMES_A_SECOND) if pictures == "video" else nullcontext() as video:
+    with picture_writer(folder, plan, pictures, part, baseline) as write_picture:
 
         def written() -> Iterator[RecordedFrame]:
             for number, frame in enumerate(recorded_frames(plan, truths, rng, baseline)):
-                write_image(folder / "masks" / part / f"{number:0{digits}d}.png", frame.mask)
-                if images is not None:
-                    path = folder / "images" / part / f"{number:0{digits}d}.jpg"
-                    image = images.draw(number, frame.coverage, frame.occluder, frame.shadow)
-                    if video is None:
-                        write_image(path, image, quality=level.quality)
-                    else:
-                        encoded = np.frombuffer(encoded_image(path, image, quality=level.quality), np.uint8)
-                        video.write(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+                write_image(folder / "masks" / part / f"{frame_name(plan, number)}.png", frame.mask)
+                write_picture(number, [DrawnTool(truths, frame.coverage, frame.shadow)], frame.occluder)
                 yield frame
 
         yield written()
+
+
+def seen_by_right(plan: SessionPlan, truths: Sequence[Truth]) -> list[Truth]:
+    """Return truths with the poses in the right camera."""
+    return [replace(truth, camera_from_root=plan.right_from_left @ truth.camera_from_root) for truth in truths]
 
 
 def _right_view(
     folder: Path, plan: SessionPlan, truths: list[Truth], pictures: Pictures
 ) -> AbstractContextManager[Iterator[RecordedFrame]]:
     """Give the frames of the right eye, with mistakes of their own, as `_view` does."""
-    seen = [replace(truth, camera_from_root=plan.right_from_left @ truth.camera_from_root) for truth in truths]
-    rng = np.random.default_rng([plan.seed, list(LEVELS).index(plan.level.name), 4])
-    return _view(folder, plan, seen, pictures, rng, plan.baseline or 0.0)
-
-
-def _with_shadow(camera: Camera, truth: Truth, mask: Bool, direction: float, scale: float) -> Bool:
-    """Return a mask (H, W) to which a shadow beside the shaft is added."""
-    wrist = truth.point_on_shaft(0.0)
-    if wrist[2] <= 0:
-        return mask
-    shift = _SHADOW[0] * scale * np.array([np.cos(direction), np.sin(direction)])
-    matrix = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float32)
-    moved = cv2.warpAffine(mask.astype(np.uint8), matrix, (mask.shape[1], mask.shape[0])) > 0
-    u, v = camera.project(wrist)
-    rows, columns = np.mgrid[: mask.shape[0], : mask.shape[1]]
-    near = (columns - u) ** 2 + (rows - v) ** 2 < (_SHADOW[1] * scale) ** 2
-    return np.asarray(mask | (moved & near))
-
-
-def _visible_share(plan: SessionPlan, truth: Truth, hidden: Bool | None) -> float:
-    """Compute the share of the jaws' pixels that lie in the image and are not hidden; 1 without jaws."""
-    jaws = [tip.link for tip in plan.body.instrument.jaw_tips]
-    if not jaws:
-        return 1.0
-    small = plan.camera.scaled(plan.camera.width // _VISIBLE_SHRINK, plan.camera.height // _VISIBLE_SHRINK)
-    width, height = small.width, small.height
-    wide = small.cropped(-width, -height, 3 * width, 3 * height)
-    link = trace_links(plan.body.instrument, wide, truth.camera_from_root, truth.values).link
-    jaw = np.isin(link, jaws)
-    inside = jaw[height : 2 * height, width : 2 * width]
-    if hidden is not None:
-        inside = inside & (cv2.resize(hidden.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) < 0.5)
-    return float(inside.sum() / max(jaw.sum(), 1))
+    rng = np.random.default_rng([plan.seed, level_index(plan), 4])
+    return _view(folder, plan, seen_by_right(plan, truths), pictures, rng, plan.baseline or 0.0)

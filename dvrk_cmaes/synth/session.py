@@ -7,7 +7,7 @@ number of frames give the same session. With another number of frames, the poses
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -107,6 +107,11 @@ class SessionPlan:
         """Pose (4, 4) of the left camera in the right one's frame, m."""
         return transform(np.eye(3), [-(self.baseline or 0.0), 0.0, 0.0])
 
+    @property
+    def tools(self) -> list[ToolEntry]:
+        """What session.toml says of the instrument; none without it."""
+        return [] if self.tool is None else [self.tool]
+
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""
         return {
@@ -127,6 +132,17 @@ def default_camera(level: Level) -> Camera:
     return Camera(640, 480, fx=1026.0, fy=1026.0, cx=322.0, cy=238.0, distortion=level.distortion)
 
 
+def check_shaft(plan: SessionPlan) -> None:
+    """Raise an InputError if the instrument has no shaft."""
+    if plan.body.instrument.shaft is None:
+        raise InputError(f"{plan.body.instrument.name}: expected an instrument with a straight shaft, got one without")
+
+
+def frame_name(plan: SessionPlan, number: int) -> str:
+    """Return the name of a frame: its number, from 0, with leading zeros."""
+    return f"{number:0{max(4, len(str(plan.frames - 1)))}d}"
+
+
 def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
     """Draw the session's true poses: ``camera_from_base`` (4, 4), None for free motion, and the truth of each frame.
 
@@ -137,8 +153,7 @@ def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
     InputError
         The instrument has no shaft.
     """
-    if plan.body.instrument.shaft is None:
-        raise InputError(f"{plan.body.instrument.name}: expected an instrument with a straight shaft, got one without")
+    check_shaft(plan)
     level = plan.level
     view = ViewLimits(
         least_tilt=level.least_tilt_deg,
@@ -155,9 +170,8 @@ def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
 def make_frames(plan: SessionPlan, truths: list[Truth]) -> Iterator[SyntheticFrame]:
     """Yield the frames of a session with given true poses; errors as in `sample_readings`."""
     readings = sample_readings(truths, _generator(plan, 1), plan.level, one_session=plan.motion == "rcm")
-    digits = max(4, len(str(plan.frames - 1)))
     for k, (truth, reading) in enumerate(zip(truths, readings, strict=True)):
-        yield _frame(plan, f"{k:0{digits}d}", truth, reading, _generator(plan, 2, k))
+        yield _frame(plan, frame_name(plan, k), truth, reading, _generator(plan, 2, k))
 
 
 def right_view(plan: SessionPlan, frame: SyntheticFrame) -> SyntheticFrame:
@@ -193,7 +207,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             tips.append(",".join([frame.name, *pixels]))
             markers += [f"{frame.name},{name},{u:.2f},{v:.2f}" for name, (u, v) in frame.markers.items()]
             golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
-        write_cameras(folder, plan)
+        write_cameras(folder, plan, plan.tools)
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
         write_joints(folder / "joints.csv", readings, columns)
         if plan.body.instrument.jaw_tips:
@@ -205,8 +219,8 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
         write_json(folder / PLAN_FILE, plan.describe())
 
 
-def write_cameras(folder: Path, plan: SessionPlan) -> None:
-    """Write the camera files and, where the plan says what the tool is, session.toml."""
+def write_cameras(folder: Path, plan: SessionPlan, tools: Sequence[ToolEntry]) -> None:
+    """Write the camera files and, if there are any ``tools``, session.toml."""
     if plan.baseline is None:
         write_camera_info(folder / "camera.yaml", plan.camera, "synth")
         entry = CameraEntry(file=Path("camera.yaml"))
@@ -214,8 +228,8 @@ def write_cameras(folder: Path, plan: SessionPlan) -> None:
         write_camera_info(folder / "left.yaml", plan.camera, "synth_left")
         write_camera_info(folder / "right.yaml", plan.camera, "synth_right", baseline=plan.baseline)
         entry = CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"))
-    if plan.tool is not None:
-        write_text(folder / SESSION_FILE, session_toml(entry, [plan.tool]))
+    if tools:
+        write_text(folder / SESSION_FILE, session_toml(entry, tools))
 
 
 def _write_view(folder: Path, plan: SessionPlan, view: str, frame: SyntheticFrame, *, images: bool) -> None:

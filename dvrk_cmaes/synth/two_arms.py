@@ -15,15 +15,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import outside_lens_circle
 from dvrk_cmaes.synth.readings import sample_readings
-from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, make_truths, write_cameras
+from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, frame_name, make_truths, write_cameras
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.views import NOTHING, trace_links
 
@@ -32,9 +34,10 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 ARMS: Final = ("PSM1", "PSM2")
+ALONE: Final = "alone"
 _CANDIDATES: Final = 4  # poses of the second arm for each frame, of which those that cross most are taken
-_MOST_HIDDEN: Final = 0.3  # share of a tool's pixels that the other may hide
-_SECOND: Final = 104_729  # added to the seed for the second arm
+MOST_HIDDEN: Final = 0.3  # share of a tool's pixels that the other may hide
+SECOND: Final = 104_729  # added to the seed for the second arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +54,16 @@ def make_arms(plan: SessionPlan) -> Arms:
     At most 30 % of a tool are hidden by the other one.
     """
     first_base, first = make_truths(plan)
-    second_base, offered = make_truths(replace(plan, seed=plan.seed + _SECOND, frames=_CANDIDATES * plan.frames))
+    second_base, offered = make_truths(replace(plan, seed=plan.seed + SECOND, frames=_CANDIDATES * plan.frames))
     assert first_base is not None
     assert second_base is not None
-    depths = [_depth(plan, truth) for truth in offered]
+    depths = [tool_depth(plan.body, plan.camera, truth) for truth in offered]
     left = list(range(len(offered)))
     second = []
     for truth in first:
-        near = _depth(plan, truth)
+        near = tool_depth(plan.body, plan.camera, truth)
         shares = [max(hidden_shares(near, depths[k])) for k in left]
-        allowed = [share if share <= _MOST_HIDDEN else -share for share in shares]
+        allowed = [share if share <= MOST_HIDDEN else -share for share in shares]
         second.append(offered[left.pop(int(np.argmax(allowed)))])
     return Arms((first_base, second_base), (first, second))
 
@@ -80,8 +83,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
     """
     with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
         arms = make_arms(plan)
-        digits = max(4, len(str(plan.frames - 1)))
-        names = [f"{k:0{digits}d}" for k in range(plan.frames)]
+        names = [frame_name(plan, k) for k in range(plan.frames)]
         for k, name in enumerate(names):
             _write_frame(folder, plan, name, k, (arms.truths[0][k], arms.truths[1][k]))
         for number, (arm, truths, base) in enumerate(zip(ARMS, arms.truths, arms.bases, strict=True)):
@@ -94,26 +96,39 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
                 for name, truth in zip(names, truths, strict=True)
             }
             write_json(folder / f"golden_{arm}.json", {"camera_from_base": rounded(base), "frames": frames})
-        write_cameras(folder, replace(plan, tool=None))
-        write_text(folder / SESSION_FILE, session_toml(CameraEntry(file=Path("camera.yaml")), _of_arms(tool)))
+        write_cameras(folder, plan, tools_of_arms(tool))
         write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})
 
 
 def _write_frame(folder: Path, plan: SessionPlan, name: str, number: int, truths: Sequence[Truth]) -> None:
     """Write the mask of labels of a frame, the ignored pixels, and the masks of each tool alone."""
-    depths = [_depth(plan, truth) for truth in truths]
+    depths = [tool_depth(plan.body, plan.camera, truth) for truth in truths]
     edge = plan.level.lens_edge
     outside = None if edge is None else outside_lens_circle(plan.camera, edge)
-    labels = np.zeros(depths[0].shape, np.uint8)
-    order = np.argsort([float(np.median(depth[np.isfinite(depth)])) for depth in depths])[::-1]
-    for tool in order:  # the nearer tool last: where two segmentations overlap, it has the pixels
-        there, other = np.isfinite(depths[tool]), depths[1 - tool] < depths[tool]
-        labels[_segmented(plan, there & ~other, number, int(tool), outside)] = tool + 1
-        alone = _segmented(plan, there, number, int(tool), outside)
-        write_image(folder / "alone" / ARMS[tool] / f"{name}.png", alone)
-    write_image(folder / "masks" / f"{name}.png", labels)
+    masks = []
+    for tool, depth in enumerate(depths):
+        there, other = np.isfinite(depth), depths[1 - tool] < depth
+        masks.append(_segmented(plan, there & ~other, number, tool, outside))
+        alone = _segmented(plan, there, number, tool, outside)
+        write_image(folder / ALONE / ARMS[tool] / f"{name}.png", alone)
+    write_image(folder / "masks" / f"{name}.png", label_mask(masks, from_far(depths)))
     if outside is not None:
         write_image(folder / "ignore" / f"{name}.png", outside)
+
+
+def from_far(depths: Sequence[Float32]) -> list[int]:
+    """Return the indices of tools from the farthest to the nearest, from their depths (H, W), infinite where absent."""
+    seen = [depth[np.isfinite(depth)] for depth in depths]
+    distances = [float(np.median(depth)) if depth.size else np.inf for depth in seen]
+    return sorted(range(len(depths)), key=lambda tool: -distances[tool])
+
+
+def label_mask(masks: Sequence[Bool], order: Sequence[int]) -> NDArray[np.uint8]:
+    """Return a mask of labels (H, W): each tool's place, from 1; where several are, that of the last in order."""
+    labels = np.zeros(masks[0].shape, np.uint8)
+    for tool in order:
+        labels[masks[tool]] = tool + 1
+    return labels
 
 
 def _segmented(plan: SessionPlan, exact: Bool, number: int, tool: int, outside: Bool | None) -> Bool:
@@ -124,13 +139,13 @@ def _segmented(plan: SessionPlan, exact: Bool, number: int, tool: int, outside: 
     return simulate_segmentation(exact, rng, plan.level.mistakes, outside).mask
 
 
-def _depth(plan: SessionPlan, truth: Truth) -> Float32:
+def tool_depth(body: Body, camera: Camera, truth: Truth) -> Float32:
     """Trace the depth (H, W) of a tool at each pixel, m; infinite where it is not seen."""
-    view = trace_links(plan.body.instrument, plan.camera, truth.camera_from_root, truth.values)
+    view = trace_links(body.instrument, camera, truth.camera_from_root, truth.values)
     return np.where(view.link == NOTHING, np.float32(np.inf), view.depth).astype(np.float32)
 
 
-def _of_arms(tool: ToolEntry) -> list[ToolEntry]:
+def tools_of_arms(tool: ToolEntry) -> list[ToolEntry]:
     """Return the entries of the tools of both arms, with their labels and files of readings."""
     return [
         replace(tool, arm=arm, label=label, joints=Path(f"joints_{arm}.csv")) for label, arm in enumerate(ARMS, start=1)

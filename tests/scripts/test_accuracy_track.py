@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
+from helpers.stereo_sessions import make_session_of_two_tools
 
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.track import Tracker
 
 
@@ -74,3 +78,18 @@ def test_twin_is_counted_and_never_forgiven(world: MovingWorld) -> None:
         results[k] = replace(results[k], camera_from_root=pose)
     found = figures(world, results, [1.0] * 12)
     assert (found["wrong mode"], found["switches"]) == (2, 2)
+
+
+@pytest.mark.usefixtures("scripts_on_path")
+def test_arms_are_read_with_their_own_readings_and_truth(world: MovingWorld, tmp_path: Path) -> None:
+    from accuracy_arms import golden_of, named_arms
+    from accuracy_track import read_recording
+
+    folder = make_session_of_two_tools(tmp_path / "session", world.body)
+    assert named_arms(folder) == ("PSM1", "PSM2")
+    assert named_arms(tmp_path) == ()
+    assert [golden_of(folder, arm).name for arm in (None, "PSM2")] == ["golden.json", "golden_PSM2.json"]
+    settings = TrackSettings(EstimateConfig())
+    sessions = [read_recording(folder, world.body, settings, arm)[0] for arm in ("PSM1", "PSM2")]
+    assert [session.frames[0].label for session in sessions] == [1, 2]
+    assert sessions[0].frames[0].readings != sessions[1].frames[0].readings

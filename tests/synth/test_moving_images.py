@@ -18,7 +18,7 @@ from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS, moving_arm
-from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, ImageLevel, RecordingImages
+from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, ImageLevel, RecordingImages
 from dvrk_cmaes.synth.passing import Occluder, passing_occluder
 from dvrk_cmaes.synth.recording import Pictures, write_recording
 from dvrk_cmaes.synth.session import SessionPlan
@@ -34,8 +34,8 @@ def truths(bundled_body: Body) -> list[Truth]:
     return drawn
 
 
-def images(truths: list[Truth], level: ImageLevel, seed: int = 1) -> RecordingImages:
-    return RecordingImages(SMALL, truths, level, (seed,), 1 / 30)
+def images(level: ImageLevel, seed: int = 1) -> RecordingImages:
+    return RecordingImages(SMALL, level, (seed,), 1 / 30)
 
 
 def nothing() -> np.ndarray:
@@ -54,8 +54,8 @@ def contents(folder: Path, part: str) -> dict[str, bytes]:
 
 def test_instrument_is_drawn_where_its_mask_is(bundled_body: Body, truths: list[Truth]) -> None:
     coverage = exact_coverage(bundled_body, SMALL, truths[0])
-    drawn = images(truths, replace(STILL, shadow=0.0)).draw(0, coverage, None, None)
-    empty = images(truths, STILL).draw(0, nothing(), None, None)
+    drawn = images(replace(STILL, shadow=0.0)).draw(0, [DrawnTool(truths, coverage)])
+    empty = images(STILL).draw(0, [])
     changed = np.abs(drawn.astype(int) - empty).max(axis=2) > 8
     mask = coverage > 0.5
     assert (changed & mask).sum() / (changed | mask).sum() > 0.93
@@ -68,9 +68,9 @@ def test_instrument_is_drawn_where_its_mask_is(bundled_body: Body, truths: list[
 def test_border_of_the_instrument_is_smooth(bundled_body: Body, truths: list[Truth]) -> None:
     coverage = exact_coverage(bundled_body, SMALL, truths[0])
     level = replace(STILL, shadow=0.0)
-    drawn = images(truths, level).draw(0, coverage, None, None).astype(float)
+    drawn = images(level).draw(0, [DrawnTool(truths, coverage)]).astype(float)
     partly = (coverage > 0.3) & (coverage < 0.7)
-    empty = images(truths, level).draw(0, nothing(), None, None).astype(float)
+    empty = images(level).draw(0, []).astype(float)
     whole = coverage == 1
     assert partly.any()
     for channel in range(3):
@@ -79,10 +79,10 @@ def test_border_of_the_instrument_is_smooth(bundled_body: Body, truths: list[Tru
         assert (drawn[partly, channel] <= high + 1).all()
 
 
-def test_tissue_moves_and_deforms(truths: list[Truth]) -> None:
+def test_tissue_moves_and_deforms() -> None:
     def difference(level: ImageLevel) -> float:
-        drawn = images(truths, replace(level, noise=0.0, smoke=0.0))
-        first, later = (drawn.draw(number, nothing(), None, None).astype(float) for number in (0, 30))
+        drawn = images(replace(level, noise=0.0, smoke=0.0))
+        first, later = (drawn.draw(number, []).astype(float) for number in (0, 30))
         return float(np.abs(first - later).mean())
 
     moved = [difference(IMAGE_LEVELS[name]) for name in ("clean", "easy", "hard")]
@@ -90,13 +90,10 @@ def test_tissue_moves_and_deforms(truths: list[Truth]) -> None:
     assert 0.3 < moved[1] < moved[2]
 
 
-def test_noise_grows_from_level_to_level(truths: list[Truth]) -> None:
+def test_noise_grows_from_level_to_level() -> None:
     def noise(name: str) -> float:
         level = IMAGE_LEVELS[name]
-        with_noise, without = (
-            images(truths, each).draw(0, nothing(), None, None).astype(float)
-            for each in (level, replace(level, noise=0))
-        )
+        with_noise, without = (images(each).draw(0, []).astype(float) for each in (level, replace(level, noise=0)))
         return float(np.std(with_noise - without))
 
     sizes = [noise(name) for name in IMAGE_LEVELS]
@@ -107,10 +104,10 @@ def test_noise_grows_from_level_to_level(truths: list[Truth]) -> None:
 
 def test_shadow_falls_to_the_side_that_is_asked(bundled_body: Body, truths: list[Truth]) -> None:
     coverage = exact_coverage(bundled_body, SMALL, truths[0])
-    drawn = images(truths, STILL)
+    drawn = images(STILL)
     shifted = cv2.warpAffine(coverage, np.float32([[1, 0, 0], [0, 1, 3]]), (SMALL.width, SMALL.height))
     below = (shifted > 0.9) & (coverage == 0)
-    up, down = (drawn.draw(0, coverage, None, angle)[below].mean() for angle in (-np.pi / 2, np.pi / 2))
+    up, down = (drawn.draw(0, [DrawnTool(truths, coverage, angle)])[below].mean() for angle in (-np.pi / 2, np.pi / 2))
     assert down < 0.8 * up
 
 
@@ -121,7 +118,7 @@ def test_what_passes_hides_the_instrument(bundled_body: Body, truths: list[Truth
     region[:, SMALL.width // 3 : 2 * SMALL.width // 3] = True
     occluder = Occluder(kind, region)  # type: ignore[arg-type]
     level = replace(STILL, shadow=0.0)
-    with_tool, without = (images(truths, level).draw(0, each, occluder, None) for each in (coverage, nothing()))
+    with_tool, without = (images(level).draw(0, [DrawnTool(truths, each)], occluder) for each in (coverage, nothing()))
     inner = cv2.erode(region.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     assert (with_tool[inner] == without[inner]).all()
     assert (with_tool[~region] != without[~region]).any()
@@ -131,7 +128,7 @@ def test_fast_instrument_is_blurred_along_its_motion(bundled_body: Body, truths:
     coverage = exact_coverage(bundled_body, SMALL, truths[0])
     quick = [truths[0], truths[0], truths[-1]]
     sharp, blurred = (
-        images(quick, replace(STILL, exposure=exposure)).draw(1, coverage, None, None).astype(float)
+        images(replace(STILL, exposure=exposure)).draw(1, [DrawnTool(quick, coverage)]).astype(float)
         for exposure in (0.0, 1.0)
     )
     assert cv2.Laplacian(blurred, cv2.CV_64F).std() < 0.9 * cv2.Laplacian(sharp, cv2.CV_64F).std()
@@ -204,10 +201,7 @@ def test_masks_of_both_eyes_show_the_true_pose(bundled_body: Body, stereo: Path)
 
 
 def test_farther_things_are_shifted_less_from_eye_to_eye(truths: list[Truth]) -> None:
-    left, right = (
-        RecordingImages(SMALL, truths, STILL, (1,), 1 / 30, baseline).draw(0, nothing(), None, None)
-        for baseline in (0.0, 0.0053)
-    )
+    left, right = (RecordingImages(SMALL, STILL, (1,), 1 / 30, baseline).draw(0, []) for baseline in (0.0, 0.0053))
     rows = slice(60, 180)  # the light is that of each eye, so places are found by correlation
     part = np.ascontiguousarray(left[rows, 120:240])
     found = cv2.minMaxLoc(cv2.matchTemplate(np.ascontiguousarray(right[rows]), part, cv2.TM_CCOEFF_NORMED))
