@@ -162,8 +162,9 @@ def batch(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool, read_calibration_of, write_common
+    from dvrk_cmaes.cli.session_tools import arms_in_session, chosen_tools, of_tool, read_calibration_of, write_common
     from dvrk_cmaes.frames.session_toml import read_session_toml
+    from dvrk_cmaes.runs.exchanged_masks import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
     entries = read_session_toml(session)
@@ -200,8 +201,14 @@ def batch(
         if done.interrupted:
             break
     _report_all(finished, json, part, several=several)
+    exchanged: list[str] = []
     if len(finished) > 1 and part is None and not done.interrupted:
-        page = write_common(session, results, tools, instrument, camera, entries)
+        arms = arms_in_session(session, tools, instrument, camera, entries)
+        of_arms = {arm: one.results for arm, one in finished.items()}
+        exchanged = exchanged_in_results(arms, of_arms, replace(method.resolve(), threads=method.threads or 1))
+        for text in exchanged:
+            warn(text)
+        page = write_common(results, arms)
         if not json:
             show([Line(f"all arms: {page}")])
     if done.interrupted:
@@ -209,12 +216,12 @@ def batch(
         left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
         print_error(f"interrupted: {left}; {again} goes on from here")
         return _INTERRUPTED
-    return _DOUBTFUL if any(each.counts["doubtful"] or each.counts["failed"] for each in finished.values()) else 0
+    doubtful = any(each.counts["doubtful"] or each.counts["failed"] for each in finished.values())
+    return _DOUBTFUL if exchanged or doubtful else 0
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None, *, several: bool) -> None:
-    """Print the summaries of all arms, and which of them seem to be exchanged."""
-    from dvrk_cmaes.evaluate.exchanged_tools import exchanged_tools
+    """Print the summaries of all arms."""
     from dvrk_cmaes.io.atomic import json_text
 
     if several and json:
@@ -226,9 +233,6 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
             _report(done.document, done.folder, json, shard=shard)
         for text in done.document.get("rig_doubts", ()):
             warn(f"{arm}: {text}" if arm else text)
-    if len(finished) > 1 and shard is None:
-        for text in exchanged_tools({arm: done.results for arm, done in finished.items()}):
-            warn(text)
 
 
 def _run(

@@ -96,7 +96,7 @@ def calibrate(
     """
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    from dvrk_cmaes.cli.session_tools import chosen_tools, of_tool, write_common
+    from dvrk_cmaes.cli.session_tools import arms_in_session, chosen_tools, of_tool, write_common
     from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
 
@@ -132,7 +132,7 @@ def calibrate(
             show([*([Line(arm, "bold")] if arm else []), *_lines(one, target / arm)])
     if len(solved) > 1:
         _write_arms({arm: one.calibration for arm, one in solved.items()}, target, quiet=json)
-        page = write_common(session, target, tools, instrument, camera, entries)
+        page = write_common(target, arms_in_session(session, tools, instrument, camera, entries))
         if not json:
             show([Line(f"all arms: {page}")])
     return _DOUBTFUL if any(_is_doubtful(one) for one in solved.values()) else 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
 
 
 def chosen_tools(entries: SessionEntries | None, only: Sequence[str], folder: Path) -> list[ToolEntry | None]:
@@ -109,23 +110,32 @@ def read_calibration_of(path: Path | None, arm: str | None = None) -> SessionCal
     return None if path is None else read_calibration(path)
 
 
-def write_common(
+def arms_in_session(
     folder: Path,
-    out: Path,
     tools: Sequence[ToolEntry | None],
     instrument: InstrumentOptions,
     camera: CameraOptions,
     entries: SessionEntries | None,
-) -> Path:
+) -> dict[str, ArmInSession]:
+    """Read a session as each of its arms sees it."""
+    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+
+    arms = {}
+    for tool in tools:
+        if tool is not None:
+            options = instrument.of_tool(tool)
+            body = options.load()
+            known = body.instrument.joint_names
+            session = camera.read_session(folder, known=known, entries=entries, tool=tool)
+            arms[tool.arm] = ArmInSession(session, body, options.kinematics)
+    return arms
+
+
+def write_common(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
     """Write the overlays and the page of all arms, whose results are in OUT/ARM; returns the path of the page."""
     from dvrk_cmaes.results.folder import read_results
     from dvrk_cmaes.runs.arms import write_arms
 
-    folders, bodies, sessions = {}, {}, {}
-    for tool in tools:
-        if tool is not None:
-            bodies[tool.arm] = instrument.of_tool(tool).load()
-            known = bodies[tool.arm].instrument.joint_names
-            folders[tool.arm] = read_results(out / tool.arm)
-            sessions[tool.arm] = camera.read_session(folder, known=known, entries=entries, tool=tool)
-    return write_arms(out, folders, bodies, sessions)
+    folders = {arm: read_results(out / arm) for arm in arms}
+    bodies = {arm: one.body for arm, one in arms.items()}
+    return write_arms(out, folders, bodies, {arm: one.session for arm, one in arms.items()})

@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -150,6 +151,7 @@ def track(
     from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
@@ -166,15 +168,16 @@ def track(
         _check_of_several(of_one, calibration, prompts)
     files = () if readings is None else (readings,)
     finished: dict[str, TrackSummary] = {}
-    sessions, bodies = {}, {}
+    arms: dict[str, ArmInSession] = {}
     with stopping_on_interrupt() as stop:
         for tool in tools:
             arm = "" if tool is None else tool.arm
             chosen = SessionTool(instrument if tool is None else of_tool(instrument, tool), entries, tool)
-            bodies[arm] = body = chosen.options.load()
+            body = chosen.options.load()
             read = source.read(chosen, camera, recording, known=body.instrument.joint_names, joints=files)
             found, used = used_session(read, evidence)
-            sessions[arm] = found = with_first_mask(found, first_mask)
+            found = with_first_mask(found, first_mask)
+            arms[arm] = ArmInSession(found, body, chosen.options.kinematics)
             settings = TrackSettings(
                 method.resolve(),
                 chosen.options.kinematics,
@@ -203,10 +206,9 @@ def track(
                 break
     exchanged: list[str] = []
     if len(tools) > 1 and not done.interrupted:
-        exchanged = exchanged_arms(target, {arm: one.readings for arm, one in finished.items()})
-        write_track_arms(
-            target, sessions, bodies, every=every, frames_a_second=done.frames_a_second, video=video, page=page
-        )
+        of_arms = {arm: one.readings for arm, one in finished.items()}
+        exchanged = exchanged_arms(target, of_arms, arms, replace(method.resolve(), threads=1))
+        write_track_arms(target, arms, every=every, frames_a_second=done.frames_a_second, video=video, page=page)
     if json:
         counts = {arm: one.counts for arm, one in finished.items()}
         print(json_text(counts if several else done.counts), end="")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +15,8 @@ FoundAndRead = tuple[Mapping[str, float], Mapping[str, float]]
 _LEAST_FRAMES = 3
 _FACTOR = 2.0  # of the squared distances from the own readings and from those of the other tool
 _JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
+_LEAST_BETTER = 0.75  # share of the frames in which the other's masks fit better
+_LARGEST_RATIO = 0.85  # of the loss with the other's masks to that with the own ones, median
 _LEAST_FOLLOWED = 15  # frames at the end of a recording
 _LEAST_OFF = np.deg2rad(30)  # from the own readings there, of both tools together; more than cables explain
 
@@ -54,6 +56,18 @@ def exchanged_while_followed(tracks: Mapping[str, Mapping[str, FoundAndRead]]) -
         if own > _FACTOR * other and own > _LEAST_OFF**2:
             found.append(_described(first, second, own, other) + f" from frame {names[start]} on")
     return found
+
+
+def masks_exchanged(losses: Sequence[tuple[float, float]]) -> bool:
+    """Whether two tools have each other's masks, given the losses of frames with their masks and with the other's.
+
+    A loss of a frame is the sum of those of both tools. Joints alone do not tell it: wrong readings pull a pose so much
+    that it stays nearer to them than to those of the other tool.
+    """
+    if len(losses) < _LEAST_FRAMES:
+        return False
+    ratios = np.array([exchanged / own for own, exchanged in losses])
+    return bool(np.mean(ratios < 1) >= _LEAST_BETTER and np.median(ratios) < _LARGEST_RATIO)
 
 
 def _described(first: str, second: str, own: float, other: float) -> str:

@@ -10,20 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
-from dvrk_cmaes.evaluate.exchanged_tools import exchanged_while_followed
-from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_while_followed
 from dvrk_cmaes.io.video_file import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
+from dvrk_cmaes.runs.exchanged_masks import ArmInSession, FoundFrame, find_exchanged_masks
 from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
-from dvrk_cmaes.silhouette import Body
 
 
 def write_track_arms(
     out: Path,
-    sessions: Mapping[str, Session],
-    bodies: Mapping[str, Body],
+    arms: Mapping[str, ArmInSession],
     *,
     every: int,
     frames_a_second: float,
@@ -36,7 +35,7 @@ def write_track_arms(
     ----------
     out
         Folder of the results of all arms.
-    sessions, bodies
+    arms
         The session as each arm sees it, and the arms' instruments, by arm.
     every, frames_a_second
         Every how many frames were followed; those of the video.
@@ -52,16 +51,16 @@ def write_track_arms(
     """
     if not (video or page):
         return
-    rows = {arm: read_tracks(out / arm / TRACKS) for arm in sessions}
-    rig = Rig.of(next(iter(sessions.values())).cameras)
-    seen = {arm: seen_frames(session.frames[::every], rows[arm], rig, bodies[arm]) for arm, session in sessions.items()}
+    rows = {arm: read_tracks(out / arm / TRACKS) for arm in arms}
+    rig = Rig.of(next(iter(arms.values())).session.cameras)
+    seen = {arm: seen_frames(one.session.frames[::every], rows[arm], rig, one.body) for arm, one in arms.items()}
     chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm})))
     pictures: list[FramePicture] = []
     with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) if video else nullcontext() as writer:
-        for frame, arms in _together(seen):
-            statuses = {arm: str(one.row["status"]) for arm, one in arms.items()}
-            views = [{arm: one.views[number] for arm, one in arms.items()} for number in range(len(rig.views))]
-            drawn = draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(arms))
+        for frame, shown in _together(seen):
+            statuses = {arm: str(one.row["status"]) for arm, one in shown.items()}
+            views = [{arm: one.views[number] for arm, one in shown.items()} for number in range(len(rig.views))]
+            drawn = draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(shown))
             if writer is not None:
                 writer.write(drawn)
             if page and frame in chosen:
@@ -70,25 +69,38 @@ def write_track_arms(
         write_followed_arms_page(out, rows, pictures)
 
 
-def exchanged_arms(out: Path, readings: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[str]:
-    """Say which arms, whose results are in OUT/ARM, seem to be exchanged, and from which frame on.
+def exchanged_arms(
+    out: Path,
+    readings: Mapping[str, Mapping[str, NDArray[np.float64]]],
+    arms: Mapping[str, ArmInSession],
+    config: EstimateConfig,
+) -> list[str]:
+    """Say which arms, whose results are in OUT/ARM, seem to be exchanged: from which frame on, or in all.
 
-    ``readings`` are, by arm and joint, those of each followed frame, NaN where there is none.
+    Parameters
+    ----------
+    out
+        Folder of the results of all arms.
+    readings
+        By arm and joint, those of each followed frame, NaN where there is none.
+    arms, config
+        The session as each arm sees it, and the settings, for frames that are estimated with each other's masks.
 
     Raises
     ------
     InputError
         A file of results cannot be read.
     """
-    tracks = {}
+    tracks: dict[str, dict[str, FoundAndRead]] = {}
+    found: dict[str, dict[str, FoundFrame]] = {}
     for arm, of_joints in readings.items():
-        found = {}
+        tracks[arm], found[arm] = {}, {}
         for number, row in enumerate(read_tracks(out / arm / TRACKS)):
             read = {name: float(v[number]) for name, v in of_joints.items() if np.isfinite(v[number])}
+            found[arm][row["frame"]] = FoundFrame(read, row["status"] == "ok")
             if row["camera_from_root"] is not None and read:
-                found[row["frame"]] = row["joints"], read
-        tracks[arm] = found
-    return exchanged_while_followed(tracks)
+                tracks[arm][row["frame"]] = row["joints"], read
+    return exchanged_while_followed(tracks) or find_exchanged_masks(arms, found, config)
 
 
 def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_tools, exchanged_while_followed
+from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_tools, exchanged_while_followed, masks_exchanged
 from dvrk_cmaes.results.result import Result
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
@@ -67,3 +67,11 @@ def test_tools_of_the_same_joints_are_not_taken_for_exchanged() -> None:
     true = np.cumsum(0.03 * rng.standard_normal((60, 3)), axis=0)
     read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
     assert exchanged_while_followed({"PSM1": followed(true, read[0]), "PSM2": followed(true, read[1])}) == []
+
+
+def test_masks_are_exchanged_if_those_of_the_other_tool_fit_better_in_most_frames() -> None:
+    assert masks_exchanged([(0.37, 0.11), (0.22, 0.12), (0.13, 0.09)])
+    assert not masks_exchanged([(0.11, 0.37), (0.12, 0.22), (0.09, 0.13)])
+    assert not masks_exchanged([(0.37, 0.11), (0.22, 0.12)])  # too few frames
+    assert not masks_exchanged([(0.10, 0.09), (0.10, 0.11), (0.10, 0.05), (0.10, 0.12)])  # no better in half of them
+    assert not masks_exchanged([(0.10, 0.095)] * 5)  # hardly better, as with tools in the same pose
