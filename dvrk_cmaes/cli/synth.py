@@ -105,7 +105,8 @@ def synth(
     arms
         2: two arms whose tools cross, up to 30 % of a tool hidden by the other: masks of labels, a session.toml,
         joints_ARM.csv and golden_ARM.json of each arm; alone/ARM has the masks of each tool without the other. Of
-        --motion video with images, an own lag and cables of each arm, and --stereo; of --motion rcm without images.
+        --motion video with images, a lag and cables of each arm's own, and --stereo; the second arm has that of six
+        motions in which the tools cross most. Of --motion rcm without images.
     seed
         Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
     images
