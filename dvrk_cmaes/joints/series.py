@@ -173,7 +173,7 @@ def _smoothed(stamps: Float64, values: Float64, times: Float64) -> Float64:
     """Evaluate the cubic spline with readings (M,) at times (M,) as control points at times (N,) between them."""
     if len(stamps) < 2:
         return np.interp(times, stamps, values)
-    from scipy.interpolate import BSpline  # here, since its import takes a third of the start of a process
+    from scipy.interpolate import BSpline  # here, since its import slows the start of every process
 
     rows = np.stack([stamps, values], axis=1)
     control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
