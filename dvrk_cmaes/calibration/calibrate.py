@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -43,17 +43,14 @@ class SolvedSession:
     """A session's calibration and, by frame name, results and leave-one-out predictions.
 
     ``results`` has all frames: the results with the session's prior, and the own results of frames that are left out.
-    ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session,
-    and ``evidence`` what was found in the mask of the first view of each of them, without the images.
+    ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session.
     """
 
     calibration: SessionCalibration
     results: dict[str, Result]
     leave_one_out: dict[str, LeaveOneOutPrediction]
-    evidence: dict[str, Evidence] = field(default_factory=dict)
 
 
-@single_blas_thread()
 def calibrate_session(
     frames: Sequence[SessionFrame],
     instrument: Instrument | Body | str = "lnd",
@@ -94,6 +91,35 @@ def calibrate_session(
     InputError
         Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool;
         fewer than ten frames, or 5 mm of insertion, to refine the camera.
+    """
+    solved, _ = calibrate_with_evidence(
+        frames,
+        instrument,
+        series=series,
+        arm=arm,
+        refine_camera=refine_camera,
+        config=config,
+        run=run,
+        progress=progress,
+    )
+    return solved
+
+
+@single_blas_thread()
+def calibrate_with_evidence(
+    frames: Sequence[SessionFrame],
+    instrument: Instrument | Body | str,
+    *,
+    series: ReadingSeries | None,
+    arm: Arm,
+    refine_camera: bool,
+    config: EstimateConfig | None,
+    run: Run[Any, Any] | None,
+    progress: Callable[[str, int], None],
+) -> tuple[SolvedSession, dict[str, Evidence]]:
+    """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
+
+    That is of the first view of each frame that was fitted, by name, without its image.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -146,7 +172,7 @@ def calibrate_session(
         **described,
     )
     predicted = {frame.name: one.leave_one_out for frame, one in zip(alternation.frames, reports, strict=True)}
-    return SolvedSession(calibration, results, predicted, alternation.evidence)
+    return SolvedSession(calibration, results, predicted), alternation.evidence
 
 
 def find_lag(

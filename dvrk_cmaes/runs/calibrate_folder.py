@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_with_evidence
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -109,7 +109,7 @@ def calibrate_folder(
     Raises
     ------
     InputError
-        As `calibrate_session`; results of another instrument; a folder that cannot be written to.
+        As `dvrk_cmaes.calibrate_session`; results of another instrument; a folder that cannot be written to.
     DvrkCmaesError
         A process died, or the disk is full.
     """
@@ -130,7 +130,7 @@ def calibrate_folder(
     with ExitStack() as stack:
         used = stack.enter_context(instrument_processes(instrument, workers)) if processes is None else processes
         run = functools.partial(_run, used, instrument_digest(instrument), config)
-        solved = calibrate_session(
+        solved, evidence = calibrate_with_evidence(
             frames,
             instrument,
             series=session.reading_series(),
@@ -145,7 +145,7 @@ def calibrate_folder(
             (out / name).unlink(missing_ok=True)
         camera = solved.calibration.corrected(session.camera) if session.rig is None else session.rig
         tasks = [
-            DrawTask(files[name], session.cameras, camera, solved.results[name], left_out, solved.evidence[name])
+            DrawTask(files[name], session.cameras, camera, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
