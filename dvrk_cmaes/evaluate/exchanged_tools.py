@@ -70,12 +70,18 @@ def masks_exchanged(losses: Sequence[tuple[float, float]]) -> bool:
     return bool(np.mean(ratios < 1) >= _LEAST_BETTER and np.median(ratios) < _LARGEST_RATIO)
 
 
+def describe_exchange(first: str, second: str, evidence: str) -> str:
+    """Say that two tools seem to be exchanged, and why."""
+    return f"{first} and {second}: {evidence}; their masks or readings seem to be exchanged"
+
+
 def _described(first: str, second: str, own: float, other: float) -> str:
     """Say that two tools seem to be exchanged, given the squared distances from the own and the other's readings."""
-    return (
-        f"{first} and {second}: the joints found for each are nearer to the readings of the other "
-        f"({np.degrees(np.sqrt(other)):.0f} instead of {np.degrees(np.sqrt(own)):.0f} deg); "
-        "their masks or readings seem to be exchanged"
+    return describe_exchange(
+        first,
+        second,
+        "the joints found for each are nearer to the readings of the other "
+        f"({np.degrees(np.sqrt(other)):.0f} instead of {np.degrees(np.sqrt(own)):.0f} deg)",
     )
 
 

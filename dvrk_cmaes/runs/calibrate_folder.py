@@ -178,7 +178,7 @@ def _run(
 
 
 def _start(instrument: Instrument) -> None:
-    """Build the instrument's scenes in a worker process."""
+    """Build the instrument's scenes in a worker process; returns nothing, since scenes cannot be sent back."""
     prepare_instrument(instrument)
 
 

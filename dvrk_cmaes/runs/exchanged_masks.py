@@ -11,7 +11,7 @@ import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.evaluate.exchanged_tools import exchanged_tools, masks_exchanged
+from dvrk_cmaes.evaluate.exchanged_tools import describe_exchange, exchanged_tools, masks_exchanged
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
@@ -73,10 +73,7 @@ def find_exchanged_masks(
         chosen = sorted({*np.linspace(0, len(names) - 1, _TRIED).astype(int).tolist()})
         losses = [_losses(arms, found, (first, second), names[k], config) for k in chosen]
         if masks_exchanged([pair for pair in losses if pair is not None]):
-            texts.append(
-                f"{first} and {second}: the readings of each fit the masks of the other better; "
-                "their masks or readings seem to be exchanged"
-            )
+            texts.append(describe_exchange(first, second, "the readings of each fit the masks of the other better"))
     return texts
 
 

@@ -101,6 +101,12 @@ class Following:
         self.readings.forget_poses()
         self.last_step = None
 
+    def _begin_anew(self, seen: RigSeen, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
+        """Start from the result of images in the place of what was followed until then; arguments as of `begin`."""
+        self.begin(result, starts, changed=changed)
+        self._expect(seen)
+        self.learn(seen, anew=True)
+
     def learn(self, seen: RigSeen, *, anew: bool = False) -> None:
         """Learn the colours of the images along the outlines of the best hypothesis; ``anew`` forgets those before."""
         views = tuple(view for view, one in seen.clear.items() if one.image is not None)
@@ -189,9 +195,7 @@ class Following:
         if solved is not None:
             agrees = self._confirmation.add(self.follower, self.hypotheses[0], solved)
             if not agrees and solved.status == "ok":
-                self.begin(solved, self.starts(anchor, solved), changed=True)
-                self._expect(seen)
-                self.learn(seen, anew=True)
+                self._begin_anew(seen, solved, self.starts(anchor, solved), changed=True)
                 doubtful = self._result(time, "doubtful", (CHANGED,))
         return replace(doubtful if self._confirmation.needed else result, searched=True)
 
@@ -255,9 +259,7 @@ class Following:
             self.hypotheses = [found[0]]
             self.last_step = None
         else:
-            self.begin(result, starts)
-            self._expect(seen)
-            self.learn(seen, anew=True)
+            self._begin_anew(seen, result, starts)
             reason += ", away from where the readings say: readings jumped, or the base moved"
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
 
