@@ -116,8 +116,8 @@ def fit_frame(
         count += refiner.silhouettes
     best = fits[0]
     of_priors = refiner if isinstance(refiner, OutlineRefiner) else refiner.views[0][0]
-    prior_information, prior_slope = np.zeros_like(best.information), np.zeros(len(best.information))
-    of_priors.priors.add(prior_information, prior_slope, main.view_from_camera @ best.camera_from_root, best.joints)
+    seen = main.view_from_camera @ best.camera_from_root
+    (prior_information,), (prior_slope,) = of_priors.priors.terms(seen[None], best.joints[None])
     iou = overlap(views, silhouettes(views, Posed(best.camera_from_root, best.joints)))
     own_iou = 0.0 if own_estimate is None else own_estimate.iou
     # At the optimum, the slopes of outline and priors add up to zero.

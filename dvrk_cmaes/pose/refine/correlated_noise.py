@@ -72,7 +72,8 @@ def fit_correlated(
             information, slope = information + more[0], slope + more[1]
         if not information.any():
             return pose, joints
-        refiner.priors.add(information, slope, pose, joints)
+        of_priors, slope_of_priors = refiner.priors.terms(pose[None], joints[None])
+        information, slope = information + of_priors[0], slope + slope_of_priors[0]
         step = -np.linalg.solve(invertible(information), slope)
         size = float(np.sqrt(step @ information @ step))
         step *= min(1.0, _LARGEST_STEP / max(size, 1e-12))

@@ -32,7 +32,7 @@ _ROUGH_FACTOR, _SMOOTH_FACTOR = 0.455, 0.65  # on the covariance; fitted to the 
 def pose_information(refiner: OutlineRefiner, fit: OutlineFit, noise: OutlineNoise) -> Float64:
     """Compute the information (6 + J, 6 + J) of outline and priors about the small changes of a fitted pose."""
     information, factor = _outline_and_factor(refiner, fit, noise)
-    refiner.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+    information = information + refiner.priors.terms(fit.camera_from_root[None], fit.joints[None])[0][0]
     return np.asarray((information + np.diag(_bounds(len(information)))) / factor)
 
 
@@ -47,7 +47,7 @@ def joint_information(
     found = []
     for k, (refiner, fit, noise) in enumerate(zip(refiners, fits, noises, strict=True)):
         information, factor = _outline_and_factor(refiner, fit, noise)
-        refiner.priors.add(information, np.zeros(len(information)), fit.camera_from_root, fit.joints)
+        information = information + refiner.priors.terms(fit.camera_from_root[None], fit.joints[None])[0][0]
         bounds = _bounds(len(information)) if k == 0 else 0.0 * _bounds(len(information))
         found.append((information + np.diag(bounds)) / factor)
     return found

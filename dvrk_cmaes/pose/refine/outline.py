@@ -255,8 +255,9 @@ class OutlineRefiner:
         own = self._config.cauchy
         width = own if cauchy is None else cauchy
         images = self._render(poses, joints) if outlines else [(i, None) for i in self._render_coverage(poses, joints)]
+        priors = self.priors.cost(poses, joints)
         found = []
-        for pose, joint, (image, outline) in zip(poses, joints, images, strict=True):
+        for prior, (image, outline) in zip(priors, images, strict=True):
             loss = self._loss(image, width)
             found.append(
                 OutlineTerms(
@@ -265,7 +266,7 @@ class OutlineRefiner:
                     least=self._length * self._config.noise_floor**2 / (2 * np.sqrt(np.pi) * self._config.blur),
                     length=self._length,
                     count=self._length * self.shrink / self._config.correlation,
-                    prior=self.priors.cost(pose, joint),
+                    prior=float(prior),
                     image=image,
                     outline=outline,
                 )
@@ -286,12 +287,11 @@ class OutlineRefiner:
         residuals = [image - self._target for image in images]
         together = Profiles.sampled(residuals, self._weight, outlines, jacobians, self._config.blur)
         information, _ = together.normal_equations(np.zeros((len(poses), len(self.steps))), cauchy)
-        found = []
-        for i, (pose, joint) in enumerate(zip(poses, joints, strict=True)):
-            prior, slope = np.zeros_like(information[i]), np.zeros(len(self.steps))
-            self.priors.add(prior, slope, pose, joint)
-            found.append(OutlineDerivatives(together.select([i]), information[i], prior, slope))
-        return found
+        priors, slopes = self.priors.terms(poses, joints)
+        return [
+            OutlineDerivatives(together.select([i]), information[i], prior, slope)
+            for i, (prior, slope) in enumerate(zip(priors, slopes, strict=True))
+        ]
 
     def assess(self, pose: Float64, joints: Float64) -> OutlineFit:
         """Score one pose (4, 4) and its joints (J,) without refining them."""
@@ -315,10 +315,10 @@ class OutlineRefiner:
         """
         width = self._config.cauchy if cauchy is None else cauchy
         most = self._config.iterations if iterations is None else iterations
-        starts = zip(poses, joints, self._render(poses, joints), strict=True)
+        starts = zip(poses, joints, self._render(poses, joints), self.priors.cost(poses, joints), strict=True)
         states = [
-            _State(pose, joint, *drawn, loss=self._loss(drawn[0], width), prior_cost=self.priors.cost(pose, joint))
-            for pose, joint, drawn in starts
+            _State(pose, joint, *drawn, loss=self._loss(drawn[0], width), prior_cost=float(cost))
+            for pose, joint, drawn, cost in starts
         ]
         self._linearise(states, width)
         kept = float(len(states))
@@ -334,11 +334,15 @@ class OutlineRefiner:
 
     def _advance(self, states: list[_State], width: float, *, last: bool) -> None:
         """Take one step from each state; it is kept if it lowers the loss. After the ``last`` no outline is needed."""
-        trials = self._steps(states, width)
-        at = np.stack([t[0] for t in trials]), np.stack([t[1] for t in trials])
+        steps = self._steps(states, width)
+        at = (
+            moved(np.stack([s.pose for s in states]), steps[:, :6]),
+            np.stack([s.joints for s in states]) + steps[:, 6:],
+        )
         renderings = [(image, None) for image in self._render_coverage(*at)] if last else self._render(*at)
-        for state, (pose, joint, step), (image, outline) in zip(states, trials, renderings, strict=True):
-            loss, prior_cost = self._loss(image, width), self.priors.cost(pose, joint)
+        trials = zip(states, *at, steps, renderings, self.priors.cost(*at).tolist(), strict=True)
+        for state, pose, joint, step, (image, outline), prior_cost in trials:
+            loss = self._loss(image, width)
             gain = state.scale * (state.loss - loss) + state.prior_cost - prior_cost
             small = step @ state.information @ step < self.tolerance**2 * len(step)
             if gain <= 0:
@@ -371,16 +375,15 @@ class OutlineRefiner:
             state.profiles, state.prior, state.prior_slope = one.profiles, one.prior_information, one.prior_slope
             state.information, state.moved = state.scale * one.information + state.prior, False
 
-    def _steps(self, states: list[_State], cauchy: float) -> list[tuple[Float64, Float64, Float64]]:
-        """Compute the damped step of each state; returns the next pose, the next joints and the step (6 + J,)."""
+    def _steps(self, states: list[_State], cauchy: float) -> Float64:
+        """Compute the damped step of each of C states, (C, 6 + J)."""
         terms = Quadratics(
             np.array([s.scale for s in states]),
             np.stack([s.prior for s in states]),
             np.stack([s.prior_slope for s in states]),
         )
         damping = np.array([s.damping for s in states])
-        steps = minimise(Profiles.joined([s.profiles for s in states]), terms, cauchy, damping, self.inner_steps)
-        return [(moved(s.pose, step[:6]), s.joints + step[6:], step) for s, step in zip(states, steps, strict=True)]
+        return minimise(Profiles.joined([s.profiles for s in states]), terms, cauchy, damping, self.inner_steps)
 
 
 @dataclass(eq=False)

@@ -31,13 +31,13 @@ class PosePrior:
     joints: Float64
     information: Float64
 
-    def deviation(self, pose: Float64, joints: Float64) -> Float64:
-        """Compute the small change (6 + J,) from the mean to a pose (4, 4) and joints (J,)."""
-        return np.concatenate([change_between(self.camera_from_root, pose), joints - self.joints])
+    def deviation(self, poses: Float64, joints: Float64) -> Float64:
+        """Compute the small changes (..., 6 + J) from the mean to poses (..., 4, 4) and joints (..., J)."""
+        return np.concatenate([change_between(self.camera_from_root, poses), joints - self.joints], axis=-1)
 
 
 class Priors:
-    """The sum of all priors of one frame: its value at a pose, gradient and Gauss-Newton information.
+    """The sum of all priors of one frame: its value at poses, gradient and Gauss-Newton information.
 
     ``keypoint_sigma``, px, is the standard deviation of given tips; ``steps`` (6 + J,) are for central differences.
     """
@@ -62,36 +62,38 @@ class Priors:
         self._weight = np.where(known, 1 / readings.sigma**2, 0.0)
         self._centre = np.where(known, readings.values, 0.0)
 
-    def cost(self, pose: Float64, joints: Float64) -> float:
-        """Compute the sum of squares at a pose (4, 4) and its joints (J,)."""
-        cost = float(self._readings.cost(joints))
+    def cost(self, poses: Float64, joints: Float64) -> Float64:
+        """Compute the sums of squares (C,) at poses (C, 4, 4) and their joints (C, J)."""
+        cost = self._readings.cost(joints)
         if self._tips is not None:
-            cost += float((self._tip_residuals(pose[None], joints[None]) ** 2).sum())
+            cost = cost + (self._tip_residuals(poses[:, None], joints[:, None]) ** 2).sum(axis=(1, 2))
         if self._expected is not None:
-            off = self._expected.deviation(pose, joints)
-            cost += float(off @ self._expected.information @ off)
+            off = self._expected.deviation(poses, joints)
+            cost = cost + np.einsum("ci,ij,cj->c", off, self._expected.information, off)
         return cost
 
-    def add(self, information: Float64, slope: Float64, pose: Float64, joints: Float64) -> None:
-        """Add the information (6 + J, 6 + J) and the slope (6 + J,) of the priors at a pose in place.
+    def terms(self, poses: Float64, joints: Float64) -> tuple[Float64, Float64]:
+        """Compute the information (C, 6 + J, 6 + J) and the slopes (C, 6 + J) at poses (C, 4, 4) and joints (C, J).
 
-        The slope is the gradient of half the sum of squares.
+        The slopes are the gradients of half the sums of squares.
         """
-        information[6:, 6:] += np.diag(self._weight)
-        slope[6:] += self._weight * (joints - self._centre)
+        count = len(self._steps)
+        information, slope = np.zeros((len(poses), count, count)), np.zeros((len(poses), count))
         low, high = self._readings.low - joints, joints - self._readings.high
-        information[6:, 6:] += np.diag(((low > 0) | (high > 0)) / LIMIT_SIGMA**2)
-        slope[6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
+        beyond = ((low > 0) | (high > 0)) / LIMIT_SIGMA**2
+        information[:, range(6, count), range(6, count)] = self._weight + beyond
+        slope[:, 6:] = self._weight * (joints - self._centre)
+        slope[:, 6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
         if self._tips is not None:
-            count = len(self._steps)
             change = np.concatenate([np.zeros((1, count)), np.diag(self._steps), -np.diag(self._steps)])
-            residuals = self._tip_residuals(moved(pose, change[:, :6]), joints + change[:, 6:])
-            jacobian = (residuals[1 : count + 1] - residuals[count + 1 :]) / (2 * self._steps[:, None])
-            information += jacobian @ jacobian.T
-            slope += jacobian @ residuals[0]
+            residuals = self._tip_residuals(moved(poses[:, None], change[:, :6]), joints[:, None] + change[:, 6:])
+            jacobian = (residuals[:, 1 : count + 1] - residuals[:, count + 1 :]) / (2 * self._steps[:, None])
+            information += jacobian @ jacobian.swapaxes(1, 2)
+            slope += (jacobian @ residuals[:, 0, :, None])[:, :, 0]
         if self._expected is not None:
             information += self._expected.information
-            slope += self._expected.information @ self._expected.deviation(pose, joints)
+            slope += self._expected.deviation(poses, joints) @ self._expected.information
+        return information, slope
 
     def clip_to_limits(self, joints: Float64) -> Float64:
         """Clip joints (J,) to at most ``LIMIT_SIGMA`` beyond their limits."""
@@ -102,11 +104,17 @@ class Priors:
         return self._evidence.tips if self._evidence.tips_given else None
 
     def _tip_residuals(self, poses: Float64, joints: Float64) -> Float64:
-        """Compute projected less given tips in the better pairing, in units of their standard deviation, (C, 4)."""
+        """Compute projected less given tips, in units of their standard deviation, (C, S, 4).
+
+        ``poses`` (C, S, 4, 4) with joints (C, S, J) are S variants of each of C candidates; the tips are paired as is
+        better for the first of them.
+        """
         tips = self._tips
         assert tips is not None
-        projected = project_tips(self._instrument, self._evidence.camera, poses, joints)
+        shape = poses.shape[:2]
+        flat = poses.reshape(-1, 4, 4), joints.reshape(-1, joints.shape[-1])
+        projected = project_tips(self._instrument, self._evidence.camera, *flat).reshape(*shape, 2, 2)
         straight, crossed = projected - tips, projected - tips[::-1]
-        better = (straight**2).sum(axis=(1, 2)) <= (crossed**2).sum(axis=(1, 2))
-        chosen = np.where(better[0], straight, crossed)
-        return np.asarray(chosen.reshape(len(poses), 4) / self._keypoint_sigma)
+        better = (straight[:, 0] ** 2).sum(axis=(1, 2)) <= (crossed[:, 0] ** 2).sum(axis=(1, 2))
+        chosen = np.where(better[:, None, None, None], straight, crossed)
+        return np.asarray(chosen.reshape(*shape, 4) / self._keypoint_sigma)
