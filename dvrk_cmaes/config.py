@@ -42,7 +42,7 @@ class SearchConfig:
     spares
         Number of next best distinct candidates that are refined without a run of the optimiser.
     width_px
-        Approximate width of the images in which losses are computed.
+        Approximate width of the images in which losses are computed; up to twice that where the mask is small.
     detail_m
         Cell size of the mesh decimation for these images.
     use_edges
@@ -61,7 +61,7 @@ class SearchConfig:
     starts: int = 4
     evaluations: int = 64
     spares: int = 22
-    width_px: int = 160
+    width_px: int = 80
     detail_m: float = 6e-4
     use_edges: bool = True
     free_share: float = 0.15
@@ -188,31 +188,46 @@ class RefineConfig:
         Method at full image size. Gauss-Newton is always used at smaller sizes.
     evaluations
         Evaluations of the loss, for methods other than Gauss-Newton.
+    width_px
+        Approximate width of the smallest images of the refinement.
     first_steps
-        Gauss-Newton iterations for all candidates, at the image size of the search.
+        Gauss-Newton iterations for all candidates, at that image size.
+    first_candidates, agreed_gap
+        Number of candidates that are refined at first. The others are, too, unless two of these have reached the same
+        mode and no other mode is nearly as good: within this difference of the negative log-likelihood.
     small_modes, small_steps
         Number of best modes that are kept after that, and largest number of further iterations at the same size.
-    first_share, small_share, last_share
-        Share of the poses, the best ones, that continue after each of these iterations; the last of them at half and
-        full image size, where at least one continues.
+    small_share, last_share
+        Share of the poses, the best ones, that continue after each iteration after the first ones; the last of them at
+        half and full image size, where at least one continues.
+    first_gap, small_gap, last_gap
+        Difference of the negative log-likelihood from the best pose beyond which a pose does not continue, if its
+        outline alone is worse than the best outline by a third of that too.
     half_size_modes
         Number of best modes that are refined at half the image size.
-    modes
-        Number of best modes that are refined at full image size.
+    modes, full_steps
+        Number of best modes that are refined at full image size, and largest number of iterations there before the
+        contour's noise is estimated. The last iterations follow.
     outline
         Settings of the Gauss-Newton refinement.
     """
 
     method: str = "gauss-newton"
     evaluations: int = 400
+    width_px: int = 160
     first_steps: int = 3
+    first_candidates: int = 12
+    agreed_gap: float = 6.0
     small_modes: int = 10
-    small_steps: int = 12
-    first_share: float = 1.0
+    small_steps: int = 8
     small_share: float = 0.9
     last_share: float = 0.93
+    first_gap: float = 150.0
+    small_gap: float = 40.0
+    last_gap: float = 60.0
     half_size_modes: int = 3
     modes: int = 2
+    full_steps: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)
 
 

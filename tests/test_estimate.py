@@ -145,6 +145,20 @@ def test_other_seed_finds_same_pose(bundled_body: Body, frame: FrameData, readin
     assert np.rad2deg(rotation_angle(a, b)) < 1
 
 
+def test_other_candidates_are_refined_only_where_the_first_do_not_agree(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float]
+) -> None:
+    config = EstimateConfig()
+    never = replace(config, refine=replace(config.refine, agreed_gap=1e6))
+    agreed, all_refined = (
+        estimate(frame.mask, frame.camera, readings, bundled_body, config=each) for each in (config, never)
+    )
+    assert agreed.evaluations < all_refined.evaluations
+    assert agreed.status == all_refined.status == "ok"
+    assert rotation_angle(agreed.camera_from_root, all_refined.camera_from_root) < np.deg2rad(0.05)
+    np.testing.assert_allclose(agreed.camera_from_root[:3, 3], all_refined.camera_from_root[:3, 3], atol=2e-5)
+
+
 def test_no_file_is_opened(
     bundled_body: Body,
     frame: FrameData,

@@ -25,19 +25,20 @@ _LARGEST = {
     "seed": 2**32 - 1,
     "threads": 1000,
     "search.width_px": 10_000,
+    "refine.width_px": 10_000,
     "refine.outline.blur": 100,
     "refine.outline.lines_per_pixel": 100,
     **{f"refine.outline.{name}_step": 1.0 for name in ("translation", "swing", "turn", "joint")},
 }
 _LEAST = {
     "search.width_px": 10,
+    "refine.width_px": 10,
     "search.detail_m": 1e-6,
     **{f"refine.outline.{name}_step": 1e-7 for name in ("translation", "swing", "turn", "joint")},
 }
 _RANGE = 1e-9, 1e6  # of settings without limits of their own, against values whose squares overflow or vanish
 _SHARES = (
     "search.free_share",
-    "refine.first_share",
     "refine.small_share",
     "refine.last_share",
     "trust.least_iou",

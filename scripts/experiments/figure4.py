@@ -23,7 +23,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.joint_prior import Readings
-from dvrk_cmaes.pose.search.global_search import image_size
+from dvrk_cmaes.pose.search.global_search import search_size
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.starts import draw_starts, sample_joints, sample_lookat, sample_uniform
 from dvrk_cmaes.silhouette import Renderer
@@ -67,7 +67,7 @@ def best_of_first(
         high=high,
     )
     renderer = Renderer(plan.body, plan.camera, threads=config.threads)
-    small = renderer.at(*image_size(evidence, config.search.width_px))
+    small = renderer.at(*search_size(evidence, config.search.width_px))
     objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
     weights = replace(config.weights, readings=0.0)
     best: dict[str, list[Float64]] = {space: [] for space in SPACES}

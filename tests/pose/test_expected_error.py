@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import gammaincinv
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import apply, moved
@@ -37,6 +38,14 @@ def test_distance_holds_nine_tenths(axes: tuple[float, ...]) -> None:
     samples = np.random.default_rng(1).standard_normal((20000, 3)) * axes
     distance = largest_distance(np.diag(np.square(axes, dtype=float)))
     assert (np.linalg.norm(samples, axis=1) < distance).mean() == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.parametrize("axes", [(1, 1, 1), (1, 0, 0), (1, 1, 0), (3, 1, 0.5), (1, 0.8, 0.6)])
+def test_distance_is_the_quantile_of_the_gamma_distribution(axes: tuple[float, ...]) -> None:
+    variances = np.square(axes, dtype=float)
+    mean, variance = variances.sum(), 2 * (variances**2).sum()
+    exact = np.sqrt(gammaincinv(mean**2 / variance, 0.9) * variance / mean)
+    assert largest_distance(np.diag(variances)) == pytest.approx(exact, rel=1e-4)
 
 
 def test_tips_are_located_in_camera_and_image(bundled_body: Body) -> None:

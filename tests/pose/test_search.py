@@ -8,10 +8,15 @@ import sys
 import numpy as np
 import pytest
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.search import METHODS, minimise
+from dvrk_cmaes.pose.search.global_search import search_size
+from dvrk_cmaes.silhouette import Body
 
+CAMERA = Camera(640, 480, 800.0, 800.0, 319.5, 239.5)
 GOAL = np.array([0.7, -0.4, 1.1])
 
 
@@ -75,3 +80,11 @@ def test_direct_refinement_reduces_loss(method: str) -> None:
 
 def _wide(candidates: np.ndarray) -> np.ndarray:
     return ((candidates - np.linspace(-0.5, 0.5, 7)) ** 2).sum(axis=1)
+
+
+@pytest.mark.parametrize(("side", "expected"), [(240, (80, 60)), (70, (128, 96)), (8, (160, 120))])
+def test_small_masks_are_searched_in_larger_images(bundled_body: Body, side: int, expected: tuple[int, int]) -> None:
+    mask = np.zeros((480, 640), dtype=np.bool_)
+    mask[100 : 100 + side, 200 : 200 + side] = True
+    evidence = gather_evidence(mask, CAMERA, bundled_body.instrument)
+    assert search_size(evidence, 80) == expected

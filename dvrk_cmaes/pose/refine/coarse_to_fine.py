@@ -19,8 +19,9 @@ from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlat
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.refine.information import pose_information
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
-from dvrk_cmaes.pose.search.global_search import Candidate, image_size, scale_of_change
-from dvrk_cmaes.pose.search.modes import HasPose, best_per_mode
+from dvrk_cmaes.pose.refine.selection import ALL, Selection
+from dvrk_cmaes.pose.search.global_search import Candidate, scale_of_change
+from dvrk_cmaes.pose.search.modes import HasPose, are_distinct, best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.silhouette import Renderer
 
@@ -29,6 +30,7 @@ Float64 = NDArray[np.float64]
 _TWIN_ANGLE = np.deg2rad(40)  # between a mode and the mirror twin of another that count as the same
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
+_AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
 _TWINS = 3  # best candidates whose mirror twins are refined as well
 
 
@@ -41,6 +43,18 @@ def is_twin(instrument: Instrument, a: HasPose, b: HasPose) -> bool:
 def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
     """Stack the poses (C, 4, 4) and joints (C, J) of modes."""
     return np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
+
+
+def _agree(modes: Sequence[OutlineFit], gap: float) -> bool:
+    """Return whether several poses have reached the best one's mode, and no other mode is nearly as good.
+
+    Another mode is nearly as good if its score is worse by less than ``gap``, or its outline alone is as good.
+    """
+    best = min(modes, key=lambda mode: mode.score)
+    others = [mode for mode in modes if are_distinct(mode, best)]
+    return len(modes) - len(others) >= _AGREEING and all(
+        mode.score > best.score + gap and mode.outline_score > best.outline_score for mode in others
+    )
 
 
 class Refiner(Protocol):
@@ -64,8 +78,7 @@ class Refiner(Protocol):
         *,
         iterations: int | None = None,
         cauchy: float | None = None,
-        share: float = 1.0,
-        least: int = 1,
+        selection: Selection = ALL,
     ) -> list[OutlineFit]:
         """Refine poses (C, 4, 4) and their joints (C, J); arguments as in `OutlineRefiner`."""
 
@@ -89,6 +102,7 @@ class LocalSearch:
         self._evidence = evidence
         self._readings = readings
         self._config = config
+        self._last_selection = Selection(config.refine.last_share, config.refine.last_gap)
         self.silhouettes = 0
         self.rays = 0
 
@@ -108,13 +122,12 @@ class LocalSearch:
         *,
         cauchy: float | None = None,
         iterations: int | None = None,
-        share: float = 1.0,
-        least: int = 1,
+        selection: Selection = ALL,
     ) -> list[OutlineFit]:
         before = refiner.silhouettes, refiner.rays
         fits = []
         if modes:
-            fits = refiner.refine_all(*_stacked(modes), cauchy=cauchy, iterations=iterations, share=share, least=least)
+            fits = refiner.refine_all(*_stacked(modes), cauchy=cauchy, iterations=iterations, selection=selection)
         self.silhouettes += refiner.silhouettes - before[0]
         self.rays += refiner.rays - before[1]
         return fits
@@ -136,19 +149,20 @@ class LocalSearch:
         """
         config, instrument = self._config, self._renderer.body.instrument
         full_width = self._evidence.camera.width
-        coarse = self._refiner(max(1, round(full_width / image_size(self._evidence, config.search.width_px)[0])))
+        coarse = self._refiner(max(1, round(full_width / config.refine.width_px)))
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if instrument.has_twin else []
         c = config.refine
-        modes = self._refine(
-            coarse, [*candidates, *twins], iterations=c.first_steps, share=c.first_share, least=c.small_modes
-        )
-        modes = best_per_mode(modes, most=c.small_modes)
-        least = c.half_size_modes + 1
-        modes = self._refine(coarse, modes, iterations=c.small_steps, share=c.small_share, least=least)
+        first = Selection(gap=c.first_gap, least=c.small_modes)
+        tried, rest = candidates[: c.first_candidates], candidates[c.first_candidates :]
+        modes = self._refine(coarse, [*tried, *twins], iterations=c.first_steps, selection=first)
+        if not _agree(modes, c.agreed_gap):
+            modes += self._refine(coarse, rest, iterations=c.first_steps, selection=first)
+        small = Selection(c.small_share, c.small_gap, least=c.half_size_modes + 1)
+        modes = small.of(best_per_mode(modes, most=c.small_modes))
+        modes = self._refine(coarse, modes, iterations=c.small_steps, selection=small)
         modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
-            modes = self._refine(self._refiner(2), modes, share=c.last_share)
-            modes = best_per_mode(modes)
+            modes = best_per_mode(self._refine(self._refiner(2), modes, selection=self._last_selection))
         finest = self._refiner(1)
         final = self._finest(finest, modes[: c.modes])
         best = min(final, key=lambda m: m.score)
@@ -202,14 +216,14 @@ class LocalSearch:
         """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""
         if self._config.refine.method == "gauss-newton":
             config = self._config.refine
-            return self._refine(refiner, modes, cauchy=config.outline.last_cauchy, share=config.last_share)
+            return self._refine(refiner, modes, cauchy=config.outline.last_cauchy, selection=self._last_selection)
         return [refiner.assess(mode.camera_from_root, mode.joints) for mode in modes]
 
     def _finest(self, refiner: Refiner, modes: Sequence[HasPose]) -> list[OutlineFit]:
         """Refine modes at full image size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
-            return self._refine(refiner, modes, share=config.refine.last_share)
+            return self._refine(refiner, modes, iterations=config.refine.full_steps, selection=self._last_selection)
         objective = self._objective()
         scale = 0.3 * scale_of_change(self._readings)
         fits = []

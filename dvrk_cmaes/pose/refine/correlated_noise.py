@@ -19,7 +19,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled
 from dvrk_cmaes.geometry import moved
@@ -124,6 +123,8 @@ def solve_correlated(pixels: Float64, variance: float, uncorrelated: Float64, ri
     ``_FARTHEST`` px, below 2e-5, count as zero. With the points in their order along the longest extent of the outline,
     the matrix is then banded, and the cost linear in the number of points.
     """
+    from scipy.linalg import solveh_banded  # here, since its import slows the start of every process
+
     spread = pixels - pixels.mean(axis=0)
     along = spread @ np.linalg.eigh(spread.T @ spread)[1][:, -1]
     order = np.argsort(along, kind="stable")

@@ -21,6 +21,7 @@ from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner, OutlineTerms
 from dvrk_cmaes.pose.refine.priors import PosePrior
 from dvrk_cmaes.pose.refine.profiles import Profiles, Quadratics, minimise
+from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.views import FrameView, without_readings
 from dvrk_cmaes.silhouette import Renderer
 
@@ -115,8 +116,7 @@ class JointRefiner:
         *,
         iterations: int | None = None,
         cauchy: float | None = None,
-        share: float = 1.0,
-        least: int = 1,
+        selection: Selection = ALL,
     ) -> list[OutlineFit]:
         """Refine poses (C, 4, 4) and their joints (C, J); arguments as in `OutlineRefiner`."""
         most = self._settings.iterations if iterations is None else iterations
@@ -125,13 +125,16 @@ class JointRefiner:
         self._linearise(states, cauchy)
         kept = float(len(states))
         for left in reversed(range(most)):
-            best = sorted(states, key=lambda state: self._score(state.terms, [term.loss for term in state.terms]))
-            active = [state for state in best[: max(round(kept), least)] if not state.finished]
+            scores = [self._score(state.terms, [term.loss for term in state.terms]) for state in states]
+            priors = [0.5 * sum(term.prior for term in state.terms) for state in states]
+            outline_scores = [score - prior for score, prior in zip(scores, priors, strict=True)]
+            chosen = [states[i] for i in selection.continuing(scores, outline_scores, kept)]
+            active = [state for state in chosen if not state.finished]
             if not active:
                 break
             self._linearise([state for state in active if state.moved], cauchy)
             self._advance(active, cauchy, last=left == 0)
-            kept *= share
+            kept *= selection.share
         return [self._fit(state) for state in states]
 
     def _terms(

@@ -31,6 +31,7 @@ from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.pose.refine.outline_jacobian import outline_jacobians
 from dvrk_cmaes.pose.refine.priors import PosePrior, Priors
 from dvrk_cmaes.pose.refine.profiles import Profiles, Quadratics, minimise
+from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 
 Float64 = NDArray[np.float64]
@@ -304,14 +305,12 @@ class OutlineRefiner:
         *,
         iterations: int | None = None,
         cauchy: float | None = None,
-        share: float = 1.0,
-        least: int = 1,
+        selection: Selection = ALL,
     ) -> list[OutlineFit]:
         """Refine poses (C, 4, 4) and their joints (C, J); they are rendered together.
 
         ``iterations`` and ``cauchy`` replace those of the configuration for the refinement. Scores are always computed
-        with the configuration's ``cauchy``. After each iteration only the best ``share`` of the poses continue, but not
-        fewer than ``least`` of them.
+        with the configuration's ``cauchy``. ``selection`` tells which of the poses take part in each iteration.
         """
         width = self._config.cauchy if cauchy is None else cauchy
         most = self._config.iterations if iterations is None else iterations
@@ -323,13 +322,15 @@ class OutlineRefiner:
         self._linearise(states, width)
         kept = float(len(states))
         for left in reversed(range(most)):
-            best = sorted(states, key=lambda state: self._outline_score(state.loss) + 0.5 * state.prior_cost)
-            active = [state for state in best[: max(round(kept), least)] if not state.finished]
+            outline_scores = [self._outline_score(state.loss) for state in states]
+            scores = [alone + 0.5 * state.prior_cost for alone, state in zip(outline_scores, states, strict=True)]
+            chosen = [states[i] for i in selection.continuing(scores, outline_scores, kept)]
+            active = [state for state in chosen if not state.finished]
             if not active:
                 break
             self._linearise([state for state in active if state.moved], width)
             self._advance(active, width, last=left == 0)
-            kept *= share
+            kept *= selection.share
         return [self._fit(state) for state in states]
 
     def _advance(self, states: list[_State], width: float, *, last: bool) -> None:

@@ -22,6 +22,7 @@ Float64 = NDArray[np.float64]
 
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
+_LEAST_AREA = 150.0  # px of a mask in the search's image
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
 
@@ -39,10 +40,12 @@ def scale_of_change(readings: Readings) -> Float64:
     return np.concatenate([_POSE_SCALE, _JOINT_SCALE * readings.sigma])
 
 
-def image_size(evidence: Evidence, width: int) -> tuple[int, int]:
-    """Return width and height, px, of the frame's image downsampled to a width of about ``width`` px."""
+def search_size(evidence: Evidence, width: int) -> tuple[int, int]:
+    """Return width and height, px, of the search's image: ``width`` px wide, or up to twice that for a small mask."""
     camera = evidence.camera
-    shrink = max(1, round(camera.width / width))
+    coarsest, finest = (max(1, round(camera.width / each)) for each in (width, 2 * width))
+    legible = int(np.sqrt(np.count_nonzero(evidence.mask) / _LEAST_AREA))
+    shrink = min(max(legible, finest), coarsest)
     return max(camera.width // shrink, 1), max(camera.height // shrink, 1)
 
 
@@ -51,13 +54,13 @@ def find_candidates(
 ) -> tuple[list[Candidate], Objective]:
     """Search one frame for candidate poses.
 
-    Returns the candidates, sorted by loss, and the objective used. The candidates are the results of the optimiser from
-    each start, further distinct candidates that scored best (the spares), and the best of those drawn without readings,
-    ranked without the readings term.
+    Returns the candidates and the objective used. The candidates are the results of the optimiser from each start, then
+    the best of those drawn without readings, ranked without the readings term, then further distinct candidates that
+    scored best (the spares); each of these groups is sorted by loss.
     """
     rng = np.random.default_rng(config.seed)
     instrument = renderer.body.instrument
-    small = renderer.at(*image_size(evidence, config.search.width_px))
+    small = renderer.at(*search_size(evidence, config.search.width_px))
     objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
     poses, joints, unread = draw_starts(evidence, instrument, readings, config, rng)
     terms = objective.terms(poses, joints)
@@ -70,7 +73,7 @@ def find_candidates(
     distinct = best_per_mode(ranked, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     starts, spares = distinct[: config.search.starts], distinct[config.search.starts :]
     most = config.search.unread_spares
-    spares += best_per_mode(ranked_by_image, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
+    unread_spares = best_per_mode(ranked_by_image, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     scale = scale_of_change(readings)
 
     def search(start: Candidate, seed: int) -> Candidate:
@@ -87,4 +90,4 @@ def find_candidates(
     small.threads = 1  # each start has its own thread below
     numbered = list(enumerate(starts, start=config.seed))
     found = map_threaded(lambda one: search(one[1], one[0]), numbered, config.threads)
-    return sorted([*found, *spares], key=lambda c: c.score), objective
+    return [*sorted(found, key=lambda c: c.score), *unread_spares, *spares], objective

@@ -42,14 +42,17 @@ class Posed:
 P = TypeVar("P", bound=HasPose)
 
 
-def are_distinct(a: HasPose, b: HasPose, angle: float, joint: float) -> bool:
+_ANGLE, _JOINT = float(np.deg2rad(15)), float(np.deg2rad(25))  # between poses of the same mode, at most
+
+
+def are_distinct(a: HasPose, b: HasPose, angle: float = _ANGLE, joint: float = _JOINT) -> bool:
     """Return whether two poses differ by more than ``angle`` in rotation or more than ``joint`` in any joint, rad."""
     rotation = float(rotation_angle(a.camera_from_root, b.camera_from_root))
     return rotation > angle or bool(np.abs(a.joints - b.joints).max(initial=0.0) > joint)
 
 
 def best_per_mode(
-    candidates: Sequence[P], *, angle: float = np.deg2rad(15), joint: float = np.deg2rad(25), most: int | None = None
+    candidates: Sequence[P], *, angle: float = _ANGLE, joint: float = _JOINT, most: int | None = None
 ) -> list[P]:
     """Select the best candidate of each mode, sorted by score, at most ``most``.
 

@@ -1,0 +1,60 @@
+"""Which of several poses that are refined together are worth further iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+
+class Scored(Protocol):
+    """A fit with its negative log-likelihood, and the part of it that comes from the outline."""
+
+    @property
+    def score(self) -> float:
+        """Negative log-likelihood: lower is better."""
+
+    @property
+    def outline_score(self) -> float:
+        """The part of it that comes from the outline."""
+
+
+F = TypeVar("F", bound=Scored)
+
+_OF_OUTLINE = 1 / 3
+"""Difference of the outline's score alone that keeps a pose, as a share of that of the whole score."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The poses that continue after each iteration of a refinement, the best by their scores.
+
+    They are the best ``share`` of those that continued before, and of these such as are close to the best: within
+    ``gap`` of its negative log-likelihood, or within a third of that of the best outline's alone, so that an outline
+    may contradict the readings. At least ``least`` continue in any case.
+    """
+
+    share: float = 1.0
+    gap: float = np.inf
+    least: int = 1
+
+    def continuing(self, scores: Sequence[float], outline_scores: Sequence[float], left: float) -> list[int]:
+        """Return the indices of the poses that continue, best first, if about ``left`` of them continued before.
+
+        ``scores`` are the negative log-likelihoods, ``outline_scores`` the parts of them that come from the outline.
+        """
+        whole, outline = np.asarray(scores), np.asarray(outline_scores)
+        close = (whole <= whole.min() + self.gap) | (outline <= outline.min() + self.gap * _OF_OUTLINE)
+        best = np.argsort(whole, kind="stable")[: max(round(left), self.least)]
+        return [int(i) for place, i in enumerate(best) if place < self.least or close[i]]
+
+    def of(self, fits: Sequence[F]) -> list[F]:
+        """Return the fits that are close to the best of them, best first."""
+        chosen = self.continuing([fit.score for fit in fits], [fit.outline_score for fit in fits], len(fits))
+        return [fits[i] for i in chosen]
+
+
+ALL = Selection()
+"""All poses continue until they have settled."""
