@@ -30,8 +30,8 @@ def exp_rotation(rotvec: ArrayLike) -> Float64:
     return np.asarray(np.eye(3) + a * k + b * (k @ k))
 
 
-def log_rotation(rotation: ArrayLike) -> Float64:
-    """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad, of length at most pi."""
+def quaternion_wxyz(rotation: ArrayLike) -> Float64:
+    """Convert rotation matrices (..., 3, 3) to unit quaternions w, x, y, z (..., 4) with w >= 0."""
     r = np.asarray(rotation, dtype=np.float64)
     # Row k is the unit quaternion times four times its component k. Normalising the row of the largest component
     # avoids division by small numbers.
@@ -51,7 +51,12 @@ def log_rotation(rotation: ArrayLike) -> Float64:
     largest = np.argmax(diagonal, axis=-1)
     q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    q = np.where(q[..., :1] < 0, -q, q)
+    return np.asarray(np.where(q[..., :1] < 0, -q, q))
+
+
+def log_rotation(rotation: ArrayLike) -> Float64:
+    """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad, of length at most pi."""
+    q = quaternion_wxyz(rotation)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, q[..., :1])
     scale = np.where(sine < 1e-9, 2.0, angle / np.maximum(sine, 1e-300))

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import log_rotation, quaternion_wxyz
 from dvrk_cmaes.io.short_text import shown
 
 
@@ -42,10 +42,10 @@ class FrameNames:
 
 def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
     """Convert the rotation of a pose (4, 4) to a quaternion x, y, z, w, the order of ROS and SciPy, with w >= 0."""
-    quaternion: list[float] = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True).tolist()
+    quaternion: list[float] = np.roll(quaternion_wxyz(pose[:3, :3]), -1).tolist()
     return quaternion
 
 
 def rotation_vector(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert the rotation of a pose (4, 4) to axis times angle (3,), rad; the angle is at most pi."""
-    return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(), dtype=np.float64)
+    return log_rotation(pose[:3, :3])

@@ -10,9 +10,8 @@ from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.geometry import log_rotation, rotation_angle
 from dvrk_cmaes.report.page_layers import DrawnLayers
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
@@ -204,7 +203,7 @@ def _pose(result: Result, from_median: Float64 | None) -> Iterable[TableRow]:
 
 def axis_angle(pose: Float64) -> Float64:
     """Return the rotation of a pose (4, 4) as axis times angle, (3,) deg."""
-    return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True), dtype=np.float64)
+    return np.asarray(np.degrees(log_rotation(pose[:3, :3])))
 
 
 def _joints(result: Result) -> Iterable[TableRow]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -127,3 +128,13 @@ def test_smoothed_readings_of_a_steady_motion_are_exact(stamps: np.ndarray) -> N
     assert series.at(("yaw",), times, smoothed=True)[:, 0] == pytest.approx(0.3 + 0.02 * times, abs=1e-12)
     outside = np.array([stamps[0] - 0.1, stamps[-1] + 0.1])
     assert np.isnan(series.at(("yaw",), outside, smoothed=True)).all()
+
+
+@pytest.mark.parametrize("count", [2, 3, 30])
+def test_smoothed_readings_are_those_of_cubic_spline(count: int) -> None:
+    rows, values = np.arange(float(count)), np.random.default_rng(2).standard_normal(count)
+    series = ReadingSeries("frames", {"yaw": rows}, {"yaw": values}, {"0000": 0.0}, 1.0)
+    beyond = 2 * values[0] - values[1], 2 * values[-1] - values[-2]
+    spline = BSpline(np.arange(-3.0, count + 3.0), np.concatenate([beyond[:1], values, beyond[1:]]), 3)
+    times = np.concatenate([rows, np.linspace(0, count - 1, 50)])
+    np.testing.assert_allclose(series.at(("yaw",), times, smoothed=True)[:, 0], spline(times), atol=1e-12)
