@@ -84,7 +84,7 @@ def calibrate(
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml. Needs at least 10 frames and 5 mm of insertion.
     workers
-        Number of worker processes; by default the number of cores.
+        Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -151,10 +151,9 @@ def _calibrate_tool(
     settings: EstimateConfig,
 ) -> SolvedSession | None:
     """Calibrate the session of one tool, from its results, or after estimating them; None if interrupted."""
-    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.results.folder import ALONE, read_results
-    from dvrk_cmaes.runs.batch import run_batch, usable_cores
-    from dvrk_cmaes.runs.calibrate_folder import calibrate_folder, instrument_processes
+    from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
+    from dvrk_cmaes.runs.processes import usable_cores
 
     if results is not None and results.resolve() == target.resolve():
         raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
@@ -162,10 +161,15 @@ def _calibrate_tool(
     model = instrument.load().instrument
     found = chosen.read(folder, camera, known=model.joint_names, joints=joints)
     count = workers or usable_cores()
-    with instrument_processes(model, count) as processes:
+    used = worker_processes(model, count) if results is None else instrument_processes(model, count, found.frames)
+    with used as processes:
         if results is not None:
+            processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
         else:
+            from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+            from dvrk_cmaes.runs.batch import run_batch
+
             results = target / ALONE
             with stopping_on_interrupt() as stop, progress() as reporter:
                 done = run_batch(
@@ -181,6 +185,8 @@ def _calibrate_tool(
             if done.interrupted:
                 return None
             alone = done.results
+        from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
+
         return calibrate_folder(
             found,
             alone,

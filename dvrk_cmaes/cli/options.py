@@ -190,7 +190,7 @@ class InstrumentOptions:
         from dvrk_cmaes.instrument import load_instrument
         from dvrk_cmaes.instrument.dvrk_description import read_tool
         from dvrk_cmaes.instrument.tool import with_tool
-        from dvrk_cmaes.silhouette import Body
+        from dvrk_cmaes.silhouette.prepare import prepare
 
         tool = None if self.tool is None else read_tool(self.tool)
         loaded = load_instrument(
@@ -200,7 +200,7 @@ class InstrumentOptions:
             shaft_radius=self.shaft_radius,
             use_cache=True,
         )
-        return Body.prepare(loaded if tool is None else with_tool(loaded, tool))
+        return prepare(loaded if tool is None else with_tool(loaded, tool))
 
 
 @Parameter(name="*", group=METHOD)

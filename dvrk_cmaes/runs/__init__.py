@@ -3,6 +3,7 @@
 frame : one frame, from its files to its result and overlay.
 image_frame : one frame that has an image and no mask.
 processes : worker processes, and running many tasks in them.
+instrument_processes : processes in which an instrument is prepared, for batches and calibrations.
 worker : one frame of a batch in a worker process.
 executor : running many tasks in an executor of the caller.
 cluster : a Dask cluster as an executor.
@@ -17,5 +18,6 @@ merge : merging of the shards of a session.
 track_folder, track_frames, track_clock, track_pictures : an instrument followed through a session folder.
 track_arms : what the followed arms of a session have in common.
 calibrate_folder : calibration of a session folder.
+calibration_pictures : drawings of a frame of a calibrated session.
 golden : recording of golden poses, and comparison of results with them.
 """

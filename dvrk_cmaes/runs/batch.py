@@ -48,7 +48,7 @@ from dvrk_cmaes.runs.output import (
     remove_temporary_files,
     write_outcome,
 )
-from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes
+from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes, usable_cores
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
@@ -319,11 +319,6 @@ def _outcomes(
         done = run_in_executor(todo, call, external=external, stop=stop)
     for files, outcome in done:
         yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
-
-
-def usable_cores() -> int:
-    """Count the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:

@@ -7,6 +7,7 @@ once more in a new process, since the cause may have been a temporary lack of me
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -15,7 +16,7 @@ from types import TracebackType
 from typing import Generic, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.runs.worker_process import CallTimeoutError, ProcessDiedError, WorkerProcess
+from dvrk_cmaes.runs.worker_process import CallTimeoutError, ProcessDiedError, WorkerProcess, single_library_threads
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -45,6 +46,11 @@ def run_in_processes(
         yield from processes.run(tasks, call, time_limit=time_limit, stop=stop)
 
 
+def usable_cores() -> int:
+    """Count the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class Processes:
     """Worker processes, as a context manager at whose end they have ended.
 
@@ -54,20 +60,30 @@ class Processes:
         Picklable function that is called first in each process and does not raise.
     workers
         Number of processes. Each is started when there is a task for it.
+    here
+        Whether this process does tasks as well, beside the workers, with one thread in its libraries. It has no time
+        limit, and a task on which it dies ends the program.
     """
 
-    def __init__(self, start: Callable[[], object], workers: int) -> None:
+    def __init__(self, start: Callable[[], object], workers: int, *, here: bool = False) -> None:
         self._processes = [_Process(start) for _ in range(workers)]
+        self._start_here: Callable[[], object] | None = start if here else None
 
     def __enter__(self) -> Processes:
         return self
+
+    def begin(self) -> None:
+        """Start the worker processes before there are tasks for them, and do not wait until they are ready."""
+        for process in self._processes:
+            process.begin()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for process in self._processes:
-            if kind is not None:
+            if kind is not None or process.is_beginning:
                 process.end()
+        for process in self._processes:
             process.close()
 
     def run(
@@ -110,6 +126,8 @@ class Processes:
             thread.start()
         busy = len(threads)
         try:
+            if self._start_here is not None:
+                yield from self._run_here(source, call)
             while busy:
                 match done.get():
                     case None:
@@ -125,6 +143,14 @@ class Processes:
                     process.end()
             for thread in threads:
                 thread.join()
+
+    def _run_here(self, source: _Source[T], call: Callable[[T], R]) -> Iterator[tuple[T, R]]:
+        """Run tasks in this thread, until there are none or a worker has failed."""
+        assert self._start_here is not None
+        with single_library_threads():
+            self._start_here()
+            for task in source:
+                yield task, call(task)
 
 
 class _NothingMoreError(Exception):
@@ -169,6 +195,7 @@ def _drive(
                 give((task, _tried(process, call, task, time_limit, source)))
         give(None)
     except Exception as error:
+        source.close()
         give(error)
 
 
@@ -198,9 +225,26 @@ class _Process:
         self._process: WorkerProcess | None = None
         self._over = False
         self._lock = threading.Lock()  # of both fields: `end` is called while another thread runs a task
+        self._beginning: threading.Thread | None = None
+
+    def begin(self) -> None:
+        """Start the process in a thread; what fails there is tried again, and raised, by `run`."""
+        self._beginning = threading.Thread(target=self._begin, daemon=True)
+        self._beginning.start()
+
+    def _begin(self) -> None:
+        with contextlib.suppress(Exception):
+            self._started()
+
+    @property
+    def is_beginning(self) -> bool:
+        """Whether the process is being started by `begin`."""
+        return self._beginning is not None and self._beginning.is_alive()
 
     def run(self, call: Callable[[T], R], task: T, time_limit: float | None) -> R:
         """Run a task; raises ProcessDiedError if the process died on it, CallTimeoutError if it takes too long."""
+        if self._beginning is not None:
+            self._beginning.join()
         process = self._process or self._started()
         return process.call(call, task, time_limit=time_limit)
 

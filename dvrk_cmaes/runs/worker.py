@@ -33,6 +33,7 @@ from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, layers_of_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.prepare import prepare
 
 _unpacking = threading.Lock()
 _prepared: dict[str, Body] = {}
@@ -95,7 +96,7 @@ def prepare_instrument(instrument: Instrument) -> Body:
     key = instrument_digest(instrument)
     if key not in _prepared:
         _prepared.clear()  # one at a time: a process that works for several sessions does so one after the other
-        _prepared[key] = Body.prepare(instrument)
+        _prepared[key] = prepare(instrument)
     return _prepared[key]
 
 

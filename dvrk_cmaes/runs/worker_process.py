@@ -138,3 +138,15 @@ def limit_library_threads() -> threadpool_limits:
     """Limit OpenCV and the BLAS libraries of this process to one thread each; the cores are used by processes."""
     cv2.setNumThreads(1)
     return threadpool_limits(1)
+
+
+@contextlib.contextmanager
+def single_library_threads() -> Iterator[None]:
+    """Limit OpenCV and the BLAS libraries of this process to one thread each meanwhile."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(before)

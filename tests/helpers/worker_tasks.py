@@ -7,6 +7,8 @@ import signal
 import time
 from pathlib import Path
 
+import cv2
+
 from dvrk_cmaes.errors import InputError
 
 
@@ -22,6 +24,17 @@ def die() -> None:
 def process_id(task: int) -> int:
     """Return the id of the process that calls this."""
     return os.getpid()
+
+
+def process_id_after_pause(task: int) -> int:
+    """Return the id of the process that calls this, after a hundredth of a second."""
+    time.sleep(0.01)
+    return os.getpid()
+
+
+def library_threads(task: int) -> int:
+    """Return the number of threads that OpenCV uses in the process that calls this."""
+    return cv2.getNumThreads()
 
 
 def refuse(task: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import multiprocessing
+import os
 import subprocess
 import sys
 import threading
@@ -12,11 +13,14 @@ from collections.abc import Callable
 from multiprocessing import resource_tracker
 from pathlib import Path
 
+import cv2
 import pytest
 from helpers.worker_tasks import (
     die,
+    library_threads,
     prepare_nothing,
     process_id,
+    process_id_after_pause,
     refuse,
     squared,
     squared_after_gate,
@@ -89,6 +93,42 @@ def test_processes_stay_for_several_runs() -> None:
         first, second = (dict(processes.run(range(2), process_id)) for _ in range(2))
         assert {*first.values(), *second.values()} == {one.pid for one in multiprocessing.active_children()}
     assert not multiprocessing.active_children()
+
+
+def test_this_process_does_tasks_as_well() -> None:
+    with Processes(prepare_nothing, 1, here=True) as processes:
+        processes.begin()
+        found: set[int | WorkerDied] = set()
+        while len(found) < 2:
+            found |= {*dict(processes.run(range(50), process_id_after_pause)).values()}
+        assert found == {os.getpid(), *(one.pid for one in multiprocessing.active_children())}
+    assert not multiprocessing.active_children()
+
+
+def test_this_process_alone_starts_no_other() -> None:
+    with Processes(prepare_nothing, 0, here=True) as processes:
+        processes.begin()
+        assert dict(processes.run(range(3), process_id)) == dict.fromkeys(range(3), os.getpid())
+        assert not multiprocessing.active_children()
+
+
+def test_processes_that_were_begun_and_not_used_end() -> None:
+    with Processes(prepare_nothing, 2) as processes:
+        processes.begin()
+    assert not multiprocessing.active_children()
+
+
+def test_error_in_this_process_ends_workers() -> None:
+    with pytest.raises(InputError, match="refused 0"), Processes(prepare_nothing, 1, here=True) as processes:
+        list(processes.run(range(1), refuse))
+    assert not multiprocessing.active_children()
+
+
+def test_libraries_use_one_thread_meanwhile() -> None:
+    before = cv2.getNumThreads()
+    with Processes(prepare_nothing, 0, here=True) as processes:
+        assert dict(processes.run(range(1), library_threads)) == {0: 1}
+    assert cv2.getNumThreads() == before
 
 
 def test_exception_of_task_is_raised_with_place_in_worker() -> None:
