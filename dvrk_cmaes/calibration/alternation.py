@@ -234,7 +234,8 @@ class Alternation:
         for iteration, scale in enumerate(scales):
             self._progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
-            self._fit(expected, self._starts(iteration, expected, moved, last=iteration + 1 == len(scales)))
+            last = iteration + 1 == len(scales)
+            self._fit(expected, self._starts(iteration, expected, moved, last=last), last=last)
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             keep_all = scale != 1.0
             stacked = _stacked([fit if _explains(fit) or keep_all else fit.without_outline() for fit in self.fits])
@@ -266,8 +267,11 @@ class Alternation:
         frames = zip(self.fits, misfit, expected, moved, strict=True)
         return [next_starts(fit, off, prior, turn, last=last, changed=to) for fit, off, prior, to in frames]
 
-    def _fit(self, expected: Sequence[PosePrior], starts: Sequence[tuple[PoseAndJoints, ...]]) -> None:
-        """Fit the frames that have starts, with what the session expects of each as its prior."""
+    def _fit(self, expected: Sequence[PosePrior], starts: Sequence[tuple[PoseAndJoints, ...]], *, last: bool) -> None:
+        """Fit the frames that have starts, with what the session expects of each as its prior.
+
+        The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
+        """
         left = [i for i, of_frame in enumerate(starts) if of_frame]
         tasks = [
             FitTask(
@@ -280,7 +284,8 @@ class Alternation:
             for i in left
         ]
         again: dict[int, FrameFit] = dict(zip(left, self._run(fit_task, tasks), strict=True))
-        self.fits = [again[i] if i in again else self.fits[i] for i in range(len(self.frames))]
+        kept = {i: self.fits[i].moved_to(expected[i]) if last else self.fits[i] for i, s in enumerate(starts) if not s}
+        self.fits = [again[i] if i in again else kept[i] for i in range(len(self.frames))]
 
     def _solve(self, fits: FrameFits, calibration: Calibration) -> Calibration:
         """Alternate between estimating the calibration and the variances, from a calibration to start with."""

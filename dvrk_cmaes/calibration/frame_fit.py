@@ -61,6 +61,12 @@ class FrameFit:
         step = self._step(expected)[0]
         return moved(self.camera_from_root, step[:6]), self.joints + step[6:]
 
+    def moved_to(self, expected: PosePrior) -> FrameFit:
+        """Return the fit where it would be with another prior, as in `step_to`, with the outline's slope there."""
+        step = self._step(expected)[0]
+        pose, joints = moved(self.camera_from_root, step[:6]), self.joints + step[6:]
+        return replace(self, camera_from_root=pose, joints=joints, slope=self.slope + self.information @ step)
+
     def _step(self, expected: PosePrior) -> tuple[Float64, Float64]:
         """Return the change (D,) of the fit with another prior, and the slope (D,) there, whose minimum it is."""
         information = self.information + expected.information

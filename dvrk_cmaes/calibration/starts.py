@@ -17,10 +17,9 @@ from dvrk_cmaes.pose.refine.priors import PosePrior
 
 Float64 = NDArray[np.float64]
 
-_SETTLED = 0.3  # standard deviations per parameter; a frame whose fit would move by less is not fitted again,
-_SETTLED_LAST = 0.05  # and in the last round by this
+_SETTLED = 0.5  # standard deviations per parameter; a frame whose fit would move by less is not fitted again,
+_SETTLED_LAST = 0.15  # and in the last round by this
 _NEAR = 3.0  # standard deviations per parameter; a fit that would move by less starts from where it would move to
-_CLEAR = 1.0  # squared Mahalanobis distance per parameter below which a mode is the only start of a frame's first fit
 
 
 def first_starts(
@@ -32,7 +31,7 @@ def first_starts(
     the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides. ``misfit`` is the
     squared Mahalanobis distance of the chosen mode from what is expected, divided by the number of parameters.
     """
-    if misfit < _CLEAR:
+    if misfit < INLIER_MISFIT:
         return ((chosen.camera_from_root, chosen.joints),)
     return (*((mode.camera_from_root, mode.joints) for mode in modes), *_around(expected, turn))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import change_between, moved
 from dvrk_cmaes.pose.refine.priors import PosePrior
 from dvrk_cmaes.pose.search.starts import lookat_pose
 
@@ -38,3 +38,12 @@ def test_fit_moves_half_the_way_to_an_equally_precise_prior() -> None:
 def test_precise_outline_hardly_moves() -> None:
     precise = FrameFit(POSE, JOINTS, 1e4 * PRECISION, np.zeros(9), score=0.0)
     assert precise.step_to(prior(1.0)) < 0.01
+
+
+def test_moved_fit_is_the_optimum_of_outline_and_prior() -> None:
+    found = fitted(prior(0.0)).moved_to(prior(1.0))
+    assert change_between(POSE, found.camera_from_root)[:3] == pytest.approx([0.5e-4, 0, 0], abs=1e-9)
+    # where the slopes of outline and prior add up to zero
+    slope = PRECISION @ prior(1.0).deviation(found.camera_from_root, found.joints)
+    assert found.slope == pytest.approx(-slope, abs=1e-6 * np.abs(slope).max())
+    assert found.step_to(prior(1.0)) == pytest.approx(0.0, abs=1e-6)

@@ -50,8 +50,13 @@ def test_fit_that_would_not_move_is_settled() -> None:
     assert next_starts(fitted(), AGREES, prior(0.0), TURN, last=True) == ()
 
 
+def test_frame_that_nearly_agrees_starts_from_its_chosen_mode_only() -> None:
+    assert len(first_starts([MODE, TWIN], TWIN, 3.0, prior(1.0), TURN)) == 1
+
+
 def test_small_move_only_counts_in_the_last_round() -> None:
-    # the posterior of both moves by half the way, 0.71 of its standard deviations, in one of nine parameters
+    # the posterior of both moves by half the way, 0.71 of its standard deviations, in one of nine parameters: 0.24 each
+    assert next_starts(fitted(), AGREES, prior(0.5), None, last=True) == ()
     assert next_starts(fitted(), AGREES, prior(1.0), None, last=False) == ()
     ((pose, joints),) = next_starts(fitted(), AGREES, prior(1.0), None, last=True)
     assert change_between(POSE, pose)[:3] == pytest.approx([0.5e-4, 0, 0], abs=1e-9)
