@@ -30,6 +30,13 @@ _SHIFT = 4  # fractional bits of OpenCV's fixed-point coordinates
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
+def plain(height: int, width: int, colour: Colour) -> NDArray[np.uint8]:
+    """Return an image (height, width, 3) of one colour."""
+    image = np.empty((height, width, 3), dtype=np.uint8)
+    image[:] = np.tile(np.array(colour, dtype=np.uint8), (width, 1))
+    return image
+
+
 class Canvas:
     """An image (H, W, 3) uint8 BGR with methods that draw on it in place.
 
@@ -97,7 +104,8 @@ class Canvas:
 
     def tint(self, where: NDArray[np.bool_], colour: Colour, share: float) -> None:
         """Blend a colour into the pixels where a mask (H, W) is True; ``share`` is the colour's weight, 0 to 1."""
-        self.image[where] = np.rint(self.image[where] * (1 - share) + share * np.array(colour)).astype(np.uint8)
+        at = np.divmod(np.flatnonzero(where), where.shape[1])
+        self.image[at] = np.rint(self.image[at] * (1 - share) + share * np.array(colour)).astype(np.uint8)
 
     def box(self, corner: tuple[float, float], size: tuple[float, float], colour: Colour) -> None:
         """Fill a rectangle, given by its upper left corner (u, v) and its size (width, height), px."""

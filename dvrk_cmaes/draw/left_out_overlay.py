@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.canvas import DARK, GREY, WHITE, Canvas, Colour
+from dvrk_cmaes.draw.canvas import DARK, GREY, WHITE, Canvas, Colour, plain
 from dvrk_cmaes.draw.overlay import MASK
 
 Float64 = NDArray[np.float64]
@@ -57,7 +57,7 @@ def draw_left_out(
     canvas.tint(expected & ~seen, PREDICTED, 0.3)
     canvas.outline(seen, MASK)
     canvas.outline(expected, PREDICTED)
-    strip = Canvas(np.full((_STRIP, SIZE[0], 3), _BACKGROUND, np.uint8), 1.0)
+    strip = Canvas(plain(_STRIP, SIZE[0], _BACKGROUND), 1.0)
     left, middle = 12.0, _STRIP / 2
     for text, colour in (("mask", MASK), ("predicted by the other frames", PREDICTED)):
         strip.line(np.array([[left, middle], [left + 24, middle]]), colour, width=3.0, rim=False)
@@ -105,8 +105,8 @@ def _enlarged(mask: NDArray[np.bool_], to_canvas: Float64) -> NDArray[np.bool_]:
 def _background(mask: NDArray[np.bool_], image: NDArray[np.uint8] | None, to_canvas: Float64) -> NDArray[np.uint8]:
     """Return the background of the outlines on the canvas: the image, or the mask if there is no image."""
     if image is None:
-        drawn = np.full((SIZE[1], SIZE[0], 3), DARK, dtype=np.uint8)
-        drawn[_enlarged(mask, to_canvas)] = round(255 * _FAINT)
+        drawn = plain(SIZE[1], SIZE[0], DARK)
+        drawn.reshape(-1, 3)[np.flatnonzero(_enlarged(mask, to_canvas))] = round(255 * _FAINT)
         return drawn
     larger = image.shape[1] / mask.shape[1]
     # map from the image's pixels to the mask's, centres at integers

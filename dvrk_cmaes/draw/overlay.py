@@ -26,6 +26,7 @@ from dvrk_cmaes.draw.canvas import (
     WHITE,
     YELLOW,
     Canvas,
+    plain,
 )
 from dvrk_cmaes.draw.panels import footer, header, heights
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
@@ -158,9 +159,10 @@ class FrameCanvas:
         """Make the canvas of a frame: its image (H', W', 3) BGR, or its mask (H, W), faintly."""
         size = _size(mask.shape)
         if image is None:
-            drawn = np.full((size[1], size[0], 3), DARK, dtype=np.uint8)
-            drawn[cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0] = round(255 * _FAINT)
-            canvas = Canvas(drawn, size[0] / 1280)
+            small = plain(mask.shape[0], mask.shape[1], DARK)
+            small.reshape(-1, 3)[np.flatnonzero(mask)] = round(255 * _FAINT)
+            drawn = cv2.resize(small, size, interpolation=cv2.INTER_NEAREST)
+            canvas = Canvas(np.asarray(drawn, dtype=np.uint8), size[0] / 1280)
         else:
             canvas = _canvas(mask.shape, image)
         return FrameCanvas(canvas, camera, size[0] / mask.shape[1])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.canvas import AXES, DARK, GREEN, GREY, ORANGE, VERMILLION, WHITE, Canvas, Colour
+from dvrk_cmaes.draw.canvas import AXES, DARK, GREEN, GREY, ORANGE, VERMILLION, WHITE, Canvas, Colour, plain
 from dvrk_cmaes.results.result import Result
 
 BADGES: dict[str, tuple[str, Colour]] = {
@@ -29,7 +29,7 @@ _MOST_REASONS = 4  # lines of reasons
 
 
 def _strip(width: int, lines: int, unit: float) -> Canvas:
-    return Canvas(np.full((_height(lines, unit), width, 3), _BACKGROUND, dtype=np.uint8), unit)
+    return Canvas(plain(_height(lines, unit), width, _BACKGROUND), unit)
 
 
 def _height(lines: int, unit: float) -> int:

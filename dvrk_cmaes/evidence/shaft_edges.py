@@ -122,8 +122,9 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     good = np.flatnonzero((length > 15) & (agree > _FACING))[:_HYPOTHESES]
     lines = np.c_[normal[good], -(normal[good] * points[first[good]]).sum(axis=1)]
     away = points @ lines[:, :2].T + lines[:, 2]
-    votes = np.exp(-0.5 * (away / _NEAR_LINE) ** 2)
-    votes[normals @ lines[:, :2].T < _FACING] = 0.0
+    votes = np.zeros_like(away)
+    facing = np.nonzero(normals @ lines[:, :2].T >= _FACING)
+    votes[facing] = np.exp(-0.5 * (away[facing] / _NEAR_LINE) ** 2)
     support = votes.sum(axis=0)
     middle = (votes.T @ points) / np.maximum(support, 1e-9)[:, None]
     kept: list[int] = []
@@ -146,8 +147,9 @@ def _on_line(contour: Contour, line: Float64, reach: float) -> NDArray[np.intp]:
     position = contour.ideal[index] @ np.array([-line[1], line[0]])
     order = np.argsort(position, kind="stable")
     gaps = np.flatnonzero(np.diff(position[order]) > _LARGEST_GAP)
-    stretches = np.split(order, gaps + 1)
-    return np.asarray(index[max(stretches, key=len)])
+    starts = np.concatenate([[0], gaps + 1, [len(order)]])
+    longest = int(np.diff(starts).argmax())
+    return np.asarray(index[order[starts[longest] : starts[longest + 1]]])
 
 
 def _fit_line(contour: Contour, line: Float64, iterations: int = 3) -> tuple[Float64, NDArray[np.intp], float]:

@@ -72,7 +72,8 @@ def measure_quality(
     window = np.s_[top : top + height, left : left + width]
     mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
     around = np.pad(mask, 1)  # the distance field is undefined for a mask without background
-    far = distance_field(around, field)[1:-1, 1:-1] / decay
+    drawn_anywhere = np.pad(masks[:, window[0], window[1]].any(axis=0), 1)
+    far = distance_field(around, field, where=drawn_anywhere)[1:-1, 1:-1] / decay
     area = float((mask * weight).sum())
     others = pose_terms(evidence, renderer.body.instrument, readings, weights, poses, joints)
     cylinder, keypoints, deviations = others

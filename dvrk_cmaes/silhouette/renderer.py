@@ -258,9 +258,9 @@ class Renderer:
             spans, poses = covered_spans(edges, grid, width, to_pixel=True), edges.poses
             begin = spans.row * (width + 1)
             index = np.concatenate([begin + spans.start.astype(np.int32), begin + spans.end.astype(np.int32)])
-            sign = np.repeat([1.0, -1.0], len(begin))
-            change = np.bincount(index, weights=sign, minlength=poses * height * (width + 1))
-            return np.asarray(change.reshape(poses, height, width + 1).cumsum(axis=2)[:, :, :width] > 0.5)
+            change = np.zeros((poses, height, width + 1), dtype=np.int8)
+            np.add.at(change.reshape(-1), index, np.repeat(np.array([1, -1], dtype=np.int8), len(begin)))
+            return np.asarray(change.cumsum(axis=2, dtype=np.int8)[:, :, :width] > 0)
 
         return np.concatenate(self._map_batches(camera_from_root, joints, draw))
 

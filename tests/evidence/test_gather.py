@@ -90,6 +90,15 @@ def test_distance_field_is_zero_inside_mask(method: str) -> None:
     np.testing.assert_allclose(field, np.maximum(np.hypot(u - 60, v - 40) - 20, 0), rtol=0.03, atol=0.8)
 
 
+@pytest.mark.parametrize("method", FIELDS)
+def test_distance_field_of_some_pixels_is_that_of_all(method: str, bundled_body: Body) -> None:
+    camera = CAMERAS["pinhole"]
+    mask, where = (np.pad(drawn(bundled_body, one), 1) for one in (camera, CAMERAS["lens"]))
+    some, every = distance_field(mask, method, where=where), distance_field(mask, method)
+    assert every[where].max() > 3
+    np.testing.assert_array_equal(some[where], every[where])
+
+
 def test_unknown_distance_field_is_refused() -> None:
     with pytest.raises(InputError, match="distance field: expected one of"):
         distance_field(np.eye(4, dtype=np.bool_), "euclid")
