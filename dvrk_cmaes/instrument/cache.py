@@ -1,9 +1,8 @@
 """Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
 
-The cache folder is ``dvrk-cmaes`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. Each instrument is one .npz file of arrays
-and JSON values, without pickled objects, and may be deleted at any time. A cached file is used only if the same version
-of the package wrote it and the URDF and mesh files still have the digests recorded in it. The environment variable
-``DVRK_CMAES_CACHE`` gives another folder; the value ``off`` disables the cache.
+Each instrument is one .npz file of arrays and JSON values, without pickled objects, in the folder of
+`io.cache_folder`. A cached file is used only if the same version of the package wrote it and the URDF and mesh files
+still have the digests recorded in it.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import contextlib
 import hashlib
 import io
 import json
-import os
 import zipfile
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -26,6 +24,7 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument.kinematics import Chain, Joint
 from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft
 from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.cache_folder import cache_folder
 from dvrk_cmaes.io.files import file_digest
 
 _LARGEST = 500_000_000  # bytes
@@ -34,15 +33,11 @@ _FORMAT = 2
 
 def cache_file(*arguments: object) -> Path | None:
     """Return the path of the cache file for these loading arguments; None if the cache is off or has no folder."""
-    folder = os.environ.get("DVRK_CMAES_CACHE", "")
-    if folder == "off":
-        return None
-    try:
-        root = Path(folder) if folder else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    except RuntimeError:  # the user has no home folder
+    folder = cache_folder()
+    if folder is None:
         return None
     key = hashlib.sha256(repr((_FORMAT, __version__, *arguments)).encode()).hexdigest()[:24]
-    return (root if folder else root / "dvrk-cmaes") / f"{key}.npz"
+    return folder / f"{key}.npz"
 
 
 def read_cached(path: Path) -> Instrument | None:

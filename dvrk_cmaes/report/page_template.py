@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 from collections.abc import Iterable
 from functools import cache
@@ -10,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import jinja2.bccache
 
+from dvrk_cmaes.io.cache_folder import cache_folder
 from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
 from dvrk_cmaes.report.page_plots import mark_path, short
 from dvrk_cmaes.report.page_session import reason_kind
@@ -40,6 +43,7 @@ def environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=_compiled(),
     )
     made.filters |= {
         "fixed": fixed,
@@ -50,6 +54,24 @@ def environment() -> jinja2.Environment:
         "mark": mark_path,
     }
     return made
+
+
+class _Compiled(jinja2.FileSystemBytecodeCache):
+    """Compiled templates in a folder; where it cannot be written to, they are compiled each time."""
+
+    def dump_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+        with contextlib.suppress(OSError):
+            super().dump_bytecode(bucket)
+
+
+def _compiled() -> jinja2.BytecodeCache | None:
+    """Return the cache of compiled templates; compiling takes longer than rendering the page of a few frames."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    return _Compiled(str(folder))
 
 
 def _text(name: str) -> str:
