@@ -124,7 +124,8 @@ class CameraEstimate:
 
     ``covariance`` (3, 3) is that of the change, whose prior is `WEAK_PRIOR`. ``sensitivity`` (K, 3) is the derivative
     of the calibration, in the order of `SessionModel.axes`, by the change. ``poses`` (N, 4, 4) and ``joints`` (N, J),
-    rad, are the frames' with the changed camera.
+    rad, are the frames' with the changed camera. ``settled`` tells whether the last linearisation has changed the
+    estimate by less than its standard deviations.
     """
 
     change: Float64
@@ -133,6 +134,7 @@ class CameraEstimate:
     calibration: Calibration
     poses: Float64
     joints: Float64
+    settled: bool = True
 
 
 def estimate_camera(
@@ -182,10 +184,11 @@ def estimate_camera(
         covariance = _inverse(information + weak)[-3:, -3:]
         frames = marginalise(model, terms.fits_at(change), calibration)
         poses, joints = moved(poses, frames.step[:, :6]), joints + frames.step[:, 6:]
-        if (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
+        moved_by = float((np.abs(change - before) / np.sqrt(np.diag(covariance))).max())
+        if moved_by < _SETTLED:
             break
     sensitivity = -_inverse((information + weak)[:-3, :-3]) @ information[:-3, -3:]
-    return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints)
+    return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints, settled=moved_by < 1)
 
 
 def _inverse(information: Float64) -> Float64:

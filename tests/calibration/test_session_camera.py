@@ -179,3 +179,13 @@ def test_document_is_read_back() -> None:
     document = found.to_dict()
     again = convert_document("session.json", document, SessionCamera)
     assert again.to_dict() == document
+
+
+def test_estimate_that_does_not_settle_says_nothing_about_the_camera(
+    bundled_body: Body, made: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera._PASSES", 2)
+    found, _ = check(bundled_body, made, 0.6)
+    assert found.camera is None
+    assert found.untold == "camera: its estimate from these frames does not settle"
+    assert (np.diag(found.covariance)[:6] > 0).all()
