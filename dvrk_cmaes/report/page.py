@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -143,18 +144,23 @@ def _views(
 
 def _with_full_pictures(cards: Sequence[FrameCard], folder: Path) -> list[FrameCard]:
     """Return entries of frames with their full pictures, in their order, until these reach the limit of size."""
-    complete, size = [], 0
-    for card in cards:
-        if card.document is not None and size < EMBEDDED:
-            card = _with_full_picture(card, folder)
-            size += len(card.full or "") + (0 if card.layers is None else card.layers.bytes)
-            size += 0 if card.left_out is None else len(card.left_out.full or "")
-        complete.append(card)
-    return complete
+    complete: list[FrameCard] = []
+    size = 0
+    with ThreadPoolExecutor(_THREADS) as pool:
+        while size < EMBEDDED and len(complete) < len(cards):
+            next_cards = cards[len(complete) : len(complete) + _THREADS]
+            full = pool.map(partial(_with_full_picture, folder=folder), next_cards)
+            for plain, card in zip(next_cards, full, strict=True):
+                complete.append(card if size < EMBEDDED else plain)
+                size += len(card.full or "") + (0 if card.layers is None else card.layers.bytes)
+                size += 0 if card.left_out is None else len(card.left_out.full or "")
+    return [*complete, *cards[len(complete) :]]
 
 
 def _with_full_picture(card: FrameCard, folder: Path) -> FrameCard:
-    """Return the entry of a frame with its overlay, its layers and the picture of its prediction within the page."""
+    """Return the entry of a frame that has files with overlay, layers and picture of its prediction within the page."""
+    if card.document is None:
+        return card
     name, left_out = card.result.frame, card.left_out
     if left_out is not None and left_out.picture:
         left_out = replace(left_out, full=embedded_picture(left_out_path(folder, name)))
