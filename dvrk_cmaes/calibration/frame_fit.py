@@ -86,6 +86,8 @@ def fit_frame(
     starts: Sequence[PoseAndJoints],
     own_estimate: OwnEstimate | None,
     own_camera: Camera | None = None,
+    *,
+    confirm: bool = True,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
 
@@ -106,13 +108,15 @@ def fit_frame(
         the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_camera
         The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
+    confirm
+        As in `OutlineRefiner`; several views are always confirmed.
     """
     main = views[0]
     shrinks = (2, 1) if len(starts) > 1 and main.evidence.camera.width >= 320 else (1,)
     poses, joints = np.stack([pose for pose, _ in starts]), np.stack([joint for _, joint in starts])
     count = 0
     for shrink in shrinks:
-        refiner = _refiner(views, readings, config, own_estimate, shrink, expected)
+        refiner = _refiner(views, readings, config, own_estimate, shrink, expected, confirm=confirm)
         if own_estimate is not None and shrink == 1 and own_estimate.noise is not None:
             refiner.noise = own_estimate.noise
         elif own_estimate is not None:
@@ -147,13 +151,17 @@ def _refiner(
     own_estimate: OwnEstimate | None,
     shrink: int = 1,
     expected: PosePrior | None = None,
+    *,
+    confirm: bool = True,
 ) -> OutlineRefiner | JointRefiner:
     """Return the refiner of a frame's views at 1 / ``shrink`` of the image size; arguments as in `fit_frame`."""
     main = views[0]
     limits = _limits(main.renderer, readings)
     settings = [_outline_config(config, own_estimate, k) for k in range(len(views))]
     if len(views) == 1 and np.array_equal(main.view_from_camera, np.eye(4)):
-        return OutlineRefiner(main.renderer, main.evidence, limits, settings[0], shrink=shrink, expected=expected)
+        return OutlineRefiner(
+            main.renderer, main.evidence, limits, settings[0], shrink=shrink, expected=expected, confirm=confirm
+        )
     renderers, shrinks = [view.renderer for view in views], [shrink] * len(views)
     return JointRefiner.of_views(views, renderers, limits, settings, shrinks=shrinks, expected=expected)
 

@@ -172,6 +172,7 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.starts,
         task.stored.own,
         own_camera=None if task.camera is None else task.stored.reference.evidence.camera,
+        confirm=False,
     )
 
 

@@ -96,6 +96,7 @@ class OutlineRefiner:
 
     ``expected`` is a prior of the pose, for example of a session. ``noise`` is the robust sum of squares
     of the residuals of coverage from which the outline's error is estimated in all fits; None to take each fit's own.
+    ``confirm`` tells whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class OutlineRefiner:
         *,
         shrink: int = 1,
         expected: PosePrior | None = None,
+        confirm: bool = True,
     ) -> None:
         camera = evidence.camera
         size = (camera.width, camera.height)
@@ -121,6 +123,7 @@ class OutlineRefiner:
         self._camera = self._in_window(camera)
         self._renderer = Renderer(renderer.body, self._camera, threads=renderer.threads)
         self._config = config
+        self._confirm = confirm
         beside = 2 * int(np.ceil(_BLURRED_IN * config.blur)) + 1
         clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
         self._weight = np.ascontiguousarray(clear[window])
@@ -336,16 +339,21 @@ class OutlineRefiner:
     def _advance(self, states: list[_State], width: float, *, last: bool) -> None:
         """Take one step from each state; it is kept if it lowers the loss. After the ``last`` no outline is needed."""
         steps = self._steps(states, width)
-        at = (
-            moved(np.stack([s.pose for s in states]), steps[:, :6]),
-            np.stack([s.joints for s in states]) + steps[:, 6:],
-        )
-        renderings = [(image, None) for image in self._render_coverage(*at)] if last else self._render(*at)
-        trials = zip(states, *at, steps, renderings, self.priors.cost(*at).tolist(), strict=True)
+        poses = moved(np.stack([state.pose for state in states]), steps[:, :6])
+        joints = np.stack([state.joints for state in states]) + steps[:, 6:]
+        costs = self.priors.cost(poses, joints)
+        if not self._confirm:
+            left = self._take_small(states, poses, joints, steps, costs)
+            if not left:
+                return
+            states, poses, joints = [states[i] for i in left], poses[left], joints[left]
+            steps, costs = steps[left], costs[left]
+        renderings = [(i, None) for i in self._render_coverage(poses, joints)] if last else self._render(poses, joints)
+        trials = zip(states, poses, joints, steps, renderings, costs.tolist(), strict=True)
         for state, pose, joint, step, (image, outline), prior_cost in trials:
             loss = self._loss(image, width)
             gain = state.scale * (state.loss - loss) + state.prior_cost - prior_cost
-            small = step @ state.information @ step < self.tolerance**2 * len(step)
+            small = self._is_small(state, step)
             if gain <= 0:
                 state.damping *= 8
                 state.finished = bool(small or state.damping > _LARGEST_DAMPING)
@@ -356,6 +364,23 @@ class OutlineRefiner:
             state.damping = max(state.damping / 8, 1e-4)
             if outline is not None:
                 state.outline = outline
+
+    def _take_small(
+        self, states: Sequence[_State], poses: Float64, joints: Float64, steps: Float64, costs: Float64
+    ) -> list[int]:
+        """Move states by those of their steps that are shorter than the tolerance; returns the indices of the others.
+
+        ``poses`` (C, 4, 4), ``joints`` (C, J) and the priors' ``costs`` (C,) are those after the ``steps`` (C, 6 + J).
+        """
+        small = [self._is_small(state, step) for state, step in zip(states, steps, strict=True)]
+        for i in np.flatnonzero(small):
+            states[i].pose, states[i].joints, states[i].finished = poses[i], joints[i], True
+            states[i].prior_cost = float(costs[i])
+        return [i for i, taken in enumerate(small) if not taken]
+
+    def _is_small(self, state: _State, step: Float64) -> bool:
+        """Return whether a step (6 + J,) from a state is shorter than the tolerance."""
+        return bool(step @ state.information @ step < self.tolerance**2 * len(step))
 
     def _fit(self, state: _State) -> OutlineFit:
         """Return the refined pose of a state, scored with the configuration's Cauchy loss."""
