@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from helpers.session_worlds import in_other_mode, make_frames_in_memory, with_re
 from scipy.stats import chi2
 
 from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import fit_task
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import compare_poses
@@ -127,6 +129,19 @@ def test_progress_reports_stages_and_frame_counts(made: Made) -> None:
         ("checking camera and offsets", 8),
         ("leaving one out", 8),
     ]
+
+
+def test_frames_are_fitted_again_only_while_they_move(bundled_body: Body) -> None:
+    fitted: list[int] = []
+
+    def run(function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]) -> list[Any]:
+        if function is fit_task:
+            fitted.append(len(tasks))
+        return [function(bundled_body, EstimateConfig(), task) for task in tasks]
+
+    calibrate_session(make_frames_in_memory(bundled_body, 5, level="clean")[2], bundled_body, run=run)
+    assert (len(fitted), fitted[0]) == (4, 5)  # four rounds, in the first of which all frames are fitted
+    assert sum(fitted[1:]) <= 5
 
 
 # the frames

@@ -71,6 +71,17 @@ def test_output_folder_has_all_files(calibrated: Path) -> None:
     assert json.loads((calibrated / "summary.json").read_text())["lag"] is None
 
 
+def test_results_do_not_depend_on_number_of_processes(calibrated: Path, command: Command, place: Path) -> None:
+    ran = command("calibrate", "session", "--results", "results", "--out", "two", *QUICKLY[:-1], "2")
+    assert ran.code == 0
+    for path in (Path("session.json"), *(Path("frames", f"000{k}.json") for k in range(5))):
+        one, two = (json.loads((folder / path).read_text()) for folder in (calibrated, place / "two"))
+        assert one | {"seconds": 0} == two | {"seconds": 0}
+    for folder in ("overlays", "overlays_left_out", "layers"):
+        for path in (calibrated / folder).iterdir():
+            assert path.read_bytes() == (place / "two" / folder / path.name).read_bytes()
+
+
 def test_session_json_holds_true_base(calibrated: Path, bundled_body: Body) -> None:
     base = make_frames_in_memory(bundled_body, 5, level="clean")[0]
     found = read_calibration(calibrated / "session.json")
