@@ -37,6 +37,7 @@ WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 _SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
+_PLAUSIBLE = 2.0  # standard deviations of `WEAK_PRIOR`; linearised farther away, outlines leave the image
 _EM_ITERATIONS = 3  # estimates of the calibration and the variance components for each linearisation
 _STEPS = 10  # largest number of Gauss-Newton steps of each
 
@@ -124,8 +125,8 @@ class CameraEstimate:
 
     ``covariance`` (3, 3) is that of the change, whose prior is `WEAK_PRIOR`. ``sensitivity`` (K, 3) is the derivative
     of the calibration, in the order of `SessionModel.axes`, by the change. ``poses`` (N, 4, 4) and ``joints`` (N, J),
-    rad, are the frames' with the changed camera. ``settled`` tells whether the last linearisation has changed the
-    estimate by less than its standard deviations.
+    rad, are the frames' with the changed camera. ``plausible`` is false if an estimate on the way lay so far
+    away that the outlines said nothing about it.
     """
 
     change: Float64
@@ -134,7 +135,7 @@ class CameraEstimate:
     calibration: Calibration
     poses: Float64
     joints: Float64
-    settled: bool = True
+    plausible: bool = True
 
 
 def estimate_camera(
@@ -175,6 +176,7 @@ def estimate_camera(
     change = np.zeros(3) if start is None else start
     poses, joints = fits.poses, fits.joints
     weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (len(prior) - 3)])
+    plausible = True
     for _ in range(passes):
         before, terms = change, outlines.terms(change, poses, joints)
         for _ in range(_EM_ITERATIONS):
@@ -184,11 +186,11 @@ def estimate_camera(
         covariance = _inverse(information + weak)[-3:, -3:]
         frames = marginalise(model, terms.fits_at(change), calibration)
         poses, joints = moved(poses, frames.step[:, :6]), joints + frames.step[:, 6:]
-        moved_by = float((np.abs(change - before) / np.sqrt(np.diag(covariance))).max())
-        if moved_by < _SETTLED:
+        plausible = bool((np.abs(change) < _PLAUSIBLE * WEAK_PRIOR).all())
+        if not plausible or (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
     sensitivity = -_inverse((information + weak)[:-3, :-3]) @ information[:-3, -3:]
-    return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints, settled=moved_by < 1)
+    return CameraEstimate(change, covariance, sensitivity, calibration, poses, joints, plausible=plausible)
 
 
 def _inverse(information: Float64) -> Float64:

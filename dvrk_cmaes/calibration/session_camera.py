@@ -171,8 +171,8 @@ def check_camera(
     passes = _PASSES if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(model, calibration, prior, config, fits, outlines, start=applied, passes=passes)
-        if passes > 1 and not estimate.settled:
-            reason = "camera: its estimate from these frames does not settle"
+        if passes > 1 and not estimate.plausible:
+            reason = "camera: its estimate from these frames is not plausible"
             estimate = estimate_camera(model, calibration, prior, config, fits, outlines, passes=1)
     except InputError as error:
         return CameraCheck(None, f"camera: {error}", np.zeros_like(prior))
