@@ -366,7 +366,7 @@ class OutlineRefiner:
                 state.outline = outline
 
     def _take_small(
-        self, states: Sequence[_State], poses: Float64, joints: Float64, steps: Float64, costs: Float64
+        self, states: list[_State], poses: Float64, joints: Float64, steps: Float64, costs: Float64
     ) -> list[int]:
         """Move states by those of their steps that are shorter than the tolerance; returns the indices of the others.
 
