@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         TrustConfig,
     )
     from dvrk_cmaes.errors import DvrkCmaesError, InputError
-    from dvrk_cmaes.estimation import estimate
+    from dvrk_cmaes.estimation import ToolInFrame, estimate, estimate_tools
     from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
     from dvrk_cmaes.frames.session_folder import Session, read_session
     from dvrk_cmaes.frames.session_video import SessionVideo
@@ -87,6 +87,7 @@ _HOMES = {
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
     "SolvedSession": "calibration",
+    "ToolInFrame": "estimation",
     "TrackConfig": "config",
     "TrackResult": "results.tracked",
     "Tracker": "track",
@@ -94,6 +95,7 @@ _HOMES = {
     "ViewCheck": "results.result",
     "calibrate_session": "calibration",
     "estimate": "estimation",
+    "estimate_tools": "estimation",
     "load_instrument": "instrument",
     "prepare": "silhouette.prepare",
     "read_frame": "frames.frame",
@@ -144,6 +146,7 @@ __all__ = [
     "Shaft",
     "SilhouetteConfig",
     "SolvedSession",
+    "ToolInFrame",
     "TrackConfig",
     "TrackResult",
     "Tracker",
@@ -152,6 +155,7 @@ __all__ = [
     "__version__",
     "calibrate_session",
     "estimate",
+    "estimate_tools",
     "load_instrument",
     "prepare",
     "read_frame",

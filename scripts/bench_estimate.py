@@ -15,8 +15,8 @@ from unittest import mock
 
 import numpy as np
 
-from dvrk_cmaes import estimation
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation import one_tool as estimation
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.pose import find_pose

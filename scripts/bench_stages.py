@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from dvrk_cmaes import estimation
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation import one_tool as estimation
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.pose import find_pose

@@ -22,6 +22,7 @@ from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_m
 from dvrk_cmaes.frames.video_file import VideoFrame
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
+from dvrk_cmaes.results.result import Result
 
 _LARGEST = 400_000_000  # bytes
 _BESIDE = 2  # px beside another tool, where its outline and this one's cannot be told apart
@@ -29,10 +30,15 @@ _BESIDE = 2  # px beside another tool, where its outline and this one's cannot b
 
 @dataclass(frozen=True)
 class OtherTool:
-    """The mask of another tool in a frame, or its value in a mask of labels."""
+    """The mask of another tool in a frame, or its value in a mask of labels.
+
+    Its pixels count neither way, as long as it is not known to be ``behind`` this tool: then they are background.
+    """
 
     mask: Path
     label: int | None = None
+    arm: str = ""
+    behind: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +50,8 @@ class FrameFiles:
     instrument in the mask, as in ``read_mask``. ``prompts`` state where the instrument is in an image without a mask.
     ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
     states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
-    name; ``other_tools`` are other tools in the frame, whose pixels count neither way. ``video`` is the frame's image
-    where that is in a video, and there is no ``image``.
+    name; ``other_tools`` are other tools in the frame. ``video`` is the frame's image where that is in a video, and
+    there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search.
     """
 
     name: str
@@ -63,6 +69,7 @@ class FrameFiles:
     others: Mapping[str, FrameFiles] = field(default_factory=dict)
     other_tools: tuple[OtherTool, ...] = ()
     video: VideoFrame | None = None
+    start: Result | None = None
 
     @property
     def has_image(self) -> bool:
@@ -186,12 +193,19 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np
             f"{files.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
         )
     for tool in files.other_tools:
+        if tool.behind:
+            continue
         there = read_mask(tool.mask, label=tool.label, blank=True)
         if there.shape != shape[:2]:
             raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
-        near = cv2.dilate(there.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_BESIDE).astype(np.bool_)
-        ignore = near if ignore is None else ignore | near
+        ignore = with_tool(ignore, there)
     return ignore
+
+
+def with_tool(ignore: NDArray[np.bool_] | None, tool: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Add the pixels (H, W) of another tool, and those close beside it, to pixels that count neither way."""
+    near = cv2.dilate(tool.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_BESIDE).astype(np.bool_)
+    return near if ignore is None else ignore | near
 
 
 def frame_size(files: FrameFiles) -> Size:

@@ -10,13 +10,15 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, OtherTool
 from dvrk_cmaes.frames.session_folder import Session, image_files
 from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+from dvrk_cmaes.results.result import Place, Result
 
 
 def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Session:
     """Return a session with the masks of one tool only; the other tools' pixels do not count.
 
-    ``session`` was read with the tool's own folder of masks, if it has one. Whether another tool is before or behind
-    does not matter: its pixels tell nothing about this one, neither as instrument nor as background.
+    ``session`` was read with the tool's own folder of masks, if it has one. As long as it is not known whether another
+    tool is before or behind, its pixels tell nothing about this one, neither as instrument nor as background; see
+    `with_places`.
 
     Raises
     ------
@@ -33,22 +35,23 @@ def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Sessi
 class _Masks:
     """Where the masks of another tool are: its label in the session's, or its own files by view and frame."""
 
+    arm: str
     label: int | None
     files: Mapping[str, Mapping[str, Path]]
 
     @staticmethod
     def of(tool: ToolEntry, session: Session) -> _Masks:
         if tool.masks is None:
-            return _Masks(tool.label, {})
+            return _Masks(tool.arm, tool.label, {})
         found = {name: image_files(tool.masks / name) for name in session.view_names}
         if not any(found.values()):
             raise InputError(f"{tool.masks}: expected masks (PNG or JPEG) of {tool.arm}, got none")
-        return _Masks(None, found)
+        return _Masks(tool.arm, None, found)
 
     def of_frame(self, files: FrameFiles, view: str) -> OtherTool | None:
         """Return the tool in a view of a frame; None if it has no mask there."""
         path = self.files.get(view, {}).get(files.name) if self.files else files.mask
-        return None if path is None else OtherTool(path, self.label)
+        return None if path is None else OtherTool(path, self.label, self.arm)
 
 
 def _of_tool(files: FrameFiles, view: str, tool: ToolEntry, others: Sequence[_Masks]) -> FrameFiles:
@@ -56,3 +59,13 @@ def _of_tool(files: FrameFiles, view: str, tool: ToolEntry, others: Sequence[_Ma
     hiding = tuple(there for other in others if (there := other.of_frame(files, view)) is not None)
     more = {name: _of_tool(each, name, tool, others) for name, each in files.others.items()}
     return replace(files, label=tool.label, other_tools=hiding, others=more)
+
+
+def with_places(files: FrameFiles, places: Mapping[str, Place], start: Result) -> FrameFiles:
+    """Return the files of a frame of a tool, to be solved again once it is known where the other tools are.
+
+    ``places`` are by arm, as seen by the tool; ``start`` is its result without them.
+    """
+    tools = tuple(replace(other, behind=places.get(other.arm) == "behind") for other in files.other_tools)
+    views = {name: with_places(each, places, start) for name, each in files.others.items()}
+    return replace(files, other_tools=tools, others=views, start=start)

@@ -28,20 +28,28 @@ Float64 = NDArray[np.float64]
 
 
 def find_pose_in_views(
-    views: Sequence[FrameView], decimated: Body, readings: Readings, config: EstimateConfig
+    views: Sequence[FrameView],
+    decimated: Body,
+    readings: Readings,
+    config: EstimateConfig,
+    start: Sequence[Candidate] = (),
 ) -> FoundPose:
     """Find the pose that best explains the evidence of two or more views of one frame.
 
     The first view is the reference: its ``view_from_camera`` is the identity, and the pose is in its camera. The view
     with the largest mask is searched; a search of all would cost more and find the same modes, since the eyes of an
-    endoscope see nearly the same. What is found is refined, ranked and judged on all of them.
+    endoscope see nearly the same. What is found, or else the candidates to ``start`` from, is refined, ranked and
+    judged on all of them.
     """
     instrument = decimated.instrument
-    searched = clearest_view(views)
-    coarse = Renderer(decimated, searched.evidence.camera, threads=config.threads)
-    candidates, objective = find_candidates(coarse, searched.evidence, readings, config)
-    camera_from_view = inverse(searched.view_from_camera)
-    seen = [Candidate(camera_from_view @ each.camera_from_root, each.joints, each.score) for each in candidates]
+    seen, evaluations, rays = list(start), 0, 0
+    if not seen:
+        searched = clearest_view(views)
+        coarse = Renderer(decimated, searched.evidence.camera, threads=config.threads)
+        candidates, objective = find_candidates(coarse, searched.evidence, readings, config)
+        camera_from_view = inverse(searched.view_from_camera)
+        seen = [Candidate(camera_from_view @ each.camera_from_root, each.joints, each.score) for each in candidates]
+        evaluations, rays = objective.evaluations, objective.renderer.rays
     local = JointSearch(views, decimated, readings, config)
     modes = local.refine(seen)
     best = modes[0]
@@ -61,8 +69,8 @@ def find_pose_in_views(
         covariance=covariance,
         quality=qualities[0],
         reasons=tuple(reasons),
-        evaluations=objective.evaluations + local.silhouettes + sum(view.renderer.poses for view in views),
-        rays=objective.renderer.rays + local.rays + sum(view.renderer.rays for view in views) + confirming,
+        evaluations=evaluations + local.silhouettes + sum(view.renderer.poses for view in views),
+        rays=rays + local.rays + sum(view.renderer.rays for view in views) + confirming,
         expected_error=expected,
         mode_probability=probability,
         alternatives=alternatives_of(instrument, readings, modes, qualities),

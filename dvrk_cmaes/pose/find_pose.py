@@ -19,7 +19,7 @@ from dvrk_cmaes.pose.mode_probability import mode_probability
 from dvrk_cmaes.pose.quality import measure_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
 from dvrk_cmaes.pose.refine.outline import OutlineFit
-from dvrk_cmaes.pose.search.global_search import find_candidates
+from dvrk_cmaes.pose.search.global_search import Candidate, find_candidates
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -54,16 +54,25 @@ class FoundPose:
 
 
 def find_pose(
-    renderer: Renderer, decimated: Body, evidence: Evidence, readings: Readings, config: EstimateConfig
+    renderer: Renderer,
+    decimated: Body,
+    evidence: Evidence,
+    readings: Readings,
+    config: EstimateConfig,
+    start: Sequence[Candidate] = (),
 ) -> FoundPose:
     """Find the pose that best explains the evidence of one frame.
 
     ``renderer`` draws the instrument at full detail in the frame's camera; ``decimated`` is the same instrument with
-    fewer faces, for the small images of the search.
+    fewer faces, for the small images of the search. Where there are candidates to ``start`` from, these are refined,
+    and nothing is searched.
     """
     instrument = renderer.body.instrument
     coarse = Renderer(decimated, evidence.camera, threads=config.threads)
-    candidates, objective = find_candidates(coarse, evidence, readings, config)
+    candidates, searched, traced = list(start), 0, 0
+    if not candidates:
+        candidates, objective = find_candidates(coarse, evidence, readings, config)
+        searched, traced = objective.evaluations, objective.renderer.rays
     local = LocalSearch(renderer, coarse, evidence, readings, config)
     modes = local.refine(candidates)
     best = modes[0]
@@ -80,8 +89,8 @@ def find_pose(
         covariance=covariance,
         quality=qualities[0],
         reasons=tuple(reasons),
-        evaluations=objective.evaluations + local.silhouettes + renderer.poses,
-        rays=objective.renderer.rays + local.rays + renderer.rays + confirming,
+        evaluations=searched + local.silhouettes + renderer.poses,
+        rays=traced + local.rays + renderer.rays + confirming,
         expected_error=expected,
         mode_probability=probability,
         alternatives=alternatives_of(instrument, readings, modes, qualities),

@@ -27,11 +27,24 @@ from dvrk_cmaes.io.typed_document import (
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
-__all__ = ["POSE_AXES", "SCHEMA", "Alternative", "ExpectedError", "Quality", "Result", "Source", "Status", "ViewCheck"]
+__all__ = [
+    "POSE_AXES",
+    "SCHEMA",
+    "Alternative",
+    "ExpectedError",
+    "Place",
+    "Quality",
+    "Result",
+    "Source",
+    "Status",
+    "ViewCheck",
+]
 
 Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
 Source = Literal["frame", "session"]
+Place = Literal["behind", "in front", "unclear", "apart"]
+"""Where another tool is, as seen by a tool; apart: they do not meet in the image."""
 
 SCHEMA = 1
 POSE_AXES: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
@@ -67,6 +80,7 @@ class Result:
     expected_error : of the tips and the shaft's direction, from the covariance.
     mode_probability : that the pose is in the true mode, not in one of the alternatives' or the mirror twin's.
     alternatives : other modes, by decreasing likelihood.
+    other_tools : where the frame's other tools are, as seen by this one, by arm; empty where that was not asked.
     seconds : from arrays in memory to the result, 0 if not stated.
     evaluations, rays : silhouettes computed and rays traced.
     model : the instrument, for `links`; it is not written to files.
@@ -95,6 +109,7 @@ class Result:
     alternatives: tuple[Alternative, ...] = ()
     views: Texts = ()
     view_fits: tuple[ViewCheck, ...] = ()
+    other_tools: dict[str, Place] = field(default_factory=dict)
     seconds: Number = 0.0
     evaluations: Count = 0
     rays: Count = 0
@@ -238,6 +253,7 @@ class Result:
             "version": self.version,
             "config": self.config,
             **self._of_views(),
+            **({"other_tools": self.other_tools} if self.other_tools else {}),
         }
 
     def _of_views(self) -> dict[str, Any]:

@@ -15,6 +15,9 @@ NEAR = 1e-3
 """Depth of the near plane, m along the optical axis: surfaces in front of it are not rendered."""
 
 
+_NOTHING_HIT = 1e36  # below the distance that Embree states where a ray hits nothing
+
+
 def _embree() -> Any:
     try:
         from embreex import rtcore_scene
@@ -79,3 +82,22 @@ class LinkScenes:
             result[rest[hit]] = True
             rest, left = rest[~hit], left[~hit]
         return result
+
+    def depths(
+        self, camera_from_link: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        """Return the depth of the nearest surface along viewing directions, and the link that it belongs to, (N,) each.
+
+        ``camera_from_link`` is (L, 4, 4), of one pose; ``directions`` (N, 3) are in the camera's frame with z = 1, so
+        that depths are z in that frame, m. Where no link is hit, the depth is infinite and the link -1.
+        """
+        depth, owner = np.full(len(directions), np.inf), np.full(len(directions), -1, dtype=np.intp)
+        if len(directions) == 0:
+            return depth, owner
+        for link, pose in enumerate(camera_from_link):
+            turned = np.ascontiguousarray(directions @ pose[:3, :3], dtype=np.float32)
+            origins = (NEAR * turned - pose[:3, :3].T @ pose[:3, 3]).astype(np.float32)
+            beyond = self._scenes[link].run(origins, turned, query="DISTANCE") + np.float64(NEAR)
+            nearer = (beyond < _NOTHING_HIT) & (beyond < depth)
+            depth[nearer], owner[nearer] = beyond[nearer], link
+        return depth, owner

@@ -24,6 +24,7 @@ from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_in_views import find_pose_in_views
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.pose.parallel import single_blas_thread
+from dvrk_cmaes.pose.search.global_search import Candidate
 from dvrk_cmaes.pose.seen_views import SeenView, seen_views
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
@@ -42,6 +43,7 @@ def estimate(
     keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
     arm: Arm = "classic",
     session: SessionCalibration | None = None,
+    start: Result | None = None,
     frame: str = "",
     time: float | None = None,
     config: EstimateConfig | None = None,
@@ -75,6 +77,9 @@ def estimate(
         does not explain the mask is the frame searched as without a session. Where the prediction holds, the
         calibration's arm is used instead of ``arm``, and ``camera_from_base`` is computed with the joints' offsets.
         If its camera was refined, the same change is applied to ``camera``.
+    start
+        An earlier result of the frame, from other evidence: its pose and its alternatives are refined instead of those
+        of a search.
     frame, time, warnings
         The frame's name, the time of its image, s, and warnings to add; they are copied into the result.
     config
@@ -114,10 +119,11 @@ def estimate(
         found, source, arm = predicted, "session", session.arm
         base = found.camera_from_base
     else:
+        modes = () if start is None else _modes(start, seen[0], model)
         if len(views) == 1:
-            found = find_pose(main.renderer, decimated, main.evidence, readings, settings)
+            found = find_pose(main.renderer, decimated, main.evidence, readings, settings, modes)
         else:
-            found = find_pose_in_views(views, decimated, readings, settings)
+            found = find_pose_in_views(views, decimated, readings, settings, modes)
         found, source = _in_camera(found, seen[0]), "frame"
         base = find_camera_from_base(found.camera_from_root, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, rig.camera, found.camera_from_root, found.joints)
@@ -152,6 +158,17 @@ def estimate(
         config={**settings.as_dict(), "instrument": describe_limits(model, arm)},
         model=model,
     )
+
+
+def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
+    """Return the pose of a result and its alternatives, the best first, in a view's camera; none without a pose."""
+    if start.camera_from_root is None:
+        return []
+    others = ((other.camera_from_root, other.joints) for other in start.alternatives)
+    return [
+        Candidate(view.view_from_camera @ pose, np.array([joints[name] for name in model.joint_names]), float(number))
+        for number, (pose, joints) in enumerate([(start.camera_from_root, start.joints), *others])
+    ]
 
 
 def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig) -> list[FrameView]:

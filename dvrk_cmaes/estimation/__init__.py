@@ -1,0 +1,8 @@
+"""Estimation of one frame, from arrays to results: of one instrument, or of several that may hide each other."""
+
+from __future__ import annotations
+
+from dvrk_cmaes.estimation.one_tool import estimate
+from dvrk_cmaes.estimation.several_tools import ToolInFrame, estimate_tools
+
+__all__ = ["ToolInFrame", "estimate", "estimate_tools"]

@@ -1,0 +1,160 @@
+"""Which of two tools that meet in an image is in front, from their poses.
+
+What a tool hides of another cannot be told from the masks: the border between two labels is the outline of whichever
+tool is nearer. The depths of the two surfaces tell it, where they differ by more than the poses are uncertain. Tools
+may be interlocked, each in front of the other somewhere: then neither counts as in front.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.pose.expected_error import jacobian
+from dvrk_cmaes.results.result import Place, Result
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+OPPOSITE: Final[dict[Place, Place]] = {
+    "behind": "in front",
+    "in front": "behind",
+    "unclear": "unclear",
+    "apart": "apart",
+}
+_REACH: Final = 3  # px from both masks, within which they meet
+_MOST: Final = 400  # pixels at which depths are compared
+_SIGMAS: Final = 2.0  # standard deviations of the difference of the depths ...
+_SHARE: Final = 0.05  # ... by which it differs from zero at all but this share of the pixels
+
+
+@dataclass(frozen=True, eq=False)
+class SharedView:
+    """A view that shows two tools: its camera, ``view_from_camera`` (4, 4), and the mask (H, W) of each of them."""
+
+    camera: Camera
+    view_from_camera: Float64
+    masks: tuple[Bool, Bool]
+
+
+def place_of_other(
+    results: tuple[Result, Result], bodies: tuple[Body, Body], views: Sequence[SharedView], *, least_probability: float
+) -> Place:
+    """Return where the second of two tools is, as seen by the first, in all views of a frame together.
+
+    ``results`` and ``bodies`` are those of the tools. They must meet in at least one view, and the one be clearly
+    nearer wherever they meet in any view. It is unclear where a result has no pose, or one that is in the right mode
+    with a probability of less than ``least_probability``.
+    """
+    if not all(_is_trusted(result, least_probability) for result in results):
+        return "unclear"
+    tools = [_Posed.of(result, body) for result, body in zip(results, bodies, strict=True)]
+    found = {_place_in_view(tools[0], tools[1], view) for view in views} - {"apart"}
+    if not found:
+        return "apart"
+    return found.pop() if len(found) == 1 else "unclear"
+
+
+def _is_trusted(result: Result, least_probability: float) -> bool:
+    """Whether a result has a pose with a covariance, which is not likely to be in a wrong mode."""
+    if result.camera_from_root is None or result.covariance is None:
+        return False
+    return result.mode_probability is None or result.mode_probability >= least_probability
+
+
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    """A tool's body, pose (4, 4), joints (J,) and the covariance (6 + J, 6 + J) of their small changes."""
+
+    body: Body
+    pose: Float64
+    joints: Float64
+    covariance: Float64
+
+    @staticmethod
+    def of(result: Result, body: Body) -> _Posed:
+        assert result.camera_from_root is not None
+        assert result.covariance is not None
+        joints = np.array([result.joints[name] for name in body.instrument.joint_names])
+        return _Posed(body, result.camera_from_root, joints, result.covariance)
+
+    def depths(self, view: SharedView, pixels: Float64) -> tuple[Float64, Float64]:
+        """Return the depths (N,) of the surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
+
+        The variances follow from the covariance of the pose and the joints.
+        """
+        pose = view.view_from_camera @ self.pose
+        links = self.body.camera_from_links(pose[None], self.joints[None])[0]
+        directions = np.c_[view.camera.normalise(pixels), np.ones(len(pixels))]
+        depth, owner = self.body.scenes.depths(links, directions)
+        hit = np.isfinite(depth)
+        variance = np.full(len(pixels), np.inf)
+        points, owner = directions[hit] * depth[hit, None], owner[hit]
+        centred = points - links[owner, :3, 3]
+        in_link = np.einsum("nij,ni->nj", links[owner, :3, :3], centred)
+
+        def moved_depth(poses: Float64, joints: Float64) -> Float64:
+            moved = self.body.camera_from_links(poses, joints)[:, owner, 2]
+            return np.asarray(np.einsum("cnj,nj->cn", moved[..., :3], in_link) + moved[..., 3])
+
+        slope = jacobian(moved_depth, pose, self.joints)
+        variance[hit] = np.einsum("ni,ij,nj->n", slope, self.covariance, slope)
+        return depth, variance
+
+
+def _place_in_view(first: _Posed, second: _Posed, view: SharedView) -> Place:
+    """Return where the second tool is, as seen by the first, in one view.
+
+    Depths are compared where both silhouettes are, and where the masks meet, there with the nearest pixel of each
+    silhouette.
+    """
+    silhouettes = [
+        Renderer(tool.body, view.camera, threads=1).masks((view.view_from_camera @ tool.pose)[None], tool.joints[None])[
+            0
+        ]
+        for tool in (first, second)
+    ]
+    near = [_grown(mask, _REACH) for mask in view.masks]
+    compared = np.argwhere((silhouettes[0] & silhouettes[1]) | (near[0] & near[1]))
+    if len(compared) == 0:
+        return "apart"
+    if not all(silhouette.any() for silhouette in silhouettes):
+        return "unclear"
+    compared = compared[np.linspace(0, len(compared) - 1, min(_MOST, len(compared))).astype(int)]
+    depths, variances = zip(
+        *(
+            tool.depths(view, _nearest(silhouette, compared))
+            for tool, silhouette in zip((first, second), silhouettes, strict=True)
+        ),
+        strict=True,
+    )
+    seen = np.isfinite(depths[0]) & np.isfinite(depths[1])
+    if not seen.any():
+        return "unclear"
+    sigmas = (depths[1] - depths[0])[seen] / np.sqrt((variances[0] + variances[1])[seen])
+    if np.quantile(sigmas, _SHARE) > _SIGMAS:
+        return "behind"
+    return "in front" if np.quantile(sigmas, 1 - _SHARE) < -_SIGMAS else "unclear"
+
+
+def _grown(mask: Bool, radius: int) -> Bool:
+    """Return a mask (H, W) grown by a number of pixels in all directions."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return cv2.dilate(mask.astype(np.uint8), kernel).astype(np.bool_)
+
+
+def _nearest(silhouette: Bool, pixels: NDArray[np.intp]) -> Float64:
+    """Return the pixel (u, v) of a silhouette (H, W) that is nearest to each of some pixels (row, column), (N, 2)."""
+    _, labels = cv2.distanceTransformWithLabels(
+        (~silhouette).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    places = np.zeros((labels.max() + 1, 2))
+    places[labels[silhouette]] = np.argwhere(silhouette)[:, ::-1]
+    return np.asarray(places[labels[pixels[:, 0], pixels[:, 1]]])
