@@ -162,7 +162,14 @@ def batch(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import arms_in_session, chosen_tools, of_tool, read_calibration_of, write_common
+    from dvrk_cmaes.cli.session_tools import (
+        arms_in_session,
+        chosen_tools,
+        of_tool,
+        read_calibration_of,
+        solve_crossing_tools,
+        write_common,
+    )
     from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.runs.exchanged_masks import exchanged_in_results
 
@@ -200,22 +207,29 @@ def batch(
         finished["" if tool is None else tool.arm] = done
         if done.interrupted:
             break
-    _report_all(finished, json, part, several=several)
     exchanged: list[str] = []
-    if len(finished) > 1 and part is None and not done.interrupted:
-        arms = arms_in_session(session, tools, instrument, camera, entries)
-        of_arms = {arm: one.results for arm, one in finished.items()}
-        exchanged = exchanged_in_results(arms, of_arms, replace(method.resolve(), threads=method.threads or 1))
-        for text in exchanged:
-            warn(text)
+    if len(finished) > 1 and not done.interrupted:
+        if part is None:
+            arms = arms_in_session(session, tools, instrument, camera, entries)
+            of_arms = {arm: one.results for arm, one in finished.items()}
+            exchanged = exchanged_in_results(arms, of_arms, replace(method.resolve(), threads=method.threads or 1))
+            for text in exchanged:
+                warn(text)
+        if not exchanged:
+            finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
+    _report_all(finished, json, part, several=several)
+    stopped = next((one for one in finished.values() if one.interrupted), None)
+    if stopped is not None:
+        again = "the same command" if resume else "the same command without --overwrite"
+        left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
+        if not stopped.counts["missing"]:
+            left = "frames in which tools cross are left"
+        print_error(f"interrupted: {left}; {again} goes on from here")
+        return _INTERRUPTED
+    if len(finished) > 1 and part is None:
         page = write_common(results, arms)
         if not json:
             show([Line(f"all arms: {page}")])
-    if done.interrupted:
-        again = "the same command" if resume else "the same command without --overwrite"
-        left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
-        print_error(f"interrupted: {left}; {again} goes on from here")
-        return _INTERRUPTED
     doubtful = any(each.counts["doubtful"] or each.counts["failed"] for each in finished.values())
     return _DOUBTFUL if exchanged or doubtful else 0
 

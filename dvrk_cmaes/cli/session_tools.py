@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_masks import ArmInSession
 
 
@@ -129,6 +131,22 @@ def arms_in_session(
             session = camera.read_session(folder, known=known, entries=entries, tool=tool)
             arms[tool.arm] = ArmInSession(session, body, options.kinematics)
     return arms
+
+
+def solve_crossing_tools(
+    finished: Mapping[str, BatchSummary], scheduler: str | None, **options: Any
+) -> dict[str, BatchSummary]:
+    """Solve the frames of all arms again in which a tool is in front of another one, with progress on stderr."""
+    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.runs.cluster import dask_executor
+    from dvrk_cmaes.runs.crossing_tools import solve_crossing
+
+    with ExitStack() as stack:
+        folder = next(iter(finished.values())).setup.folder
+        executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, folder))
+        stop = stack.enter_context(stopping_on_interrupt())
+        reporter = stack.enter_context(progress())
+        return solve_crossing(finished, executor=executor, stop=stop, progress=reporter, **options)
 
 
 def write_common(out: Path, arms: Mapping[str, ArmInSession]) -> Path:

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from dvrk_cmaes.estimation.one_tool import estimate
-from dvrk_cmaes.estimation.several_tools import ToolInFrame, estimate_tools
+from dvrk_cmaes.estimation.several_tools import ToolInFrame, better_of, estimate_tools, shared_views
 
-__all__ = ["ToolInFrame", "estimate", "estimate_tools"]
+__all__ = ["ToolInFrame", "better_of", "estimate", "estimate_tools", "shared_views"]

@@ -109,12 +109,11 @@ def estimate_tools(
             least_probability=settings.trust.least_mode_probability,
         )
         places[other][one] = OPPOSITE[places[one][other]]
-    for name, first in results.items():
-        best = first
+    for name in tools:
+        results[name] = replace(results[name], other_tools=places[name])
         if "behind" in places[name].values():
             hiding = [other for other, place in places[name].items() if place != "behind"]
-            best = better_of(first, solve(name, hiding, first))
-        results[name] = replace(best, other_tools=places[name])
+            results[name] = better_of(results[name], solve(name, hiding, results[name]))
     return results
 
 
@@ -128,16 +127,16 @@ def shared_views(rig: Rig, first: Mapping[str, Bool], second: Mapping[str, Bool]
 
 
 def better_of(first: Result, again: Result) -> Result:
-    """Return the second result of a frame, for which other tools behind the tool count as background, or the first one.
+    """Return the second result of a frame, for which tools behind this one count as background, or the first one.
 
-    The first stays where the second is doubtful and the first is not; it then says so. Times and counts are those of
-    both.
+    The first stays where the second is doubtful and the first is not; it then says so. ``other_tools`` are those of the
+    first, times and counts those of both.
     """
     both = {name: getattr(first, name) + getattr(again, name) for name in ("seconds", "evaluations", "rays")}
     if first.status == "ok" and again.status != "ok":
         reason = f"other tools behind this one as background: the pose would be doubtful ({again.reasons[0]})"
         return replace(first, unused=(*first.unused, reason), **both)
-    return replace(again, **both)
+    return replace(again, other_tools=first.other_tools, **both)
 
 
 def _ignored(general: Bool | None, others: Iterable[Bool | None]) -> Bool | None:

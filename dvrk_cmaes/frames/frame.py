@@ -72,6 +72,11 @@ class FrameFiles:
     start: Result | None = None
 
     @property
+    def has_mask(self) -> bool:
+        """Whether the frame has a mask, in at least one view."""
+        return self.mask is not None or any(other.mask is not None for other in self.others.values())
+
+    @property
     def has_image(self) -> bool:
         """Whether the frame has an image."""
         return self.image is not None or self.video is not None

@@ -10,7 +10,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, OtherTool
 from dvrk_cmaes.frames.session_folder import Session, image_files
 from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
-from dvrk_cmaes.results.result import Place, Result
+from dvrk_cmaes.results.result import Result
 
 
 def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Session:
@@ -18,7 +18,7 @@ def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Sessi
 
     ``session`` was read with the tool's own folder of masks, if it has one. As long as it is not known whether another
     tool is before or behind, its pixels tell nothing about this one, neither as instrument nor as background; see
-    `with_places`.
+    `with_start`.
 
     Raises
     ------
@@ -61,11 +61,11 @@ def _of_tool(files: FrameFiles, view: str, tool: ToolEntry, others: Sequence[_Ma
     return replace(files, label=tool.label, other_tools=hiding, others=more)
 
 
-def with_places(files: FrameFiles, places: Mapping[str, Place], start: Result) -> FrameFiles:
-    """Return the files of a frame of a tool, to be solved again once it is known where the other tools are.
+def with_start(files: FrameFiles, start: Result) -> FrameFiles:
+    """Return the files of a frame of a tool that is solved again, since it is now known where the other tools are.
 
-    ``places`` are by arm, as seen by the tool; ``start`` is its result without them.
+    ``start`` is its earlier result, with ``other_tools``: those that are behind are background from now on.
     """
-    tools = tuple(replace(other, behind=places.get(other.arm) == "behind") for other in files.other_tools)
-    views = {name: with_places(each, places, start) for name, each in files.others.items()}
+    tools = tuple(replace(other, behind=start.other_tools.get(other.arm) == "behind") for other in files.other_tools)
+    views = {name: with_start(each, start) for name, each in files.others.items()}
     return replace(files, other_tools=tools, others=views, start=start)

@@ -82,7 +82,8 @@ class BatchSummary:
 
     ``folder`` has the results; ``counts`` has the numbers of its frames by status and the number ``missing``; ``ran``
     is the number of frames estimated by this run. ``document`` is the content of summary.json, ``results`` are all
-    results in the folder by frame.
+    results in the folder by frame. ``setup`` and ``frames`` are what was run, the files by frame, and
+    ``shard`` the part that it was.
     """
 
     folder: Path
@@ -91,6 +92,9 @@ class BatchSummary:
     interrupted: bool
     document: dict[str, Any]
     results: dict[str, Result]
+    setup: BatchSetup
+    frames: dict[str, FrameFiles]
+    shard: Shard | None = None
 
 
 def run_batch(
@@ -194,15 +198,16 @@ def run_batch(
         )
         progress.on_start(len(todo), kept)
         ran = 0
-        for outcome in _outcomes(setup, todo, workers, executor or processes, time_limit, stop):
+        for outcome in outcomes(setup, todo, workers, executor or processes, time_limit, stop):
             write_outcome(folder, outcome)
             ran += 1
             progress.on_frame(outcome)
         seconds = time.monotonic() - started
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
-        finished = finish(out, timing) if shard is None else _summarize_shard(folder, timing)
-    document = finished.summary or {}
-    return BatchSummary(folder, document["counts"], ran, stop.is_set() and ran < len(todo), document, finished.frames)
+        finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
+    document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
+    counts, files = document["counts"], {one.name: one for one in frames}
+    return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
 
 
 def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
@@ -233,7 +238,7 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
     return results
 
 
-def _summarize_shard(folder: Path, timing: RunTiming | None) -> ResultsFolder:
+def summarize_shard(folder: Path, timing: RunTiming | None) -> ResultsFolder:
     """Return the results of a shard with their summary, without writing anything."""
     manifest, results = _manifest(folder), _read(folder)
     return replace(results, summary=summarize(results.frames, manifest, timing, whole=False))
@@ -289,7 +294,7 @@ def _prepare(
     return [files for files in frames if files.name not in kept], [kept[f.name] for f in frames if f.name in kept]
 
 
-def _outcomes(
+def outcomes(
     setup: BatchSetup,
     todo: Sequence[FrameFiles],
     workers: int | None,

@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_with_e
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles
+from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -27,7 +27,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
-from dvrk_cmaes.runs.frame import read_masked_frame
+from dvrk_cmaes.runs.frame import read_without_image
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes
@@ -77,7 +77,7 @@ def calibrate_folder(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
         # The image is only needed for the overlay.
-        reader = functools.partial(_read_without_image, one, session.cameras)
+        reader = functools.partial(read_without_image, one, session.cameras)
         frames.append(SessionFrame(name, reader, result, one.keypoints))
     with ExitStack() as stack:
         if processes is None:
@@ -112,11 +112,6 @@ def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
         return files
     mask = mask_path(alone, files.name)
     return replace(files, mask=mask if mask.exists() else None)
-
-
-def _read_without_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
-    others = {name: replace(one, image=None) for name, one in files.others.items()}
-    return read_masked_frame(replace(files, image=None, others=others), camera)
 
 
 def _write(

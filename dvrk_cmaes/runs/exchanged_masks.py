@@ -51,8 +51,9 @@ def exchanged_in_results(
 
 
 def _found(result: Result) -> FoundFrame:
-    """Return what a result says; a loss with a session's calibration is not that of a frame by itself."""
-    loss = None if result.quality is None or result.source == "session" else result.quality.loss
+    """Return what a result says; a loss with a session's calibration, or with tools behind, is not comparable."""
+    other = result.source == "session" or "behind" in result.other_tools.values()
+    loss = None if result.quality is None or other else result.quality.loss
     return FoundFrame(result.readings, result.status == "ok", loss)
 
 

@@ -16,7 +16,7 @@ from dvrk_cmaes.draw.frame_layers import frame_layers
 from dvrk_cmaes.draw.overlay import draw_failed, draw_overlay
 from dvrk_cmaes.draw.view_overlays import DrawnView, draw_views
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.estimation import better_of, estimate
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
@@ -67,6 +67,12 @@ def read_masked_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
     if isinstance(frame, FrameImage):
         raise InputError(f"frame {files.name}: expected a mask, got {frame.path}")
     return frame
+
+
+def read_without_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
+    """Read a frame that has a mask as `read_masked_frame` does, without the images of its views."""
+    others = {name: replace(one, image=None) for name, one in files.others.items()}
+    return read_masked_frame(replace(files, image=None, others=others), camera)
 
 
 def run_frame(
@@ -176,7 +182,10 @@ def estimate_frame(
     config: EstimateConfig,
     session: SessionCalibration | None = None,
 ) -> Result:
-    """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`."""
+    """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`.
+
+    Of a frame that starts from an earlier result, the better one of the two is returned, as by `better_of`.
+    """
     masks: Any = data.mask
     ignore: Any = data.ignore
     keypoints: Any = files.keypoints
@@ -184,7 +193,7 @@ def estimate_frame(
         masks = {name: one.mask for name, one in data.of_views.items()}
         ignore = {name: one.ignore for name, one in data.of_views.items()}
         keypoints = {data.rig.names[0]: files.keypoints}
-    return estimate(
+    result = estimate(
         masks,
         data.camera if data.rig is None else data.rig,
         files.readings,
@@ -193,11 +202,13 @@ def estimate_frame(
         keypoints=keypoints,
         arm=arm,
         session=session,
+        start=files.start,
         frame=files.name,
         time=files.time,
         config=config,
         warnings=data.notes,
     )
+    return result if files.start is None else better_of(files.start, result)
 
 
 def draw_frame(

@@ -19,6 +19,7 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.runs.batch import BatchSummary, run_batch
 from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
+from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 
 NAMES = [f"{k:04d}" for k in range(4)]
@@ -101,7 +102,8 @@ def test_interrupted_search_of_the_lag_says_how_to_go_on(bundled_body: Body, tmp
 
     def interrupted(some: Session, out: Path) -> BatchSummary:
         assert len(some.frames) == len(NAMES)
-        return BatchSummary(out, {}, 0, interrupted=True, document={}, results={})
+        setup = BatchSetup(instrument, some.camera, QUICK_CONFIG)
+        return BatchSummary(out, {}, 0, interrupted=True, document={}, results={}, setup=setup, frames={})
 
     with pytest.raises(DvrkCmaesError, match="interrupted while the lag was searched; the same command goes on"):
         find_batch_lag(session, tmp_path / "out", interrupted, instrument, QUICK_CONFIG, "classic")

@@ -1,0 +1,206 @@
+"""Frames of several arms whose tools meet, once every arm was solved: tools that are in front are solved again.
+
+A tool is first solved without the pixels of the others. Where the poses tell that it is in front of another one, that
+one's pixels are background. The results say in ``other_tools`` where the others are. A tool's result is written with it
+only when it need not be solved again, or after it was: so an interrupted run goes on where it ended.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.estimation import shared_views
+from dvrk_cmaes.evaluate.fellows import PREFIX
+from dvrk_cmaes.frames.tool_frames import with_start
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
+from dvrk_cmaes.results.paths import result_path
+from dvrk_cmaes.results.result import Place, Result
+from dvrk_cmaes.runs.batch import (
+    TIME_LIMIT,
+    BatchProgress,
+    BatchSummary,
+    finish,
+    outcomes,
+    summarize_shard,
+)
+from dvrk_cmaes.runs.executor import ExternalExecutor
+from dvrk_cmaes.runs.frame import read_without_image
+from dvrk_cmaes.runs.output import locked, write_outcome
+from dvrk_cmaes.runs.summary import RunTiming
+from dvrk_cmaes.silhouette.prepare import prepare
+
+Places = dict[str, dict[str, Place]]
+"""Where the other tools of a frame are, by arm, as seen by the tool of each arm."""
+
+_UNSOLVED: Final = "other tools behind this one as background: "
+
+
+def solve_crossing(
+    batches: Mapping[str, BatchSummary],
+    *,
+    workers: int | None = None,
+    executor: Executor | ExternalExecutor | None = None,
+    time_limit: float = TIME_LIMIT,
+    stop: threading.Event | None = None,
+    progress: BatchProgress | None = None,
+) -> dict[str, BatchSummary]:
+    """Solve the frames again in which a tool is in front of another one, and return the batches with their new results.
+
+    ``batches`` are those of a session's arms, by arm; the other arguments are those of `run_batch`. Results, tables and
+    pages are written anew where a frame was solved again. Errors as `run_batch`.
+    """
+    stop, progress = stop or threading.Event(), progress or BatchProgress()
+    names = sorted({name for batch in batches.values() for name in batch.results})
+    places = {name: _places_in_frame(name, batches) for name in names}
+    asked = {
+        arm: [
+            replace(_by_itself(batch.results[name]), other_tools=found[arm])
+            for name, found in places.items()
+            if arm in found and batch.results[name].other_tools != found[arm]
+        ]
+        for arm, batch in batches.items()
+    }
+    finished = {arm: _with_places(batch, asked[arm]) for arm, batch in batches.items()}
+    for arm, batch in finished.items():
+        again = [result for result in asked[arm] if "behind" in result.other_tools.values()]
+        if again and not stop.is_set():
+            finished[arm] = _solved_again(batch, again, workers, executor, time_limit, stop, progress)
+        elif again:
+            finished[arm] = replace(batch, interrupted=True)
+    return finished
+
+
+def _places_in_frame(name: str, batches: Mapping[str, BatchSummary]) -> Places:
+    """Find where the tools of the arms that have a pose in a frame are; empty with fewer than two of them.
+
+    What a result says already is kept, since the pose may be one that was found with it.
+    """
+    arms = [arm for arm, batch in batches.items() if _has_pose(batch, name)]
+    places: Places = {arm: {} for arm in arms} if len(arms) > 1 else {}
+    for one, other in combinations(places, 2):
+        first, second = batches[one].results[name], batches[other].results[name]
+        if other in first.other_tools:
+            places[one][other] = first.other_tools[other]
+        elif one in second.other_tools:
+            places[one][other] = OPPOSITE[second.other_tools[one]]
+        else:
+            places[one][other] = _place(name, batches[one], batches[other])
+        places[other][one] = OPPOSITE[places[one][other]]
+    return places
+
+
+def _has_pose(batch: BatchSummary, name: str) -> bool:
+    """Whether a frame is one of a batch's, and has a mask and a pose."""
+    result, files = batch.results.get(name), batch.frames.get(name)
+    return result is not None and result.camera_from_root is not None and files is not None and files.has_mask
+
+
+def _place(name: str, first: BatchSummary, second: BatchSummary) -> Place:
+    """Return where the second of two arms' tools is in a frame, as seen by the first; unclear if it cannot be read."""
+    try:
+        (rig, masks), (_, others) = _masks(first, name), _masks(second, name)
+    except DvrkCmaesError:
+        return "unclear"
+    views = shared_views(rig, masks, others)
+    if any(view.masks[0].shape != view.masks[1].shape for view in views):
+        return "unclear"
+    return place_of_other(
+        (first.results[name], second.results[name]),
+        (prepare(first.setup.instrument), prepare(second.setup.instrument)),
+        views,
+        least_probability=first.setup.config.trust.least_mode_probability,
+    )
+
+
+def _masks(batch: BatchSummary, name: str) -> tuple[Rig, dict[str, NDArray[np.bool_]]]:
+    """Read the masks (H, W) of a frame by view, and return them after the rig with which it was solved."""
+    files, setup = batch.frames[name], batch.setup
+    data = read_without_image(files, setup.camera if setup.rig is None else setup.rig)
+    rig = Rig.of(data.camera) if data.rig is None else data.rig
+    if setup.calibration is not None:
+        rig = rig.with_cameras({rig.names[0]: setup.calibration.corrected(rig.camera)})
+    return rig, {view: one.mask for view, one in data.of_views.items()}
+
+
+def _by_itself(result: Result) -> Result:
+    """Return a result without the reasons that come from a comparison of all frames."""
+    own = tuple(reason for reason in result.reasons if not reason.startswith(PREFIX))
+    return result if own == result.reasons else replace(result, reasons=own, status="doubtful" if own else "ok")
+
+
+def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
+    """Write where the others are to the results of a batch that are not solved again."""
+    results = dict(batch.results)
+    with locked(batch.folder):
+        for result in asked:
+            if "behind" not in result.other_tools.values():
+                results[result.frame] = replace(results[result.frame], other_tools=result.other_tools)
+                _update(batch, result.frame, other_tools=result.other_tools)
+    return replace(batch, results=results)
+
+
+def _solved_again(
+    batch: BatchSummary,
+    starts: Sequence[Result],
+    workers: int | None,
+    executor: Executor | ExternalExecutor | None,
+    time_limit: float,
+    stop: threading.Event,
+    progress: BatchProgress,
+) -> BatchSummary:
+    """Solve frames of a batch again from their results, and write what is better; tables and page are made anew.
+
+    A frame that cannot be solved again keeps its result.
+    """
+    started, done = time.monotonic(), 0
+    first = {start.frame: start for start in starts}
+    todo = [with_start(batch.frames[name], start) for name, start in first.items()]
+    progress.on_start(len(todo), [])
+    with locked(batch.folder):
+        for outcome in outcomes(batch.setup, todo, workers, executor, time_limit, stop):
+            if outcome.status == "failed":
+                start = first[outcome.frame]
+                unused = [*start.unused, _UNSOLVED + outcome.reasons[0]]
+                _update(batch, outcome.frame, unused=unused, other_tools=start.other_tools)
+            else:
+                write_outcome(batch.folder, outcome)
+            done += 1
+            progress.on_frame(outcome)
+        timing = _timing(batch, time.monotonic() - started)
+        found = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
+    document = found.summary or {}
+    return replace(
+        batch,
+        interrupted=done < len(todo),
+        counts=document["counts"],
+        document=document,
+        results=found.frames,
+    )
+
+
+def _update(batch: BatchSummary, name: str, **fields: Any) -> None:
+    """Replace fields of a result that is there."""
+    path = result_path(batch.folder, name)
+    write_json(path, {**read_json_object(path, expected="a result"), **fields})
+
+
+def _timing(batch: BatchSummary, seconds: float) -> RunTiming | None:
+    """Return the duration of a batch and some more seconds; None if it did not estimate any frame."""
+    run = (batch.document.get("timing") or {}).get("run")
+    if not run:
+        return None
+    total = run["seconds"] + seconds
+    return RunTiming(run["frames"], round(total, 3), round(run["frames"] / total, 4))

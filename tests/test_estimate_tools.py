@@ -1,0 +1,140 @@
+"""`estimate_tools`: tools that hide each other, in one view and in two."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.batch_sessions import QUICK_CONFIG
+from helpers.crossing_tools import APART, ARMS, CAMERA, FAR, NEAR, CrossingTools
+
+from dvrk_cmaes import EstimateConfig, Result, Rig, ToolInFrame, estimate, estimate_tools
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import better_of
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import with_tool
+from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.silhouette import Body
+
+QUICK = EstimateConfig()
+QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
+RIG = Rig.stereo(CAMERA, CAMERA, transform(np.eye(3), [-0.0053, 0.0, 0.0]))
+
+
+def readings(tools: CrossingTools, number: int) -> dict[str, float]:
+    return {name: value + 0.06 for name, value in tools.values(number).items()}
+
+
+def of_one_view(tools: CrossingTools) -> dict[str, ToolInFrame]:
+    return {arm: ToolInFrame(tools.masks[k], readings(tools, k), tools.body) for k, arm in enumerate(ARMS)}
+
+
+def alone(tools: CrossingTools, number: int, config: EstimateConfig = QUICK, **more: Any) -> Result:
+    """Estimate one of the tools by itself."""
+    return estimate(tools.masks[number], CAMERA, readings(tools, number), tools.body, config=config, **more)
+
+
+def tip_mm(tools: CrossingTools, number: int, result: Result) -> float:
+    assert result.camera_from_root is not None
+    truth = tools.poses[number], tools.values(number)
+    error = compare_poses(tools.body.instrument, (result.camera_from_root, result.joints), truth).tip_mm
+    assert error is not None
+    return error
+
+
+@pytest.fixture(scope="module")
+def crossing(bundled_body: Body) -> CrossingTools:
+    return CrossingTools(bundled_body)
+
+
+@pytest.fixture(scope="module")
+def together(crossing: CrossingTools) -> dict[str, Result]:
+    return estimate_tools(of_one_view(crossing), CAMERA, config=QUICK, frame="0007", time=1.5)
+
+
+def test_tool_in_front_has_the_other_as_background(crossing: CrossingTools, together: dict[str, Result]) -> None:
+    front = together["PSM1"]
+    assert front.other_tools == {"PSM2": "behind"}
+    assert (front.frame, front.time, front.status) == ("0007", 1.5, "ok")
+    by_itself = alone(crossing, 0, ignore=with_tool(None, crossing.masks[1]))
+    assert tip_mm(crossing, 0, front) < max(0.3, tip_mm(crossing, 0, by_itself))
+    assert front.covariance is not None
+    assert by_itself.covariance is not None
+    assert np.linalg.det(front.covariance) < np.linalg.det(by_itself.covariance)  # more evidence
+    assert front.evaluations > by_itself.evaluations
+    # the same evidence, searched, has the same optimum
+    searched = alone(crossing, 0)
+    assert np.abs(np.subtract(front.tips, searched.tips)).max() < 2e-4
+
+
+def test_tool_behind_is_estimated_without_the_pixels_of_the_other(
+    crossing: CrossingTools, together: dict[str, Result]
+) -> None:
+    behind = together["PSM2"]
+    assert behind.other_tools == {"PSM1": "in front"}
+    by_itself = alone(crossing, 1, ignore=with_tool(None, crossing.masks[0]))
+    np.testing.assert_array_equal(behind.camera_from_root, by_itself.camera_from_root)
+    assert behind.joints == by_itself.joints
+    assert tip_mm(crossing, 1, behind) < 1.5
+
+
+def test_tools_that_do_not_meet_are_estimated_by_themselves(bundled_body: Body) -> None:
+    tools = CrossingTools(bundled_body, APART)
+    found = estimate_tools(of_one_view(tools), CAMERA, config=QUICK_CONFIG)
+    for number, (arm, other) in enumerate((ARMS, ARMS[::-1])):
+        assert found[arm].other_tools == {other: "apart"}
+        by_itself = alone(tools, number, QUICK_CONFIG, ignore=with_tool(None, tools.masks[1 - number]))
+        np.testing.assert_array_equal(found[arm].camera_from_root, by_itself.camera_from_root)
+
+
+def test_one_tool_is_estimated_as_by_estimate(crossing: CrossingTools) -> None:
+    ignore = with_tool(None, crossing.masks[1])
+    one = estimate_tools({"PSM1": of_one_view(crossing)["PSM1"]}, CAMERA, ignore=ignore, config=QUICK_CONFIG)["PSM1"]
+    by_itself = alone(crossing, 0, QUICK_CONFIG, ignore=ignore)
+    assert one.to_dict() | {"seconds": 0} == by_itself.to_dict() | {"seconds": 0}
+
+
+def test_both_eyes(bundled_body: Body) -> None:
+    tools, seen = {}, {}
+    for view in RIG.views:
+        poses = (view.view_from_camera @ NEAR, view.view_from_camera @ FAR)
+        seen[view.name] = CrossingTools(bundled_body, poses).masks
+    for number, arm in enumerate(ARMS):
+        masks = {view: both[number] for view, both in seen.items()}
+        tools[arm] = ToolInFrame(masks, readings(CrossingTools(bundled_body), number), bundled_body)
+    found = estimate_tools(tools, RIG, config=QUICK)
+    assert found["PSM1"].other_tools == {"PSM2": "behind"}
+    assert found["PSM1"].views == ("left", "right")
+    assert tip_mm(CrossingTools(bundled_body), 0, found["PSM1"]) < 0.3
+
+
+def test_start_gives_the_optimum_of_a_search(crossing: CrossingTools) -> None:
+    searched = alone(crossing, 0)
+    again = alone(crossing, 0, start=searched)
+    assert again.evaluations < searched.evaluations
+    assert np.abs(np.subtract(again.tips, searched.tips)).max() < 1e-4
+
+
+def test_first_result_stays_where_the_second_is_doubtful(crossing: CrossingTools) -> None:
+    first = replace(crossing.result(0), seconds=1.0, evaluations=5, other_tools={"PSM2": "behind"})
+    worse = replace(first, status="doubtful", reasons=("overlap too low",), seconds=0.5, evaluations=3, joints={})
+    kept = better_of(first, worse)
+    assert (kept.status, kept.joints, kept.evaluations, kept.seconds) == ("ok", first.joints, 8, 1.5)
+    assert "overlap too low" in kept.unused[-1]
+    taken = better_of(worse, replace(first, other_tools={}))
+    assert (taken.status, taken.other_tools, taken.evaluations) == ("ok", {"PSM2": "behind"}, 8)
+
+
+@pytest.mark.parametrize(
+    ("mask", "message"),
+    [
+        (np.ones((10, 10), np.bool_), r"PSM2: mask: expected 320 x 240 pixels as the camera has, got .* \(10, 10\)"),
+        (np.zeros((240, 320), np.bool_), "PSM2: mask: expected some instrument"),
+    ],
+)
+def test_wrong_mask_is_named(crossing: CrossingTools, mask: np.ndarray, message: str) -> None:
+    tools = of_one_view(crossing)
+    with pytest.raises(InputError, match=f"^{message}"):
+        estimate_tools(tools | {"PSM2": replace(tools["PSM2"], mask=mask)}, CAMERA, config=QUICK)
