@@ -76,7 +76,8 @@ def batch(
     """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
 
     If the command is interrupted or killed, the same command continues with the missing frames. A frame that cannot be
-    estimated gets a failed result with its reason, and the command continues with the other frames.
+    estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
+    tool that is clearly in front of another one is solved again, with that one as background.
 
     Exit codes: 0 all ok, 1 the work could not be done, or frames are missing in --merge, 2 wrong usage or input,
     3 finished, but a frame is doubtful or failed, 130 interrupted.
