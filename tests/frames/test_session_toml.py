@@ -126,7 +126,7 @@ def test_tools_with_folders_of_masks_ignore_each_other(tmp_path: Path) -> None:
     text = '[[tool]]\narm = "PSM1"\nmasks = "masks"\n[[tool]]\narm = "PSM2"\nmasks = "other"\n'
     entries = described(folder, text)
     first = frames_of_tool(read_session(folder), entries, "PSM1")
-    assert first.frames[0].other_tools == (OtherTool(folder / "other" / "0000.png"),)
+    assert first.frames[0].other_tools == (OtherTool(folder / "other" / "0000.png", arm="PSM2"),)
     second = frames_of_tool(read_session(folder, masks=folder / "other"), entries, "PSM2")
     assert second.frames[0].mask == folder / "other" / "0000.png"
-    assert second.frames[0].other_tools == (OtherTool(folder / "masks" / "0000.png"),)
+    assert second.frames[0].other_tools == (OtherTool(folder / "masks" / "0000.png", arm="PSM1"),)
