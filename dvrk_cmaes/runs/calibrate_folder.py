@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_with_evidence
-from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
