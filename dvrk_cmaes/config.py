@@ -223,7 +223,7 @@ class RefineConfig:
     small_share: float = 0.9
     last_share: float = 0.93
     first_gap: float = 150.0
-    small_gap: float = 40.0
+    small_gap: float = 80.0
     last_gap: float = 60.0
     half_size_modes: int = 3
     modes: int = 2
