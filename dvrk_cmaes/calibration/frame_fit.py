@@ -58,8 +58,8 @@ class FrameFit:
 
     def towards(self, expected: PosePrior) -> PoseAndJoints:
         """Return where the fit would be with another prior, as in `step_to`."""
-        step = self._step(expected)[0]
-        return moved(self.camera_from_root, step[:6]), self.joints + step[6:]
+        there = self.moved_to(expected)
+        return there.camera_from_root, there.joints
 
     def moved_to(self, expected: PosePrior) -> FrameFit:
         """Return the fit where it would be with another prior, as in `step_to`, with the outline's slope there."""

@@ -85,6 +85,11 @@ class _Posed:
         joints = np.array([result.joints[name] for name in body.instrument.joint_names])
         return _Posed(body, result.camera_from_root, joints, result.covariance)
 
+    def silhouette(self, view: SharedView) -> Bool:
+        """Return the silhouette (H, W) in a view."""
+        pose = view.view_from_camera @ self.pose
+        return np.asarray(Renderer(self.body, view.camera, threads=1).masks(pose[None], self.joints[None])[0])
+
     def depths(self, view: SharedView, pixels: Float64) -> tuple[Float64, Float64]:
         """Return the depths (N,) of the surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
 
@@ -115,12 +120,7 @@ def _place_in_view(first: _Posed, second: _Posed, view: SharedView) -> Place:
     Depths are compared where both silhouettes are, and where the masks meet, there with the nearest pixel of each
     silhouette.
     """
-    silhouettes = [
-        Renderer(tool.body, view.camera, threads=1).masks((view.view_from_camera @ tool.pose)[None], tool.joints[None])[
-            0
-        ]
-        for tool in (first, second)
-    ]
+    silhouettes = [tool.silhouette(view) for tool in (first, second)]
     near = [_grown(mask, _REACH) for mask in view.masks]
     compared = np.argwhere((silhouettes[0] & silhouettes[1]) | (near[0] & near[1]))
     if len(compared) == 0:
@@ -128,13 +128,9 @@ def _place_in_view(first: _Posed, second: _Posed, view: SharedView) -> Place:
     if not all(silhouette.any() for silhouette in silhouettes):
         return "unclear"
     compared = compared[np.linspace(0, len(compared) - 1, min(_MOST, len(compared))).astype(int)]
-    depths, variances = zip(
-        *(
-            tool.depths(view, _nearest(silhouette, compared))
-            for tool, silhouette in zip((first, second), silhouettes, strict=True)
-        ),
-        strict=True,
-    )
+    pairs = zip((first, second), silhouettes, strict=True)
+    measured = [tool.depths(view, _nearest(silhouette, compared)) for tool, silhouette in pairs]
+    depths, variances = zip(*measured, strict=True)
     seen = np.isfinite(depths[0]) & np.isfinite(depths[1])
     if not seen.any():
         return "unclear"
