@@ -8,6 +8,7 @@
     python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
     python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
+    python scripts/bench.py checkouts    estimates, whole commands and a folder compared with another checkout
 
 The default sessions and instrument are in the folder shared beside the checkout. Alternatives that are compared are run
 alternately in one process; times are medians.
@@ -26,6 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 from bench_calibrate import calibrate_report
+from bench_checkouts import checkouts_report
 from bench_cores import cores_report
 from bench_estimate import estimate_report, workers_report
 from bench_page import page_report
@@ -112,6 +114,16 @@ def _page(arguments: argparse.Namespace) -> dict[str, Any]:
     return page_report(frames, 2 if arguments.quick else arguments.repeats)
 
 
+def _checkouts(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Report the command checkouts."""
+    if arguments.against is None:
+        raise InputError("checkouts: expected --against DIR, the checkout to compare with")
+    frames, repeats = (1, 1) if arguments.quick else (arguments.frames, arguments.repeats)
+    return checkouts_report(
+        arguments.instrument, arguments.sessions, other=arguments.against, frames=frames, repeats=repeats
+    )
+
+
 COMMANDS: Final = {
     "render": _render,
     "estimate": _estimate,
@@ -121,6 +133,7 @@ COMMANDS: Final = {
     "cores": _cores,
     "track": _track,
     "page": _page,
+    "checkouts": _checkouts,
 }
 
 
@@ -174,8 +187,9 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=SESSIONS,
         metavar="SESSION",
-        help="sessions, for estimate, stages, calibrate and track",
+        help="sessions, for estimate, stages, calibrate, track and checkouts",
     )
+    parser.add_argument("--against", type=Path, metavar="DIR", help="for checkouts: the checkout to compare with")
     parser.add_argument(
         "--results", type=Path, metavar="DIR", help="for calibrate: results of batch (default: frames are estimated)"
     )
