@@ -49,7 +49,8 @@ def cut_link(on_lines: VerticesOnLines, link: int, outline: Words, detail: bool)
     line = on_lines.grid.first_line(v)
 
     # The parts of the outline edges in front of the plane.
-    clipped = on_lines.segments(edge.take(on_outline), pose.take(on_outline), detail)
+    kept = edge.take(on_outline), pose.take(on_outline)
+    clipped = on_lines.segments(*kept, on_lines.ends(*kept), detail)
     place = end_behind.take(on_outline).view(np.int8), np.arange(len(on_outline))
     clipped.u[place], clipped.v[place] = u.take(on_outline), v.take(on_outline)
     clipped.line[place] = line.take(on_outline)

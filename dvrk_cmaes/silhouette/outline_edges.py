@@ -93,13 +93,12 @@ class OutlineEdges:
             chosen = chosen.copy()
             chosen[:, self.poses :] = False
         at = np.flatnonzero(chosen)
+        edge, pose = at >> index_shift(batch_size), at & (batch_size - 1)
+        ends = vertices.ends(edge, pose)
         if straight:
-            ends = self._topology.edge_ends.take(at >> index_shift(batch_size), axis=1, mode="clip")
-            ends *= batch_size
-            ends += at & (batch_size - 1)
-            start, end = vertices.line.ravel().take(ends, mode="clip")
-            at = at[start != end]
-        segments = vertices.segments(at >> index_shift(batch_size), at & (batch_size - 1), detail)
+            crossing = np.flatnonzero(np.not_equal(*vertices.line.ravel().take(ends, mode="clip")))
+            edge, pose, ends = (values.take(crossing, axis=-1, mode="clip") for values in (edge, pose, ends))
+        segments = vertices.segments(edge, pose, ends, detail)
         for more in cut:
             segments = segments.concatenated(more.crossing() if straight else more)
         if not straight:

@@ -69,12 +69,18 @@ class VerticesOnLines:
     v: Float32
     line: NDArray[np.signedinteger[Any]]
 
-    def segments(self, edge: NDArray[np.intp], pose: NDArray[np.intp], detail: bool) -> Segments:
-        """Return edges of given poses as segments, with their inverse depth if ``detail``."""
-        vertices, topology = self.vertices, self.vertices.topology
-        ends = topology.edge_ends.take(edge, axis=1, mode="clip")
-        ends *= vertices.batch_size
+    def ends(self, edge: NDArray[np.intp], pose: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the places (2, S) of both ends of S edges of given poses in the arrays (V, batch_size)."""
+        ends = self.vertices.topology.edge_ends.take(edge, axis=1, mode="clip")
+        ends *= self.vertices.batch_size
         ends += pose
+        return ends
+
+    def segments(
+        self, edge: NDArray[np.intp], pose: NDArray[np.intp], ends: NDArray[np.intp], detail: bool
+    ) -> Segments:
+        """Return S edges of given poses with their ``ends`` as segments, with their inverse depth if ``detail``."""
+        vertices, topology = self.vertices, self.vertices.topology
         return Segments(
             pose,
             topology.edge_faces[0].take(edge, mode="clip"),

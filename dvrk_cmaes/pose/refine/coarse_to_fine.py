@@ -48,12 +48,13 @@ def _stacked(modes: Sequence[HasPose]) -> tuple[Float64, Float64]:
 def _agree(modes: Sequence[OutlineFit], gap: float) -> bool:
     """Return whether several poses have reached the best one's mode, and no other mode is nearly as good.
 
-    Another mode is nearly as good if its score is worse by less than ``gap``, or its outline alone is as good.
+    Another mode is nearly as good if its score is worse by less than ``gap``, or its outline alone is better. Where
+    both outlines are as good as the noise allows, the readings decide.
     """
     best = min(modes, key=lambda mode: mode.score)
     others = [mode for mode in modes if are_distinct(mode, best)]
     return len(modes) - len(others) >= _AGREEING and all(
-        mode.score > best.score + gap and mode.outline_score > best.outline_score for mode in others
+        mode.score > best.score + gap and mode.outline_score >= best.outline_score for mode in others
     )
 
 

@@ -170,7 +170,8 @@ class OutlineRefiner:
     def _render(self, poses: Float64, joints: Float64) -> list[tuple[NDArray[np.float32], OutlinePoints]]:
         """Render the blurred coverage (H, W) and the outline of each of C poses."""
         lines = self._config.lines_per_pixel
-        coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines)
+        every = 1 if self.shrink == 1 else lines  # at smaller sizes, one line of each pixel row is enough
+        coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines, every=every)
         pairs = zip(coverage, outlines.of_each(len(poses)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
@@ -185,9 +186,13 @@ class OutlineRefiner:
     def _loss(self, image: NDArray[np.float32], cauchy: float) -> float:
         """Compute the Cauchy loss of a blurred image (H, W), which is the sum of squares for small residuals."""
         r = (image - self._target).ravel()
-        near = np.flatnonzero(r)  # few pixels: both images are 0 or 1 elsewhere
-        r = r[near] * np.float32(1 / cauchy)
-        return float(cauchy**2 * (self._weight.ravel()[near] * np.log1p(r * r)).sum(dtype=np.float64))
+        near = np.flatnonzero(r != 0)  # few pixels: both images are 0 or 1 elsewhere
+        r = r.take(near)
+        r *= np.float32(1 / cauchy)
+        r *= r
+        np.log1p(r, out=r)
+        r *= self._weight.ravel().take(near)
+        return float(cauchy**2 * r.sum(dtype=np.float64))
 
     def set_noise_at(
         self, pose: Float64, joints: Float64, *, cauchy: float | None = None, camera: Camera | None = None

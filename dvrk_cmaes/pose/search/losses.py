@@ -85,13 +85,13 @@ def _mean_line(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) 
 def cylinder_loss(projected: Float64, reference: Float64, camera: Camera, offset_weight: float) -> Float64:
     """Compute L_cylinder: the summed line distances of the better pairing of edges plus that of the mean lines, (...).
 
-    ``projected`` (..., 2, 3) and ``reference`` (2, 3) are homogeneous lines in normalised coordinates. The loss is 10
-    where ``projected`` is NaN.
+    ``projected`` and ``reference``, (..., 2, 3) each, are homogeneous lines in normalised coordinates; they are
+    broadcast together. The loss is 10 where ``projected`` is NaN.
     """
     theta, rho = polar_lines(projected, camera)
     ref_theta, ref_rho = polar_lines(reference, camera)
     p = [(theta[..., i], rho[..., i]) for i in range(2)]
-    r = [(ref_theta[i], ref_rho[i]) for i in range(2)]
+    r = [(ref_theta[..., i], ref_rho[..., i]) for i in range(2)]
     straight = line_distance(p[0], r[0], offset_weight) + line_distance(p[1], r[1], offset_weight)
     crossed = line_distance(p[0], r[1], offset_weight) + line_distance(p[1], r[0], offset_weight)
     mean = line_distance(_mean_line(*p), _mean_line(*r), offset_weight)

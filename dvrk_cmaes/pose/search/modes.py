@@ -47,8 +47,15 @@ _ANGLE, _JOINT = float(np.deg2rad(15)), float(np.deg2rad(25))  # between poses o
 
 def are_distinct(a: HasPose, b: HasPose, angle: float = _ANGLE, joint: float = _JOINT) -> bool:
     """Return whether two poses differ by more than ``angle`` in rotation or more than ``joint`` in any joint, rad."""
-    rotation = float(rotation_angle(a.camera_from_root, b.camera_from_root))
-    return rotation > angle or bool(np.abs(a.joints - b.joints).max(initial=0.0) > joint)
+    return bool(_are_distinct(a.camera_from_root, a.joints, b.camera_from_root, b.joints, angle, joint))
+
+
+def _are_distinct(
+    pose: Float64, joints: Float64, poses: Float64, other_joints: Float64, angle: float, joint: float
+) -> NDArray[np.bool_]:
+    """Return which of several poses (..., 4, 4) with joints (..., J) are distinct from one pose (4, 4), joints (J,)."""
+    turned = rotation_angle(pose, poses) > angle
+    return np.asarray(turned | (np.abs(other_joints - joints).max(axis=-1, initial=0.0) > joint))
 
 
 def best_per_mode(
@@ -58,10 +65,12 @@ def best_per_mode(
 
     Candidates belong to the same mode if they are not distinct by the thresholds ``angle`` and ``joint``, rad.
     """
+    left = sorted(candidates, key=lambda c: c.score)
+    poses = np.array([candidate.camera_from_root for candidate in left])
+    joints = np.array([candidate.joints for candidate in left])
     kept: list[P] = []
-    for candidate in sorted(candidates, key=lambda c: c.score):
-        if all(are_distinct(candidate, other, angle, joint) for other in kept):
-            kept.append(candidate)
-        if len(kept) == most:
-            break
+    while left and len(kept) != most:
+        kept.append(left[0])
+        distinct = np.flatnonzero(_are_distinct(poses[0], joints[0], poses, joints, angle, joint))
+        left, poses, joints = [left[i] for i in distinct], poses[distinct], joints[distinct]
     return kept

@@ -107,8 +107,8 @@ def pose_terms(
     if edges and shaft is not None:
         projected = project_cylinder(rotation @ shaft.point + translation, rotation @ shaft.direction, shaft.radius)
         # The best supported pair is not always the shaft, so the pair with the smallest loss counts.
-        pairs = [cylinder_loss(projected, pair.planes, camera, weights.line_offset) for pair in edges]
-        cylinder = np.min(pairs, axis=0)
+        pairs = np.stack([pair.planes for pair in edges])[:, None]
+        cylinder = cylinder_loss(projected, pairs, camera, weights.line_offset).min(axis=0)
     if tips is not None and instrument.jaw_tips:
         keypoints = keypoint_loss(project_tips(instrument, camera, camera_from_root, joints), tips) * (
             1.0 if evidence.tips_given else weights.found_tips
