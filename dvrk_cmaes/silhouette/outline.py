@@ -119,9 +119,11 @@ def outline_points(edges: OutlineEdges, camera: Camera, rows: Spans, grid: LineG
     pose = np.concatenate([part.pose for part in parts])
     link = edges.link_of(np.concatenate([part.face for part in parts]))
     order = (pose * edges.links + link).astype(np.uint16).argsort(kind="stable")
-    pose, link = pose[order], link[order]
-    pixels, normals = (np.concatenate([getattr(p, name) for p in parts])[order] for name in ("pixels", "normals"))
-    depth = np.concatenate([part.depth for part in parts])[order]
+    pose, link = pose.take(order), link.take(order)
+    pixels, normals, depth = (
+        np.concatenate([getattr(part, name) for part in parts]).take(order, axis=0)
+        for name in ("pixels", "normals", "depth")
+    )
     seen = np.c_[camera.normalise(pixels), np.ones(len(pixels))] * depth[:, None]
     to_camera = edges.camera_from_link[pose, link]
     points = np.einsum("nji,nj->ni", to_camera[:, :3, :3], seen - to_camera[:, :3, 3])

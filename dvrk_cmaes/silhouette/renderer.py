@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import pairwise
 from threading import Lock
 from typing import TypeVar
 
@@ -211,14 +212,19 @@ class Renderer:
         later = at - whole.astype(np.float32)
         later[len(row) :] *= -1
         now = np.repeat(np.array([1, -1], dtype=np.float32), len(row)) - later
-        index = np.tile(row * (width + 2), 2) + whole
+        rows = poses * height
+        index = whole * rows + np.tile(row, 2)
         change = np.bincount(
-            np.concatenate([index, index + 1]),
+            np.concatenate([index, index + rows]),
             weights=np.concatenate([now, later]),
-            minlength=poses * height * (width + 2),
+            minlength=(width + 2) * rows,
         )
-        table = change.astype(np.float32).reshape(poses * height, width + 2).cumsum(axis=1)[:, :width]
-        return table.reshape(poses, height, width) * np.float32(1 / lines_per_pixel)
+        # The sums along the rows, column by column: adding whole columns takes a third of the time of cumsum.
+        columns = change.astype(np.float32).reshape(width + 2, rows)[:width]
+        for before, after in pairwise(columns):
+            after += before
+        columns *= np.float32(1 / lines_per_pixel)
+        return np.ascontiguousarray(columns.T).reshape(poses, height, width)
 
     def outlines(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> OutlinePoints:
         """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns."""
