@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 from dvrk_cmaes._version import __version__
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration import SessionCalibration, SessionFrame, SolvedSession, calibrate_session
-    from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
+    from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+    from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
@@ -79,21 +80,21 @@ _HOMES = {
     "SearchConfig": "config",
     "Session": "frames.session_folder",
     "SessionCables": "calibration.session_cables",
-    "SessionCalibration": "calibration",
+    "SessionCalibration": "calibration.document",
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
-    "SessionFrame": "calibration",
+    "SessionFrame": "calibration.frame_task",
     "SessionVideo": "frames.session_video",
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
-    "SolvedSession": "calibration",
+    "SolvedSession": "calibration.calibrate",
     "ToolInFrame": "estimation",
     "TrackConfig": "config",
     "TrackResult": "results.tracked",
     "Tracker": "track",
     "TrustConfig": "config",
     "ViewCheck": "results.result",
-    "calibrate_session": "calibration",
+    "calibrate_session": "calibration.calibrate",
     "estimate": "estimation",
     "estimate_tools": "estimation",
     "load_instrument": "instrument",

@@ -16,7 +16,8 @@ import numpy as np
 from accuracy_cases import Case, Run, print_progress
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import Session, read_session

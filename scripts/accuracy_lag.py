@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 from accuracy_cases import Run
 
-from dvrk_cmaes.calibration import SessionFrame, find_lag
+from dvrk_cmaes.calibration.calibrate import find_lag
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData

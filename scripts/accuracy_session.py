@@ -20,7 +20,8 @@ from accuracy_errors import RIGHT_MODE_DEG
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError

@@ -13,7 +13,7 @@ from typing import Any, Final
 from accuracy_cases import Case, Run
 from accuracy_session import Outcome, Trial, base_error
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 
 FOREIGN_MASKS: Final = "3 masks of another session"
 LATE: Final = "readings 2 frames late"

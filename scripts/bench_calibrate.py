@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dvrk_cmaes.calibration import SessionFrame, calibrate_session
+from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session

@@ -23,7 +23,8 @@ from typing import Any, Final
 
 from many_frames import repeated_results, repeated_session
 
-from dvrk_cmaes.calibration import SessionFrame, find_lag
+from dvrk_cmaes.calibration.calibrate import find_lag
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import read_frame

@@ -13,7 +13,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.images import read_image, read_mask

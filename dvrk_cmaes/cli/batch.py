@@ -34,7 +34,7 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_erro
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration import SessionCalibration
+    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.runs.batch import BatchSummary

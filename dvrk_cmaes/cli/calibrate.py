@@ -26,7 +26,8 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration import SessionCalibration, SolvedSession
+    from dvrk_cmaes.calibration.calibrate import SolvedSession
+    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
 
 FOLDER = Group.create_ordered("Folder")

@@ -12,7 +12,7 @@ from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration import SessionCalibration
+    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.report.page_axes import Axis, value_axis
 from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark_size

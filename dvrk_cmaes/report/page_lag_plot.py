@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.report.page_axes import Axis, value_axis
 
 _WIDTH, _HEIGHT = 560.0, 260.0

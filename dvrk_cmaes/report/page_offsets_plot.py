@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.report.page_axes import Axis, value_axis
 from dvrk_cmaes.report.page_plots import Mark, mark_size
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.report.page_axes import Axis, centred_axis
 
 Float64 = NDArray[np.float64]

@@ -10,7 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionCalibration, SessionFrame, find_lag
+from dvrk_cmaes.calibration.calibrate import find_lag
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import read_frame

@@ -12,7 +12,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_with_evidence
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_with_evidence
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles

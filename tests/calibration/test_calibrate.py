@@ -11,8 +11,8 @@ import pytest
 from helpers.session_worlds import in_other_mode, make_frames_in_memory, with_result
 from scipy.stats import chi2
 
-from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.frame_task import fit_task
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import SessionFrame, fit_task
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import compare_poses

@@ -14,8 +14,7 @@ from helpers.page_calibrations import cables_of, solved
 from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
-from dvrk_cmaes.calibration import SessionCalibration
-from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.errors import InputError

@@ -10,7 +10,8 @@ from helpers.batch_sessions import QUICK_CONFIG
 from helpers.session_worlds import make_frames_in_memory, true_calibration
 
 from dvrk_cmaes import estimate
-from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import FrameData

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_in_memory
 
-from dvrk_cmaes.calibration import SessionFrame
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
 
-from dvrk_cmaes.calibration import SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError

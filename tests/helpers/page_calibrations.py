@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out

@@ -10,8 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dvrk_cmaes.calibration import SessionCalibration, SessionFrame
 from dvrk_cmaes.calibration.consensus import Mode
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.camera import Camera

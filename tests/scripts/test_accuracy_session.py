@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from helpers.places import ROOT, SCRIPTS
 
-from dvrk_cmaes.calibration import SessionCalibration, SolvedSession
+from dvrk_cmaes.calibration.calibrate import SolvedSession
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.joints.lag import Lag
