@@ -164,9 +164,10 @@ def _fit_line(contour: Contour, line: Float64, iterations: int = 3) -> tuple[Flo
             break
         mean = weight @ points / weight.sum()
         centred = points - mean
-        scatter = (centred * weight[:, None]).T @ centred
-        normal = np.linalg.eigh(scatter)[1][:, 0]
-        normal = normal * np.sign(normal @ line[:2])
+        (a, b), (_, c) = (centred * weight[:, None]).T @ centred
+        direction = np.arctan2(2 * b, a - c) / 2  # of the principal axis of the points' scatter
+        normal = np.array([-np.sin(direction), np.cos(direction)])
+        normal *= np.sign(normal @ line[:2])
         line = np.array([*normal, -normal @ mean])
         deviation = 1.4826 * float(np.median(np.abs(points @ normal + line[2])))
         sigma = float(np.clip(deviation, 0.3, _NEAR_LINE))
