@@ -45,15 +45,18 @@ while True:
 
 @dataclass(frozen=True)
 class Checkout:
-    """A checkout whose package is imported by processes of their own."""
+    """A checkout whose package is imported by processes of their own, compiled into the folder ``compiled``."""
 
     name: str
     folder: Path
+    compiled: str
 
     @property
     def environment(self) -> dict[str, str]:
         """The environment variables of its processes."""
-        return {**os.environ, "PYTHONPATH": str(self.folder), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        return {**given, **one, "PYTHONPATH": str(self.folder), "PYTHONPYCACHEPREFIX": self.compiled}
 
 
 @contextmanager
@@ -99,19 +102,21 @@ def checkouts_report(
 ) -> dict[str, Any]:
     """Measure estimates, whole commands and a folder with two workers, of this checkout and of another one.
 
-    Estimates run in one process for each checkout, and each frame in turns; the first frame is not measured.
+    Estimates run in one process for each checkout, and each frame in turns. The first frame and the first command of
+    each checkout are not measured.
     """
     if not (other / "dvrk_cmaes" / "__init__.py").is_file():
         raise InputError(f"--against {other}: expected a checkout with the package dvrk_cmaes")
-    both = (Checkout("this", HERE), Checkout("other", other.resolve()))
     names = prepare(instrument).instrument.joint_names
     read = [read_session(folder, known=names) for folder in sessions]
     inputs = [(one, files) for one in read for files in one.frames[:frames]]
-    return {
-        "estimate, seconds a frame": _estimates(both, instrument, inputs),
-        "whole command, seconds": _commands(both, instrument, inputs, repeats),
-        "folder, two workers": _folders(both, instrument, sessions[len(sessions) // 2], repeats),
-    }
+    with tempfile.TemporaryDirectory() as compiled:
+        both = (Checkout("this", HERE, f"{compiled}/this"), Checkout("other", other.resolve(), f"{compiled}/other"))
+        return {
+            "estimate, seconds a frame": _estimates(both, instrument, inputs),
+            "whole command, seconds": _commands(both, instrument, inputs, repeats),
+            "folder, two workers, seconds": _folders(both, instrument, sessions[len(sessions) // 2], repeats),
+        }
 
 
 def _estimates(
@@ -170,7 +175,8 @@ def _commands(
     both: Sequence[Checkout], instrument: str, inputs: Sequence[tuple[Session, FrameFiles]], repeats: int
 ) -> list[dict[str, Any]]:
     """Measure the command estimate, from start to exit, on frames spread over the sessions."""
-    chosen = [inputs[i] for i in np.linspace(0, len(inputs) - 1, repeats).round().astype(int)]
+    places = [0, *np.linspace(0, len(inputs) - 1, repeats).round().astype(int)]
+    chosen = [inputs[i] for i in places]
     measured: dict[str, list[tuple[float, float]]] = {one.name: [] for one in both}
     for session, files in chosen:
         folder = session.folder
@@ -178,7 +184,7 @@ def _commands(
         arguments += ["--camera", str(folder / "camera.yaml"), "--joints", str(folder / "joints.csv")]
         for checkout in both:
             measured[checkout.name].append(_run(checkout, [*arguments, "--instrument", instrument]))
-    return _rows(measured)
+    return _rows({name: times[1:] for name, times in measured.items()})
 
 
 def _folders(both: Sequence[Checkout], instrument: str, session: Path, repeats: int) -> list[dict[str, Any]]:
