@@ -211,11 +211,16 @@ def _draw_pose(
 
 
 def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: FrameCanvas) -> list[Float64]:
-    """Return the stretches of the mask's contour that are off together, each (N, 2) px of the canvas."""
+    """Return the stretches of the mask's contour that are off together, each (N, 2) px of the canvas.
+
+    ``silhouette`` (h, w) has the canvas's size. Distances are measured at the mask's size, as for the result.
+    """
     contour = evidence.contour.pixels
+    height, width = evidence.mask.shape
+    silhouette = cv2.resize(silhouette.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
     if silhouette.all() or not silhouette.any():
         return []
-    distances = distances_to(silhouette, frame.at(contour)) / frame.scale
+    distances = distances_to(silhouette, contour)
     index = np.flatnonzero(steady_stretches(contour, distances))
     breaks = np.flatnonzero((np.diff(index) > 1) | (np.diff(distances[index] > 0) != 0)) + 1
     return [frame.at(contour[part]) for part in np.split(index, breaks) if len(part)]
