@@ -68,16 +68,13 @@ class _LinePoints:
     depth: Float64
 
     @staticmethod
-    def of(spans: Spans, grid: LineGrid, extent: int, every: int = 1) -> _LinePoints:
-        """Take the points from the ends of the spans on every ``every``-th line."""
+    def of(spans: Spans, grid: LineGrid, extent: int) -> _LinePoints:
+        """Take the points from the ends of all spans."""
         crossings = spans.crossings
         assert spans.ends_at is not None
         assert crossings.segment is not None
         n = grid.per_pixel
         start, end = spans.ends_at
-        if every > 1:
-            chosen = np.flatnonzero(spans.row % grid.lines % every == 0)
-            start, end = start[chosen], end[chosen]
         u, row = crossings.u, crossings.row
         # Crossings closer than CLOSE may be in the wrong order, so gaps and spans shorter than that are ignored.
         gap = (row[start[1:]] == row[end[:-1]]) & (u[start[1:]] - u[end[:-1]] < CLOSE)
@@ -99,21 +96,21 @@ class _LinePoints:
         assert segments.inverse_depth is not None
         near, far = segments.inverse_depth
         pixels = np.stack([u[index].astype(np.float64), grid.line_to_v(line)], axis=1)
-        normals = -begins[:, None] * np.stack([np.ones_like(slope), -slope], axis=1) * (every / n)
+        normals = -begins[:, None] * np.stack([np.ones_like(slope), -slope], axis=1) / n
         if grid.vertical:
             pixels, normals = pixels[:, ::-1], normals[:, ::-1]
         return _LinePoints(pose, pixels, normals, segments.face, 1 / (near + share * (far - near)))
 
 
-def outline_points(edges: OutlineEdges, camera: Camera, rows: Spans, grid: LineGrid, every: int = 1) -> OutlinePoints:
-    """Find points on the visible outlines of a batch of poses, on each ``every``-th line of ``grid`` and pixel columns.
+def outline_points(edges: OutlineEdges, camera: Camera, rows: Spans, grid: LineGrid) -> OutlinePoints:
+    """Find points on the visible outlines of a batch of poses, on the lines of ``grid`` and on the pixel columns.
 
     ``rows`` are the spans on ``grid``, computed with ``detail``.
     """
     columns = LineGrid(camera.width, vertical=True)
     spans = covered_spans(edges, columns, camera.height, detail=True)
     parts = [
-        _LinePoints.of(rows, grid, camera.width, every),
+        _LinePoints.of(rows, grid, camera.width),
         _LinePoints.of(spans, columns, camera.height),
     ]
     pose = np.concatenate([part.pose for part in parts])

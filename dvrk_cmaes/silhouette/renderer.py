@@ -238,23 +238,18 @@ class Renderer:
         return OutlinePoints.joined(points, batch_slices(len(camera_from_root)))
 
     def coverage_and_outlines(
-        self,
-        camera_from_root: NDArray[np.float64],
-        joints: NDArray[np.float64],
-        *,
-        lines_per_pixel: int = 2,
-        every: int = 1,
+        self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 2
     ) -> tuple[NDArray[np.float32], OutlinePoints]:
         """Compute the coverage and the outlines of C poses together, at little more than the cost of one of them.
 
-        The coverage is computed on ``lines_per_pixel`` lines per pixel row. The points of the outlines lie on each
-        ``every``-th of these lines, and on the pixel columns.
+        The points of the outlines lie on all lines of the coverage, ``lines_per_pixel`` per pixel row, and on the pixel
+        columns.
         """
         grid = LineGrid(self.camera.height, lines_per_pixel)
 
         def both(edges: OutlineEdges) -> tuple[NDArray[np.float32], OutlinePoints]:
             rows = covered_spans(edges, grid, self.camera.width, detail=True)
-            points = outline_points(edges, self.camera, rows, grid, every)
+            points = outline_points(edges, self.camera, rows, grid)
             return self._covered_shares(rows, edges.poses, lines_per_pixel), points
 
         coverage, points = zip(*self._map_batches(camera_from_root, joints, both), strict=True)

@@ -170,8 +170,7 @@ class OutlineRefiner:
     def _render(self, poses: Float64, joints: Float64) -> list[tuple[NDArray[np.float32], OutlinePoints]]:
         """Render the blurred coverage (H, W) and the outline of each of C poses."""
         lines = self._config.lines_per_pixel
-        every = 1 if self.shrink == 1 else lines  # at smaller sizes, one line of each pixel row is enough
-        coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines, every=every)
+        coverage, outlines = self._renderer.coverage_and_outlines(poses, joints, lines_per_pixel=lines)
         pairs = zip(coverage, outlines.of_each(len(poses)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
