@@ -216,8 +216,8 @@ def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: 
     ``silhouette`` (h, w) has the canvas's size. Distances are measured at the mask's size, as for the result.
     """
     contour = evidence.contour.pixels
-    height, width = evidence.mask.shape
-    silhouette = cv2.resize(silhouette.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
+    size = frame.camera.width, frame.camera.height
+    silhouette = cv2.resize(silhouette.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
     if silhouette.all() or not silhouette.any():
         return []
     distances = distances_to(silhouette, contour)
