@@ -99,10 +99,14 @@ class Run:
 def read_cases(folders: Sequence[str], *, instrument: str, frames: int | None, truth: bool = True) -> list[Case]:
     """Read the frames of session folders; at most ``frames`` of each, evenly spread.
 
+    A frame that cannot be used, for example with an empty mask where the instrument has left the view, is left out with
+    a line on stderr.
+
     Raises
     ------
     InputError
-        A file is missing or not valid, two sessions have the same name, or with ``truth`` a frame has no truth.
+        A session cannot be read, no frame of it can be used, two sessions have the same name, or with ``truth`` a frame
+        has no truth.
     """
     known = prepare(instrument).instrument.joint_names
     cases: list[Case] = []
@@ -117,7 +121,11 @@ def read_cases(folders: Sequence[str], *, instrument: str, frames: int | None, t
         for one in files:
             if truth and one.name not in session.truth.frames:
                 raise InputError(f"{session.folder / 'golden.json'}: expected the truth of frame {one.name}, got none")
-            data = read_frame(one, session.camera)
+            try:
+                data = read_frame(one, session.camera)
+            except InputError as error:
+                print(f"{name}: frame {one.name} is left out: {error}", file=sys.stderr)
+                continue
             cases.append(
                 Case(
                     session=name,
@@ -131,6 +139,8 @@ def read_cases(folders: Sequence[str], *, instrument: str, frames: int | None, t
                     ignore=data.ignore,
                 )
             )
+        if not any(case.session == name for case in cases):
+            raise InputError(f"{folder}: expected a frame that can be used, got none of {len(files)}")
     return cases
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -10,10 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 from helpers.places import ROOT, SCRIPTS
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import moved, transform
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -175,6 +178,21 @@ def test_quick_run_reports_json_and_reuses_results(tmp_path: Path) -> None:
     assert session["tip_mm"][0] < 1
     assert len(list((tmp_path / "demo" / "honest").iterdir())) == 2
     assert run() == report  # equal seconds: nothing is estimated again
+
+
+def test_frame_with_empty_mask_is_left_out_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from accuracy_cases import read_cases
+
+    session = tmp_path / "demo"
+    shutil.copytree(ROOT / "data" / "demo", session)
+    cv2.imwrite(str(session / "masks" / "0002.png"), np.zeros((480, 640), np.uint8))
+    cases = read_cases([str(session)], instrument="lnd", frames=None)
+    assert [case.frame for case in cases] == ["0000", "0001", "0003", "0004"]
+    assert "frame 0002 is left out" in capsys.readouterr().err
+    for mask in (session / "masks").iterdir():
+        cv2.imwrite(str(mask), np.zeros((480, 640), np.uint8))
+    with pytest.raises(InputError, match="a frame that can be used"):
+        read_cases([str(session)], instrument="lnd", frames=None)
 
 
 def test_missing_session_is_refused(tmp_path: Path) -> None:
