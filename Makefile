@@ -3,7 +3,7 @@
 VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .PHONY: demo test lint experiments clean
 .DELETE_ON_ERROR:
@@ -29,12 +29,16 @@ experiments: $(VENV)/.tools
 clean:
 	rm -rf $(VENV)
 
-$(VENV)/.package: pyproject.toml
+$(VENV)/.python:
 	@$(PYTHON) scripts/check_build_tools.py
 	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.package: $(VENV)/.python pyproject.toml
 	$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.tools: $(VENV)/.package
+# with the package, which need not be installed by itself before
+$(VENV)/.tools: $(VENV)/.python pyproject.toml
 	$(PIP) --editable '.[test,lint,make]'
-	@touch $@
+	@touch $(VENV)/.package $@
