@@ -5,7 +5,6 @@ On Debian: ``apt-get install chromium chromium-driver``.
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 from collections.abc import Iterator
@@ -76,12 +75,12 @@ def emulate(driver: WebDriver, *, width: int, height: int = 900, media: str = ""
     command(driver, "Emulation.setEmulatedMedia", media=media, features=features)
 
 
-def screenshot(driver: WebDriver, path: Path, *, width: int, scheme: str = "light") -> None:
-    """Write a screenshot of the whole page at a width, px."""
-    emulate(driver, width=width, scheme=scheme)
-    height = driver.execute_script("return document.documentElement.scrollHeight")
-    emulate(driver, width=width, height=height, scheme=scheme)
-    path.write_bytes(base64.b64decode(command(driver, "Page.captureScreenshot", format="png")["data"]))
+def show_whole(driver: WebDriver, *, width: int) -> None:
+    """Emulate a screen of a width, px, that is as high as the page, and wait until all of the page is laid out."""
+    emulate(driver, width=width)
+    emulate(driver, width=width, height=driver.execute_script("return document.documentElement.scrollHeight"))
+    # in the first frame, the articles that were out of sight (content-visibility) come into sight
+    driver.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
 
 
 CONTRAST = """

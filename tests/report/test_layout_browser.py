@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import VIOLATIONS, complaints, emulate, screenshot
+from helpers.browser import VIOLATIONS, complaints, emulate, show_whole
 from helpers.canned_results import canned
 from helpers.canned_results import write_results as write_canned
 from helpers.page_calibrations import calibration, solved, write_calibrated
@@ -75,10 +75,10 @@ def page(request: pytest.FixtureRequest, driver: WebDriver, tmp_path_factory: py
 
 @pytest.mark.parametrize("page", [session_page, calibrated_page, compared_page, arms_page], indirect=True)
 @pytest.mark.parametrize("width", WIDTHS)
-def test_layout_has_no_faults(page: WebDriver, width: int, tmp_path: Path) -> None:
+def test_layout_has_no_faults(page: WebDriver, width: int) -> None:
     for opened in ("false", "true"):
         page.execute_script(f"document.querySelectorAll('details').forEach((d) => {{ d.open = {opened}; }})")
-        screenshot(page, tmp_path / f"{width}-{opened}.png", width=width)
+        show_whole(page, width=width)
         assert page.execute_script("return document.documentElement.scrollWidth") == width
         assert page.execute_script(VIOLATIONS) == []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from helpers.browser import CONTRAST, VIOLATIONS, chromium, complaints, emulate, requests, screenshot
+from helpers.browser import CONTRAST, VIOLATIONS, chromium, complaints, emulate, requests, show_whole
 from helpers.track_rows import recording, row
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -79,10 +79,10 @@ def test_page_opens_without_errors_or_requests(page: WebDriver, address: str) ->
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("at", ["0000", "0060"])
-def test_layout_has_no_faults(page: WebDriver, width: int, at: str, tmp_path: Path) -> None:
+def test_layout_has_no_faults(page: WebDriver, width: int, at: str) -> None:
     emulate(page, width=width)
     page.execute_script(f"location.hash = '#frame-{at}'")
-    screenshot(page, tmp_path / "page.png", width=width)
+    show_whole(page, width=width)
     assert page.execute_script("return document.documentElement.scrollWidth") == width
     assert page.execute_script(VIOLATIONS) == []
 
