@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import shutil
@@ -77,6 +78,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.clear()
     if hasattr(config, "workeroutput"):  # a worker of pytest-xdist
         config.workeroutput["deselected"] = deselected
+
+
+def pytest_collection_finish() -> None:
+    """Let garbage collections pass over the modules and the collected tests, which stay until the end."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
+from dvrk_cmaes.instrument import Instrument, load_instrument
 from helpers.places import SHARED
 
 INSTRUMENTS = SHARED / "instruments"
@@ -13,6 +15,13 @@ ALL_SHARED = [
     SCANNED,
     *(INSTRUMENTS / "dvrk_model/urdf" / f"instrument_400{n}.urdf" for n in ("006", "093", "172", "183", "194")),
 ]
+
+
+@cache
+def loaded(source: str | Path) -> Instrument:
+    """Load an instrument without options, once for all tests of a process."""
+    return load_instrument(source)
+
 
 TETRA_OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.instrument_files import loaded
 
 from dvrk_cmaes import estimate
 from dvrk_cmaes.config import EstimateConfig, SearchConfig
@@ -110,7 +111,7 @@ def test_tool_of_other_instrument_is_refused(tmp_path: Path) -> None:
 def test_real_tools_fit_their_instruments(shared: Path, number: str, urdf: str) -> None:
     tool = read_tool(shared / "formats" / "tool" / f"{number}.json")
     assert tool.roll_offset == (0.467 if "_42" in number else 0.4162)
-    instrument = load_instrument(shared / "instruments" / "dvrk_model" / "urdf" / f"{urdf}.urdf")
+    instrument = loaded(shared / "instruments" / "dvrk_model" / "urdf" / f"{urdf}.urdf")
     fitted = with_tool(instrument, tool)
     assert fitted.limits_from == f"{number}.json"
     for name, pair in zip(fitted.joint_names, fitted.limits, strict=True):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yourdfpy
-from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, write_urdf
+from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, loaded, write_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -18,11 +18,6 @@ from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.bundled import bundled_path
 
 BUNDLED = bundled_path("instruments", "lnd", "lnd.urdf")
-
-
-@cache
-def loaded(path: Path) -> Instrument:
-    return load_instrument(path)
 
 
 @cache

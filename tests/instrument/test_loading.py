@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from helpers.instrument_files import ALL_SHARED, SCANNED, TETRA_OBJ, box_link, gripper, mesh_link, write_urdf
+from helpers.instrument_files import ALL_SHARED, SCANNED, TETRA_OBJ, box_link, gripper, loaded, mesh_link, write_urdf
 from plyfile import PlyData, PlyElement
 
 from dvrk_cmaes.errors import InputError
@@ -61,7 +61,7 @@ def test_unknown_name_is_refused() -> None:
 @pytest.mark.shared
 @pytest.mark.parametrize("path", ALL_SHARED, ids=lambda path: path.stem)
 def test_real_instruments_have_valid_meshes(path: Path) -> None:
-    instrument = load_instrument(path)
+    instrument = loaded(path)
     assert instrument.links[0].name == "roll_link"
     for link in instrument.links:
         assert link.vertices.dtype == np.float64

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, write_urdf
+from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, loaded, write_urdf
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Instrument, Shaft, load_instrument
+from dvrk_cmaes.instrument import Shaft, load_instrument
 from dvrk_cmaes.instrument.symmetry import twin_distance
 
 FRACTION = st.floats(0.0, 1.0)
 ANGLE = st.floats(-3.0, 3.0)
-
-
-@cache
-def loaded(source: str | Path) -> Instrument:
-    return load_instrument(source)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +43,9 @@ def check_shaft(shaft: Shaft, radius: float, proximal: float, distal: float, tol
 
 @pytest.mark.shared
 def test_scanned_shaft_excludes_flange() -> None:
-    check_shaft(shaft_of(SCANNED), 0.00407, -0.3237, -0.0090, 1e-4)
+    shaft = loaded(SCANNED).shaft
+    assert shaft is not None
+    check_shaft(shaft, 0.00407, -0.3237, -0.0090, 1e-4)
 
 
 @pytest.mark.shared
