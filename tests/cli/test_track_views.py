@@ -15,6 +15,7 @@ from helpers.commands import run_command
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.cli import main
 from dvrk_cmaes.draw.arms_overlay import COLOURS
 from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.results.track_files import read_tracks
@@ -110,7 +111,9 @@ def test_both_eyes_are_followed_and_shown(
 
 @pytest.fixture(scope="module")
 def tracks(two_arms: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("tracks")
+    out = tmp_path_factory.mktemp("tracks")
+    assert main(["track", str(two_arms), "--out", str(out), "--lag", "0"]) in (0, 3)
+    return out
 
 
 def test_every_arm_is_followed(two_arms: Path, tracks: Path, capsys: pytest.CaptureFixture[str]) -> None:
