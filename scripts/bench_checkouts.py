@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,7 +27,6 @@ _FINISHED = (0, 3)  # exit codes of a command that has estimated its frames
 _WORKER: Final = """
 import pickle, sys, time
 answers, sys.stdout = sys.stdout.buffer, sys.stderr
-import numpy as np
 from dvrk_cmaes import Camera, estimate, load_instrument, prepare
 body = prepare(sys.argv[1])
 while True:
@@ -70,18 +69,13 @@ def _worker(checkout: Checkout, instrument: str) -> Iterator[Callable[[dict[str,
         assert answers is not None
 
         def measure(frame: dict[str, Any]) -> tuple[float, float]:
-            return _asked(given, answers, frame)
+            pickle.dump((frame["camera"], frame["joints"], frame["mask"], frame["ignore"]), given)
+            given.flush()
+            wall, processor = pickle.load(answers)
+            return float(wall), float(processor)
 
         yield measure
         given.close()
-
-
-def _asked(given: IO[bytes], answers: IO[bytes], frame: dict[str, Any]) -> tuple[float, float]:
-    """Have a worker estimate a frame; returns wall and processor seconds."""
-    pickle.dump((frame["camera"], frame["joints"], frame["mask"], frame["ignore"]), given)
-    given.flush()
-    wall, processor = pickle.load(answers)
-    return float(wall), float(processor)
 
 
 def _frame(session: Session, files: FrameFiles) -> dict[str, Any]:

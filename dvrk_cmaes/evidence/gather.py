@@ -75,34 +75,28 @@ def gather_evidence(
         raise InputError("mask: expected some instrument, got no pixel that counts")
     if (mask if ignore is None else mask | ignore).all():
         raise InputError("mask: expected some background, got instrument everywhere")
-    return _gathered(
-        _Given(
-            mask.tobytes(),
-            None if ignore is None else ignore.tobytes(),
-            None if keypoints is None else tuple(keypoints.ravel().tolist()),
-        ),
-        camera,
-        instrument,
-        seed,
-    )
-
-
-@dataclass(frozen=True)
-class _Given:
-    """What was given for a frame, in a form that can be compared: mask, ignored pixels, jaw tips."""
-
-    mask: bytes
-    ignore: bytes | None
-    keypoints: tuple[float, ...] | None
+    marks = None if keypoints is None else tuple(keypoints.ravel().tolist())
+    hidden = None if ignore is None else ignore.tobytes()
+    return _gathered(mask.tobytes(), hidden, marks, camera, instrument, seed)
 
 
 @lru_cache(maxsize=4)
-def _gathered(given: _Given, camera: Camera, instrument: Instrument, seed: int) -> Evidence:
-    """Collect the evidence of one frame; that of the last ones is kept, because an overlay shows it, too."""
+def _gathered(
+    mask_bytes: bytes,
+    ignore_bytes: bytes | None,
+    marks: tuple[float, ...] | None,
+    camera: Camera,
+    instrument: Instrument,
+    seed: int,
+) -> Evidence:
+    """Collect the evidence of one frame; that of the last ones is kept, because an overlay shows it, too.
+
+    ``mask_bytes`` and ``ignore_bytes`` are the contents of ``mask`` and ``ignore``, ``marks`` those of ``keypoints``.
+    """
     size = camera.height, camera.width
-    mask = np.frombuffer(given.mask, dtype=np.bool_).reshape(size)
-    ignore = None if given.ignore is None else np.frombuffer(given.ignore, dtype=np.bool_).reshape(size)
-    keypoints = None if given.keypoints is None else np.reshape(given.keypoints, (2, 2))
+    mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(size)
+    ignore = None if ignore_bytes is None else np.frombuffer(ignore_bytes, dtype=np.bool_).reshape(size)
+    keypoints = None if marks is None else np.reshape(marks, (2, 2))
     weight = np.ones(mask.shape, dtype=np.float32)
     if ignore is not None:
         weight[ignore] = 0.0

@@ -1,0 +1,36 @@
+"""scripts/bench.py checkouts: estimates, commands and a folder compared with another checkout."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.batch_sessions import make_session
+from helpers.places import ROOT, SCRIPTS
+
+
+def checkouts(session: Path, *options: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, SCRIPTS / "bench.py", "checkouts", "--instrument", "lnd", "--sessions", session]
+    return subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+
+
+def test_every_figure_is_compared(tmp_path: Path) -> None:
+    done = checkouts(make_session(tmp_path / "session", ["a"]), "--against", ROOT, "--quick", "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    del report["machine"]
+    assert [title.split(",")[0] for title in report] == ["estimate", "whole command", "folder"]
+    for this, other, ratio in report.values():
+        assert (this["checkout"], other["checkout"], ratio["checkout"]) == ("this", "other", "ratio")
+        assert ratio["wall, median"] == pytest.approx(this["wall, median"] / other["wall, median"])
+        assert 0 < this["processor, median"] < 60
+
+
+def test_folder_without_package_is_refused(tmp_path: Path) -> None:
+    done = checkouts(make_session(tmp_path / "session", ["a"]), "--against", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "expected a checkout with the package dvrk_cmaes" in done.stderr
