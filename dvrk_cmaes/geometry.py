@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -129,3 +132,41 @@ def rotation_about_z(angle: ArrayLike) -> Float64:
     a = np.asarray(angle, dtype=np.float64)
     zero = np.zeros_like(a)
     return exp_rotation(np.stack([zero, zero, a], axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """Where an instrument is in a camera: the unknowns of a frame, or of several candidates.
+
+    ``pose`` (..., 4, 4), m, is camera_from_root, ``joints`` (..., J) are the joint values, rad. Their small changes
+    (..., 6 + J) are [tx ty tz rx ry rz, joints], m and rad, the first six in the root's own axes.
+    """
+
+    pose: Float64
+    joints: Float64
+
+    def moved(self, change: Float64) -> Posed:
+        """Return where it is after small changes (..., 6 + J)."""
+        return Posed(moved(self.pose, change[..., :6]), self.joints + change[..., 6:])
+
+    def minus(self, other: Posed) -> Float64:
+        """Return the small changes (..., 6 + J) that move ``other`` here."""
+        return np.concatenate([change_between(other.pose, self.pose), self.joints - other.joints], axis=-1)
+
+    def seen_from(self, view_from_camera: Float64) -> Posed:
+        """Return the same in another camera, given the transform (4, 4) from this one to it."""
+        return Posed(view_from_camera @ self.pose, self.joints)
+
+    def __len__(self) -> int:
+        """Return the number of candidates, the length of the first axis."""
+        return len(self.joints)
+
+    def __getitem__(self, index: int | slice | list[int] | NDArray[np.integer]) -> Posed:
+        """Return one or some of the candidates."""
+        return Posed(self.pose[index], self.joints[index])
+
+    @staticmethod
+    def stacked(candidates: Iterable[Posed]) -> Posed:
+        """Return several candidates along a new first axis; there must be at least one."""
+        all_of_them = list(candidates)
+        return Posed(np.stack([one.pose for one in all_of_them]), np.stack([one.joints for one in all_of_them]))

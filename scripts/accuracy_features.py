@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import measure_noise, sampled, signed_distance
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer

@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.geometry import (
+    Posed,
     adjoint,
     apply,
     change_between,
@@ -155,3 +156,36 @@ def test_apply_maps_single_points_lists_and_batches() -> None:
     np.testing.assert_allclose(apply(poses, points), expected, atol=1e-14)
     np.testing.assert_allclose(apply(poses[0], points[0]), expected[0], atol=1e-14)
     np.testing.assert_allclose(apply(poses[0], points[0, 0]), expected[0, 0], atol=1e-14)
+
+
+joint_values = arrays(np.float64, 3, elements=st.floats(-2, 2))
+changes = arrays(np.float64, 9, elements=st.floats(-1, 1))
+
+
+@given(poses, joint_values, changes)
+def test_a_posed_instrument_is_moved_by_its_difference(
+    pose: np.ndarray, joints: np.ndarray, change: np.ndarray
+) -> None:
+    before = Posed(pose, joints)
+    after = before.moved(change)
+    np.testing.assert_allclose(after.minus(before), change, atol=1e-9)
+    np.testing.assert_allclose(before.moved(after.minus(before)).pose, after.pose, atol=1e-9)
+
+
+@given(poses, joint_values, changes, poses)
+def test_small_changes_are_the_same_seen_from_any_camera(
+    pose: np.ndarray, joints: np.ndarray, change: np.ndarray, view_from_camera: np.ndarray
+) -> None:
+    before = Posed(pose, joints)
+    seen = before.seen_from(view_from_camera)
+    np.testing.assert_allclose(
+        seen.moved(change).pose, before.moved(change).seen_from(view_from_camera).pose, atol=1e-9
+    )
+
+
+def test_candidates_are_stacked_and_taken_out_again() -> None:
+    first, second = (Posed(np.eye(4) * k, np.full(3, k)) for k in (1.0, 2.0))
+    both = Posed.stacked([first, second])
+    assert len(both) == 2
+    np.testing.assert_array_equal(both[1].pose, second.pose)
+    np.testing.assert_array_equal(both[[1, 0]].joints, [second.joints, first.joints])

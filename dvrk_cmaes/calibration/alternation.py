@@ -42,7 +42,6 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
@@ -416,7 +415,7 @@ class Alternation:
                     np.asarray(fit.camera_from_root @ inverse(base_from_root[i])),
                     tuple(doubts),
                     bool(agree[i]),
-                    config={**self._config.as_dict(), "instrument": describe_limits(self._instrument, self._arm)},
+                    config={**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)},
                 )
             )
         return self._run(report_task, tasks), reasons

@@ -22,16 +22,15 @@ from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.parallel import map_threaded, single_blas_thread
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
+from dvrk_cmaes.silhouette.threads import map_threaded, single_blas_thread
 
 Float64 = NDArray[np.float64]
 T = TypeVar("T")
@@ -168,7 +167,7 @@ def calibrate_with_evidence(
         camera=alternation.camera,
         warnings=tuple(alternation.warnings),
         seconds=time.perf_counter() - started,
-        config={**settings.as_dict(), "instrument": describe_limits(body.instrument, arm)},
+        config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
     predicted = {frame.name: one.leave_one_out for frame, one in zip(alternation.frames, reports, strict=True)}

@@ -12,8 +12,8 @@ from dvrk_cmaes.calibration.own_estimate import OwnEstimate, overlap, silhouette
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.pose.refine.priors import PosePrior

@@ -15,10 +15,10 @@ from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.covariance import rough_covariance
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.find_in_views import measure_views, pooled_quality

@@ -12,9 +12,9 @@ from dvrk_cmaes.calibration.frame_fit import fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_in_views import measure_views, pooled_quality
 from dvrk_cmaes.pose.find_pose import FoundPose

@@ -12,8 +12,8 @@ from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer

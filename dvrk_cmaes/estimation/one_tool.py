@@ -15,21 +15,21 @@ from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import describe_limits, split_readings
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
+from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_in_views import find_pose_in_views
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
-from dvrk_cmaes.pose.parallel import single_blas_thread
 from dvrk_cmaes.pose.search.global_search import Candidate
 from dvrk_cmaes.pose.seen_views import SeenView, seen_views
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
+from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 
 @single_blas_thread()
@@ -155,7 +155,7 @@ def estimate(
         rays=found.rays,
         seed=settings.seed,
         version=__version__,
-        config={**settings.as_dict(), "instrument": describe_limits(model, arm)},
+        config={**settings.as_dict(), "instrument": model.describe_limits(arm)},
         model=model,
     )
 

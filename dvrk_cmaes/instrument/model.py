@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.instrument.arm import ROLL_OFFSET
+from dvrk_cmaes.instrument.arm import ROLL_OFFSET, Arm
 from dvrk_cmaes.instrument.kinematics import Chain
 
 #: Joints that change sign in the mirror twin.
@@ -186,6 +186,15 @@ class Instrument:
             known = ", ".join(nearest_first(name, self.joint_names)) or "none"
             raise InputError(f"{self.name}: unknown joint {name!r}; expected one of: {known}")
         return self.joint_names.index(name)
+
+    def describe_limits(self, arm: Arm) -> dict[str, Any]:
+        """Return the joint limits and the arm kinematics used for a result, for its ``config``; in rad and m."""
+        return {
+            "limits_from": self.limits_from,
+            "limits": {name: pair.tolist() for name, pair in zip(self.joint_names, self.limits, strict=True)},
+            "arm": arm,
+            "roll_offset": self.roll_offset,
+        }
 
     def skeleton(self, joints: ArrayLike) -> NDArray[np.float64]:
         """Compute the points of a skeleton of the instrument in one configuration, for drawing.

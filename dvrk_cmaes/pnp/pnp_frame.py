@@ -13,7 +13,6 @@ from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.instrument import Instrument
@@ -156,6 +155,6 @@ def _result(
         tips_px=tips_px,
         seconds=seconds,
         version=__version__,
-        config={**config, "instrument": describe_limits(instrument, arm)},
+        config={**config, "instrument": instrument.describe_limits(arm)},
         model=instrument,
     )

@@ -11,10 +11,10 @@ import numpy as np
 
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.straight_cut import shaft_width
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.coarse_to_fine import is_twin
 from dvrk_cmaes.pose.refine.outline import OutlineFit

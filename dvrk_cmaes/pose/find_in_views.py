@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose, alternatives_of

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import Readings, reading_distance
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings, reading_distance
 from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.doubts import judge
 from dvrk_cmaes.pose.expected_error import expected_error

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import LossWeights
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, window_around
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
 from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.search.objective import pose_terms

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvrk_cmaes.config import TrustConfig
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.doubts import doubts_of_fit, doubts_of_modes
 from dvrk_cmaes.pose.refine.outline import OutlineFit
 from dvrk_cmaes.pose.search.modes import HasPose

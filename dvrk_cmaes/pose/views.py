@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.modes import HasPose, Posed
 from dvrk_cmaes.silhouette import Renderer
 

@@ -21,7 +21,6 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.evidence.joint_prior import describe_limits
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -136,7 +135,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         warnings=files.notes,
         time=files.time,
         seed=setup.config.seed,
-        config={**setup.config.as_dict(), "instrument": describe_limits(setup.instrument, setup.arm)},
+        config={**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)},
     )
     drawing = draw_failed_frame(result, files)
     return _outcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.joint_prior import reading_loss
 from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.joints.prior import reading_loss
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.modes import pruned

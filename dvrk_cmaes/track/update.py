@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.evidence.joint_prior import LIMIT_SIGMA
+from dvrk_cmaes.joints.prior import LIMIT_SIGMA
 from dvrk_cmaes.track.evidence import EdgeDistances
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import Projected

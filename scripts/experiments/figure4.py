@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.global_search import search_size
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.starts import draw_starts, sample_joints, sample_lookat, sample_uniform

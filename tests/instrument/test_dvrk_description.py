@@ -12,7 +12,6 @@ from helpers.instrument_files import loaded
 from dvrk_cmaes import estimate
 from dvrk_cmaes.config import EstimateConfig, SearchConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evidence.joint_prior import LIMIT_SIGMA
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import load_instrument
@@ -21,6 +20,7 @@ from dvrk_cmaes.instrument.dvrk_description import read_kinematics, read_tool
 from dvrk_cmaes.instrument.tool import with_tool
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.joints.prior import LIMIT_SIGMA
 from dvrk_cmaes.silhouette import Body
 
 TOOL = """\

@@ -8,9 +8,9 @@ import numpy as np
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise, solve_correlated
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.pose.search.starts import lookat_pose

@@ -8,8 +8,8 @@ import pytest
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import exp_rotation, moved, rotation_angle, transform
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.pose.refine.rig_rotation import rig_rotations

@@ -10,8 +10,8 @@ import pytest
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved, rotation_angle
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.outline import OutlineRefiner
 from dvrk_cmaes.silhouette import Body, Renderer
 

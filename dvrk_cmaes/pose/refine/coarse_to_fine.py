@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.refine.information import pose_information

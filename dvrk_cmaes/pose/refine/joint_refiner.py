@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import OutlineConfig
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner, OutlineTerms
 from dvrk_cmaes.pose.refine.priors import PosePrior
 from dvrk_cmaes.pose.refine.profiles import Profiles, Quadratics, minimise

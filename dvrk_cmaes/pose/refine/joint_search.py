@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, Refiner
 from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise
 from dvrk_cmaes.pose.refine.information import joint_information

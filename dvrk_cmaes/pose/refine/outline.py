@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.outline_jacobian import outline_jacobians
 from dvrk_cmaes.pose.refine.priors import PosePrior, Priors
 from dvrk_cmaes.pose.refine.profiles import Profiles, Quadratics, minimise

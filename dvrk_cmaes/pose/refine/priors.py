@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.geometry import change_between, moved
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.pose.search.objective import project_tips
 
 Float64 = NDArray[np.float64]

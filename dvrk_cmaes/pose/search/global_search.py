@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.parallel import map_threaded
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise
 from dvrk_cmaes.pose.search.modes import best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.starts import draw_starts
 from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.threads import map_threaded
 
 Float64 = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, shrunk
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypoint_loss, mse_loss, scale_loss
 from dvrk_cmaes.silhouette import PixelSums, Renderer
 

@@ -9,10 +9,10 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
-from dvrk_cmaes.evidence.joint_prior import Readings
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
 from dvrk_cmaes.geometry import exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 
 Float64 = NDArray[np.float64]
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.joints.names import OUTER_JOINTS
 
 Float64 = NDArray[np.float64]
 
@@ -24,6 +23,22 @@ LIMIT_SIGMA = float(np.deg2rad(3.0))
 def reading_loss(joints: Float64, readings: Float64, sigma: Float64) -> Float64:
     """Sum the squared deviations of joints (..., J) from readings (J,), in units of ``sigma`` (J,); NaN is unknown."""
     return np.asarray(np.nansum(((joints - readings) / sigma) ** 2, axis=-1))
+
+
+class JointLimits(Protocol):
+    """The joints of an instrument and their limits."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the J joints."""
+
+    @property
+    def limits(self) -> Float64:
+        """Lower and upper limits of the joints, (J, 2), rad."""
+
+    @property
+    def roll_limits(self) -> tuple[float, float] | None:
+        """Limits of the roll, rad; None if they are not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +62,7 @@ class Readings:
 
 
 def split_readings(
-    instrument: Instrument, joints: Mapping[str, float], config: EstimateConfig
+    instrument: JointLimits, joints: Mapping[str, float], config: EstimateConfig
 ) -> tuple[Readings, list[str], list[str]]:
     """Select the readings of the instrument's joints from all readings of a frame.
 
@@ -78,7 +93,7 @@ def split_readings(
     low, high = instrument.limits.T.copy()
     if "jaw" in instrument.joint_names:
         # Jaws cannot pass through each other: a reading below zero presses them together, and they look closed.
-        low[instrument.joint_index("jaw")] = 0.0
+        low[instrument.joint_names.index("jaw")] = 0.0
     return Readings(values, sigma, low, high), unused, warnings
 
 
@@ -96,13 +111,3 @@ def reading_distance(readings: Readings, joints: Float64) -> float | None:
     if not known.any():
         return None
     return float(np.degrees(np.sqrt(np.mean((joints - readings.values)[known] ** 2))))
-
-
-def describe_limits(instrument: Instrument, arm: Arm) -> dict[str, Any]:
-    """Return the joint limits and the arm kinematics used for a result, for its ``config``; in rad and m."""
-    return {
-        "limits_from": instrument.limits_from,
-        "limits": {name: pair.tolist() for name, pair in zip(instrument.joint_names, instrument.limits, strict=True)},
-        "arm": arm,
-        "roll_offset": instrument.roll_offset,
-    }

@@ -1,4 +1,4 @@
-"""Threads: map a function over independent items, divide items into batches, and keep BLAS from using more of them."""
+"""Threads: map a function over independent items, and keep BLAS from using more threads."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from itertools import pairwise
 from threading import Lock
 from typing import TypeVar
 
@@ -66,10 +65,3 @@ def map_threaded(function: Callable[[A], B], items: Sequence[A], threads: int) -
         return [function(item) for item in items]
     with ThreadPoolExecutor(min(threads, len(items))) as pool:
         return list(pool.map(function, items))
-
-
-def batches(items: Sequence[A], size: int) -> list[Sequence[A]]:
-    """Divide items into batches of nearly equal length, at most ``size`` each."""
-    count = -(-len(items) // size)
-    edges = [round(i * len(items) / count) for i in range(count + 1)] if count else []
-    return [items[a:b] for a, b in pairwise(edges)]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from dvrk_cmaes.pose.parallel import batches, map_threaded, single_blas_thread
+from dvrk_cmaes.silhouette.threads import map_threaded, single_blas_thread
 
 
 def blas_threads() -> set[int]:
@@ -43,8 +43,3 @@ def test_blas_is_released_after_an_error() -> None:
 @pytest.mark.parametrize("threads", [1, 3])
 def test_values_are_in_the_order_of_their_items(threads: int) -> None:
     assert map_threaded(lambda x: x * x, range(20), threads) == [x * x for x in range(20)]
-
-
-def test_batches_are_of_nearly_equal_length() -> None:
-    assert [list(batch) for batch in batches(range(7), 3)] == [[0, 1], [2, 3, 4], [5, 6]]
-    assert batches((), 3) == []
