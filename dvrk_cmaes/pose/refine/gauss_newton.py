@@ -234,7 +234,8 @@ def minimise(
         if held is None:
             held = _held_back(np.diagonal(full, axis1=1, axis2=2), damping)
         full = full + held[:, :, None] * np.eye(dimension)
-        slope = weight[:, None] * slope + others.normal_equations(change)[1] + held * change
+        slope = weight[:, None] * slope + others.slope
+        slope = slope + np.einsum("cij,cj->ci", others.information, change) + held * change
         step = -np.linalg.solve(full, slope[:, :, None])[:, :, 0]
         change = change + step
         if (np.einsum("ci,cij,cj->c", step, full, step) < _SOLVED**2 * dimension).all():

@@ -46,8 +46,9 @@ class PosedInRig(Posed):
     def moved(self, change: Float64) -> PosedInRig:
         """Return where it is after small changes (..., 6 + J + 3 (V - 1))."""
         count = 6 + self.joints.shape[-1]
-        at = super().moved(change[..., :count])
-        return PosedInRig(at.pose, at.joints, self.turns + change[..., count:].reshape(self.turns.shape))
+        at = Posed(self.pose, self.joints).moved(change[..., :count])
+        further = change[..., count:]
+        return PosedInRig(at.pose, at.joints, self.turns + further.reshape(*further.shape[:-1], *self.turns.shape[-2:]))
 
     def __getitem__(self, index: Any) -> PosedInRig:
         """Return one or some of the candidates."""
