@@ -119,7 +119,7 @@ def test_short_steps_need_no_silhouette_if_only_long_ones_are_tested(bundled_bod
         before = at.coverage.silhouettes
         fits += refine(at.coverage, at.others, Posed.stacked([there.at]), Steps(20, 6, 0.05, tested))
         counts.append(at.coverage.silhouettes - before)
-    assert counts == [2, 1]
+    assert counts[0] - counts[1] == 1  # the last step
     spread = np.sqrt(np.diag(np.linalg.inv(fits[0].information)))
     assert (np.abs(fits[1].at.minus(fits[0].at)) < 0.15 * spread).all()
 
