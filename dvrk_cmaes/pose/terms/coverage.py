@@ -157,8 +157,8 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         """Return the loss near C poses, as a function of their small changes."""
         of_views = []
         for k, view in enumerate(self.views):
-            outlines = [outline for one in drawn if (outline := one.outlines[k]) is not None]
-            residuals = [one.images[k] - view.target for one in drawn]
+            outlines = [outline for of_pose in drawn if (outline := of_pose.outlines[k]) is not None]
+            residuals = [of_pose.images[k] - view.target for of_pose in drawn]
             jacobians = view.jacobians(outlines, at)
             of_views.append(
                 Profiles.sampled(residuals, view.weight, outlines, jacobians, self._config.blur, self._width)
