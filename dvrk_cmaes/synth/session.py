@@ -15,8 +15,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
