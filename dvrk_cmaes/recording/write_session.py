@@ -97,7 +97,7 @@ class ImportSummary:
             "size": list(self.size),
             "tolerance_s": self.tolerance_s,
             "lag_s": self.lag_s,
-            "readings": [{**vars(one), "joints": list(one.joints)} for one in self.readings],
+            "readings": [{**vars(source), "joints": list(source.joints)} for source in self.readings],
             "notes": list(self.notes),
         }
 
@@ -178,7 +178,7 @@ def _earlier(times: Sequence[int], lag: Lag) -> list[int]:
 
 def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
     """Return the name of the arm that the sources of all readings name, such as PSM1; None if there is not one."""
-    arms = {found for source in readings for found in _ARM.findall(source.source)}
+    arms = {name for source in readings for name in _ARM.findall(source.source)}
     return arms.pop() if len(arms) == 1 else None
 
 
@@ -291,13 +291,13 @@ def _interpolate_source(
     used: list[int] = []
     missed: list[int] = []
     for time in times:
-        found = source.at(time, tolerance)
-        if found is None:
+        reading = source.at(time, tolerance)
+        if reading is None:
             cells.append([""] * len(source.joints))
             missed.append(source.distance(time))
         else:
-            cells.append(["" if np.isnan(value) else f"{value:.9f}" for value in found[0]])
-            used.append(found[1])
+            cells.append(["" if np.isnan(value) else f"{value:.9f}" for value in reading[0]])
+            used.append(reading[1])
     return cells, InterpolationSummary(
         source=source.source,
         joints=source.joints,

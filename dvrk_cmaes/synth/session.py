@@ -322,13 +322,13 @@ def _seen_tips(
     if not truth.instrument.jaw_tips:
         return None
     tips = camera.project(truth.tips)
-    found = np.asarray((tips + level.tip_px * rng.standard_normal(tips.shape))[rng.permutation(2)])
-    return found if all(_seen(hidden, tip) for tip in tips) else None
+    detected = np.asarray((tips + level.tip_px * rng.standard_normal(tips.shape))[rng.permutation(2)])
+    return detected if all(_seen(hidden, tip) for tip in tips) else None
 
 
 def _seen_markers(plan: SessionPlan, truth: Truth, hidden: Bool | None, rng: np.random.Generator) -> dict[str, Float64]:
     """Simulate the detection of markers, pixels (2,) by name; markers on the far side are not excluded."""
-    level, found = plan.level, {}
+    level, pixels = plan.level, {}
     for name, place in place_markers(truth.instrument, truth.values, plan.markers).items():
         point = truth.camera_from_root[:3, :3] @ place + truth.camera_from_root[:3, 3]
         detected, noise = rng.random() < level.marker_share, level.marker_px * rng.standard_normal(2)
@@ -337,5 +337,5 @@ def _seen_markers(plan: SessionPlan, truth: Truth, hidden: Bool | None, rng: np.
         pixel = plan.camera.project(point)
         inside = bool(((pixel > 0) & (pixel < [plan.camera.width - 1, plan.camera.height - 1])).all())
         if inside and _seen(hidden, pixel):
-            found[name] = np.asarray(pixel + noise)
-    return found
+            pixels[name] = np.asarray(pixel + noise)
+    return pixels
