@@ -19,7 +19,7 @@ from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.camera_change import SessionOutlines, changed, estimate_camera
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
-from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints
+from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import (
     DataOfCamera,
     FitTask,
@@ -42,11 +42,11 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.pose.refine.priors import PosePrior
+from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
@@ -229,7 +229,7 @@ class Alternation:
         if self._refine_camera:
             scales.append(1.0)  # with the camera that all rounds before have found
         calibration = self.solution.calibration
-        moved: Sequence[PoseAndJoints | None] = [None] * len(self.frames)
+        moved: Sequence[Posed | None] = [None] * len(self.frames)
         for iteration, scale in enumerate(scales):
             self._progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
@@ -253,8 +253,8 @@ class Alternation:
             )
 
     def _starts(
-        self, iteration: int, expected: Sequence[PosePrior], moved: Sequence[PoseAndJoints | None], *, last: bool
-    ) -> list[tuple[PoseAndJoints, ...]]:
+        self, iteration: int, expected: Sequence[Expected], moved: Sequence[Posed | None], *, last: bool
+    ) -> list[tuple[Posed, ...]]:
         """Return the starts of each frame in an iteration, none where its fit is settled; ``moved`` by a new camera."""
         angle = float(np.deg2rad(self._config.session.turn_deg))
         misfit = self.solution.misfit / (6 + len(self.model.names))
@@ -266,7 +266,7 @@ class Alternation:
         frames = zip(self.fits, misfit, expected, moved, strict=True)
         return [next_starts(fit, off, prior, turn, last=last, changed=to) for fit, off, prior, to in frames]
 
-    def _fit(self, expected: Sequence[PosePrior], starts: Sequence[tuple[PoseAndJoints, ...]], *, last: bool) -> None:
+    def _fit(self, expected: Sequence[Expected], starts: Sequence[tuple[Posed, ...]], *, last: bool) -> None:
         """Fit the frames that have starts, with what the session expects of each as its prior.
 
         The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
@@ -324,7 +324,7 @@ class Alternation:
             ]
             self._stored = self._run(gather_task, seen)
 
-    def _change_camera(self, calibration: Calibration, fits: FrameFits) -> tuple[Calibration, list[PoseAndJoints]]:
+    def _change_camera(self, calibration: Calibration, fits: FrameFits) -> tuple[Calibration, list[Posed]]:
         """Estimate the change of the camera from the current fits, and use it; as `estimate_camera`.
 
         Returns the calibration and each frame's pose and joints with the changed camera.
@@ -340,7 +340,7 @@ class Alternation:
             passes=_CAMERA_PASSES,
         )
         self._change = found.change
-        return found.calibration, list(zip(found.poses, found.joints, strict=True))
+        return found.calibration, [Posed(*of_frame) for of_frame in zip(found.poses, found.joints, strict=True)]
 
     def _changed_camera(self, i: int) -> Camera:
         """Return the camera of a frame with the current change."""
@@ -410,9 +410,9 @@ class Alternation:
                     frame.result,
                     fit,
                     covariance[i],
-                    (poses[0], joints[0]),
+                    Posed(poses[0], joints[0]),
                     np.sqrt(np.diag(spread)[6:]),
-                    np.asarray(fit.camera_from_root @ inverse(base_from_root[i])),
+                    np.asarray(fit.at.pose @ inverse(base_from_root[i])),
                     tuple(doubts),
                     bool(agree[i]),
                     config={**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)},
@@ -440,8 +440,8 @@ def _explains(fit: FrameFit) -> bool:
 def _stacked(fits: Sequence[FrameFit]) -> FrameFits:
     """Stack the fits of single frames."""
     return FrameFits(
-        np.array([fit.camera_from_root for fit in fits]),
-        np.array([fit.joints for fit in fits]),
+        np.array([fit.at.pose for fit in fits]),
+        np.array([fit.at.joints for fit in fits]),
         np.array([fit.information for fit in fits]),
         np.array([fit.slope for fit in fits]),
     )

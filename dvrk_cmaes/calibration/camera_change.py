@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.stored_frame import StoredEvidence
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import Posed, moved
 
 Float64 = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class SessionOutlines:
             With the changed focal length, the lens distortion is not one-to-one over the image.
         """
         tasks = [
-            CameraTask(stored, readings, (pose, joint), own, camera)
+            CameraTask(stored, readings, Posed(pose, joint), own, camera)
             for stored, readings, own, pose, joint, camera in zip(
                 self.stored, self.readings, self.own_estimates, poses, joints, self.cameras(change), strict=True
             )

@@ -10,21 +10,20 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints, camera_terms, fit_frame
+from dvrk_cmaes.calibration.frame_fit import FrameFit, camera_terms, fit_frame
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.covariance import rough_covariance
+from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
-from dvrk_cmaes.pose.find_in_views import measure_views, pooled_quality
-from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.pose.search.modes import Posed, are_distinct
-from dvrk_cmaes.pose.view_doubts import doubts_in_views
+from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.search.modes import are_distinct
+from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -74,8 +73,8 @@ class FitTask:
 
     stored: StoredFrame
     readings: Mapping[str, float]
-    expected: PosePrior
-    starts: tuple[PoseAndJoints, ...]
+    expected: Expected
+    starts: tuple[Posed, ...]
     camera: Camera | None = None
 
 
@@ -85,7 +84,7 @@ class CameraTask:
 
     stored: StoredEvidence
     readings: Mapping[str, float]
-    fitted: PoseAndJoints
+    fitted: Posed
     own_estimate: OwnEstimate
     camera: Camera
 
@@ -105,7 +104,7 @@ class ReportTask:
     result: Result
     fit: FrameFit
     covariance: Float64
-    predicted: PoseAndJoints
+    predicted: Posed
     predicted_std: Float64
     base: Float64
     doubts: tuple[str, ...]
@@ -143,8 +142,7 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
     pose, joints = frame.result.camera_from_root, frame.result.joints
     assert pose is not None
     own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
-    readings = _of_instrument(body, config, frame.result.readings)
-    return StoredFrame.of(data, own, readings, body, config, frame.keypoints)
+    return StoredFrame.of(data, own, body, config, frame.keypoints)
 
 
 def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:
@@ -179,15 +177,8 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
 def camera_task(body: Body, config: EstimateConfig, task: CameraTask) -> tuple[Float64, Float64]:
     """Compute the outline's information and slope about a frame's pose and about the camera, as `camera_terms`."""
     evidence = task.stored.restored()
-    return camera_terms(
-        Renderer(body, evidence.camera, threads=1),
-        evidence,
-        _of_instrument(body, config, task.readings),
-        config,
-        task.fitted,
-        task.own_estimate,
-        task.camera,
-    )
+    view = FrameView("", evidence, Renderer(body, evidence.camera, threads=1), np.eye(4))
+    return camera_terms(view, config, task.fitted, task.own_estimate, task.camera)
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
@@ -195,7 +186,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     started = time.perf_counter()
     views = _restored(body, task.stored)
     readings = _of_instrument(body, config, task.result.readings)
-    of_views, rays = measure_views(views, readings, [Posed(*task.predicted), task.fit], config)
+    of_views, rays = measure_views(views, readings, Posed.stacked([task.predicted, task.fit.at]), config)
     predicted = pooled_quality([qualities[0] for qualities in of_views])
     own_result = task.result
     if task.agree:
@@ -209,7 +200,11 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     else:
         result = replace(own_result, status="doubtful", reasons=(*own_result.reasons, *task.doubts))
     leave_one_out = LeaveOneOutPrediction(
-        *task.predicted, task.predicted_std, predicted.iou, predicted.contour_px_median
+        task.predicted.pose,
+        task.predicted.joints,
+        task.predicted_std,
+        predicted.iou,
+        predicted.contour_px_median,
     )
     return FrameReport(result, leave_one_out)
 
@@ -224,12 +219,11 @@ def _result_of_fit(
 ) -> Result:
     """Return the result of a frame that agrees with the session; ``qualities`` are those of its fit in each view."""
     own_result, fit, main = task.result, task.fit, views[0]
-    quality, seen = pooled_quality(qualities), main.sees(fit)
-    silhouette = main.renderer.masks(seen.camera_from_root[None], seen.joints[None])[0]
-    covariance = rough_covariance(task.covariance, measure_noise(main.evidence.contour, silhouette), quality)
-    error = expected_error(body.instrument, fit.camera_from_root, fit.joints, covariance)
-    tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.camera_from_root, fit.joints)
-    doubts, remarks = doubts_in_views(fit, views, qualities, error, body.instrument, config.trust)
+    quality = pooled_quality(qualities)
+    covariance = rough_covariance(task.covariance, main.noise_at(fit.at), quality)
+    error = expected_error(body.instrument, fit.at, covariance)
+    tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.at)
+    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
     doubts += task.doubts
     names = body.instrument.joint_names
     of_view = dict(zip([view.name for view in views], qualities, strict=True))
@@ -238,8 +232,8 @@ def _result_of_fit(
         status="doubtful" if doubts else "ok",
         reasons=tuple(doubts),
         warnings=(*own_result.warnings, *remarks),
-        camera_from_root=fit.camera_from_root,
-        joints=dict(zip(names, fit.joints.tolist(), strict=True)),
+        camera_from_root=fit.at.pose,
+        joints=dict(zip(names, fit.at.joints.tolist(), strict=True)),
         camera_from_base=task.base,
         source="session",
         change=_change(own_result, fit, names),
@@ -261,13 +255,13 @@ def _change(own_result: Result, fit: FrameFit, names: tuple[str, ...]) -> dict[s
     """Describe the change from the frame's own result to the fit, mm and degrees; None if it had no pose."""
     if own_result.camera_from_root is None:
         return None
-    moved = change_between(own_result.camera_from_root, fit.camera_from_root)
+    moved = change_between(own_result.camera_from_root, fit.at.pose)
     return {
         "translation_mm": round(1e3 * float(np.linalg.norm(moved[:3])), 6),
         "rotation_deg": round(float(np.degrees(np.linalg.norm(moved[3:]))), 6),
         "joints_deg": {
             name: round(float(np.degrees(value - own_result.joints[name])), 6)
-            for name, value in zip(names, fit.joints, strict=True)
+            for name, value in zip(names, fit.at.joints, strict=True)
         },
     }
 
@@ -287,8 +281,6 @@ def _alternatives(
         for mode in modes
         if are_distinct(
             Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
-            fit,
-            np.deg2rad(15),
-            np.deg2rad(25),
+            fit.at,
         )
     )

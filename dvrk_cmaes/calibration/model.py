@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import adjoint, inverse, moved
+from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
-from dvrk_cmaes.pose.refine.priors import PosePrior
+from dvrk_cmaes.pose.terms.expected import Expected
 
 Float64 = NDArray[np.float64]
 
@@ -237,11 +237,11 @@ class SessionModel:
         out[:, 6:, 6:] += joint[:, :, None] * np.eye(count)
         return np.asarray(out)
 
-    def priors(self, calibration: Calibration, *, scale: float = 1.0) -> list[PosePrior]:
+    def priors(self, calibration: Calibration, *, scale: float = 1.0) -> list[Expected]:
         """Return the prior of each frame's pose and joints; ``scale`` is a factor on its standard deviations."""
         poses, joints = self.predict(calibration)
         information = np.linalg.inv(self.covariance(calibration) * scale**2)
-        return [PosePrior(p, q, i) for p, q, i in zip(poses, joints, information, strict=True)]
+        return [Expected(Posed(p, q), i) for p, q, i in zip(poses, joints, information, strict=True)]
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> SessionModel:
         """Return the model of the frames at some indices."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import measure_noise
-from dvrk_cmaes.pose.search.modes import HasPose, Posed
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.views import FrameView
 
 Float64 = NDArray[np.float64]
@@ -20,41 +20,31 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OwnEstimate:
-    """A frame's pose camera_from_root (4, 4) and joints (J,), rad, to which no session has contributed.
+    """A frame's pose, to which no session has contributed.
 
     ``lengths`` are the correlation lengths of the contours' errors there, px, one of each view; ``iou`` is the
     intersection over union of its silhouettes and the masks. ``noise`` is the robust sum of squares of the residuals of
     coverage there at the whole image size, from which the outlines' error is estimated; None where it is not measured.
     """
 
-    camera_from_root: Float64
-    joints: Float64
+    at: Posed
     lengths: tuple[float, ...]
     iou: float
     noise: float | None = None
 
     @classmethod
-    def of(cls, views: Sequence[FrameView], camera_from_root: Float64, joints: Float64) -> OwnEstimate:
+    def of(cls, views: Sequence[FrameView], at: Posed) -> OwnEstimate:
         """Measure an estimate in the views that show the instrument."""
-        drawn = silhouettes(views, Posed(camera_from_root, joints))
-        noises = [measure_noise(view.evidence.contour, one) for view, one in zip(views, drawn, strict=True)]
-        return cls(camera_from_root, joints, tuple(noise.length for noise in noises), overlap(views, drawn))
-
-
-def silhouettes(views: Sequence[FrameView], fit: HasPose) -> list[NDArray[np.bool_]]:
-    """Render the silhouette (H, W) of a pose in each view."""
-    found = []
-    for view in views:
-        seen = view.sees(fit)
-        found.append(view.renderer.masks(seen.camera_from_root[None], seen.joints[None])[0])
-    return found
+        drawn = [view.silhouette(at) for view in views]
+        noises = [measure_noise(view.evidence.contour, seen) for view, seen in zip(views, drawn, strict=True)]
+        return cls(at, tuple(noise.length for noise in noises), overlap(views, drawn))
 
 
 def overlap(views: Sequence[FrameView], drawn: Sequence[NDArray[np.bool_]]) -> float:
     """Return the mean intersection over union of silhouettes and masks, one a view, without ignored pixels."""
-    found = []
+    shares = []
     for view, silhouette in zip(views, drawn, strict=True):
         mask, weight = view.evidence.mask, view.evidence.weight
         both, either = ((part * weight).sum() for part in (silhouette & mask, silhouette | mask))
-        found.append(float(both / max(either, 1)))
-    return float(np.mean(found))
+        shares.append(float(both / max(either, 1)))
+    return float(np.mean(shares))

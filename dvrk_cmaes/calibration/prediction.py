@@ -12,14 +12,14 @@ from dvrk_cmaes.calibration.frame_fit import fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.find_in_views import measure_views, pooled_quality
 from dvrk_cmaes.pose.find_pose import FoundPose
-from dvrk_cmaes.pose.refine.priors import PosePrior
-from dvrk_cmaes.pose.view_doubts import doubts_in_views
+from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
 
 Float64 = NDArray[np.float64]
@@ -69,17 +69,16 @@ def fit_session_pose(
     if missing:
         return f"session: no reading of {', '.join(missing)}: searched without it"
     poses, joints = model.predict(calibration)
+    start = Posed(poses[0], joints[0])
     jacobian = model.jacobian(calibration)[0]
     covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
-    expected = PosePrior(poses[0], joints[0], np.asarray(np.linalg.inv(covariance), dtype=np.float64))
-    start = (poses[0], joints[0])
+    expected = Expected(start, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
     first = fit_frame(views, readings, config, expected, (start,), None)
-    first_estimate = (first.camera_from_root, first.joints)
-    fit = fit_frame(views, readings, config, expected, (first_estimate,), OwnEstimate.of(views, *first_estimate))
-    of_views, rays = measure_views(views, readings, [fit], config)
+    fit = fit_frame(views, readings, config, expected, (first.at,), OwnEstimate.of(views, first.at))
+    of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)
     qualities = [of_view[0] for of_view in of_views]
     quality = pooled_quality(qualities)
-    deviation = expected.deviation(fit.camera_from_root, fit.joints)
+    deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
     largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
     if quality.iou < session.iou - _OVERLAP_LOSS or quality.contour_px_95 > largest_px:
@@ -90,18 +89,17 @@ def fit_session_pose(
     if misfit > config.session.largest_misfit:
         return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
-    error = expected_error(instrument, fit.camera_from_root, fit.joints, fitted)
-    doubts, remarks = doubts_in_views(fit, views, qualities, error, instrument, config.trust)
+    error = expected_error(instrument, fit.at, fitted)
+    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
     base_from_root = model.base_from_root(calibration.offsets)[0]
     return FoundPose(
-        camera_from_root=fit.camera_from_root,
-        joints=fit.joints,
+        at=fit.at,
         covariance=fitted,
         expected_error=error,
         quality=quality,
         reasons=tuple(doubts),
         evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
         rays=rays + sum(view.renderer.rays for view in views),
-        camera_from_base=np.asarray(fit.camera_from_root @ inverse(base_from_root)),
+        camera_from_base=np.asarray(fit.at.pose @ inverse(base_from_root)),
         notes=tuple(remarks),
     )

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
-from dvrk_cmaes.calibration.frame_fit import FrameFit, PoseAndJoints
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.refine.priors import PosePrior
+from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.geometry import Posed, moved
+from dvrk_cmaes.pose.terms.expected import Expected
 
 Float64 = NDArray[np.float64]
 
@@ -23,8 +23,8 @@ _NEAR = 3.0  # standard deviations per parameter; a fit that would move by less 
 
 
 def first_starts(
-    modes: Sequence[Mode], chosen: Mode, misfit: float, expected: PosePrior, turn: float
-) -> tuple[PoseAndJoints, ...]:
+    modes: Sequence[Mode], chosen: Mode, misfit: float, expected: Expected, turn: float
+) -> tuple[Posed, ...]:
     """Return the starts of a frame's first fit.
 
     A frame that agrees with the session starts from its ``chosen`` mode, any other from all of its ``modes``, from what
@@ -32,19 +32,19 @@ def first_starts(
     squared Mahalanobis distance of the chosen mode from what is expected, divided by the number of parameters.
     """
     if misfit < INLIER_MISFIT:
-        return ((chosen.camera_from_root, chosen.joints),)
-    return (*((mode.camera_from_root, mode.joints) for mode in modes), *_around(expected, turn))
+        return (Posed(chosen.camera_from_root, chosen.joints),)
+    return (*(Posed(mode.camera_from_root, mode.joints) for mode in modes), *_around(expected, turn))
 
 
 def next_starts(
     fit: FrameFit,
     misfit: float,
-    expected: PosePrior,
+    expected: Expected,
     turn: float | None,
     *,
     last: bool,
-    changed: PoseAndJoints | None = None,
-) -> tuple[PoseAndJoints, ...]:
+    changed: Posed | None = None,
+) -> tuple[Posed, ...]:
     """Return the starts of a frame that was fitted before; none if the fit is settled.
 
     A fit that agrees with the session starts from where it would move to, if that is near. Any other starts from where
@@ -59,12 +59,11 @@ def next_starts(
     if step < (_SETTLED_LAST if last else _SETTLED) and (clear or turn is None):
         return ()
     if step < _NEAR and clear:
-        return (fit.towards(expected),)
-    return ((fit.camera_from_root, fit.joints), *_around(expected, turn))
+        return (fit.moved_to(expected).at,)
+    return (fit.at, *_around(expected, turn))
 
 
-def _around(expected: PosePrior, turn: float | None) -> list[PoseAndJoints]:
+def _around(expected: Expected, turn: float | None) -> list[Posed]:
     """Return what a session expects, and that rotated about the shaft to both sides by ``turn``, rad, if given."""
-    pose, joints = expected.camera_from_root, expected.joints
-    turns = (0.0,) if turn is None else (0.0, -turn, turn)
-    return [(moved(pose, np.array([0, 0, 0, 0, 0, angle])), joints) for angle in turns]
+    mean, turns = expected.mean, (0.0,) if turn is None else (0.0, -turn, turn)
+    return [Posed(moved(mean.pose, np.array([0, 0, 0, 0, 0, angle])), mean.joints) for angle in turns]

@@ -13,8 +13,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.search.modes import HasPose
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -82,15 +81,14 @@ class StoredFrame:
     def of(
         cls,
         data: FrameData,
-        own: HasPose,
-        readings: Readings,
+        own: Posed,
         body: Body,
         config: EstimateConfig,
         keypoints: Float64 | None = None,
     ) -> StoredFrame:
         """Gather the evidence of a frame's views, and measure the frame's own estimate in them.
 
-        ``readings`` are those of the instrument's joints; ``keypoints`` (2, 2) px are the jaw tips in the first view.
+        ``keypoints`` (2, 2) px are the jaw tips in the first view.
 
         Raises
         ------
@@ -109,8 +107,7 @@ class StoredFrame:
             renderer = Renderer(body, evidence.camera, threads=1)
             views.append(FrameView(name, evidence, renderer, places.get(name, np.eye(4))))
         stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
-        measured = OwnEstimate.of(views, own.camera_from_root, own.joints)
-        return cls(tuple(stored), data.camera, with_noise(measured, views, readings, config))
+        return cls(tuple(stored), data.camera, with_noise(OwnEstimate.of(views, own), views, config))
 
     @property
     def reference(self) -> StoredEvidence:

@@ -15,15 +15,14 @@ from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
-from dvrk_cmaes.pose.find_in_views import find_pose_in_views
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
-from dvrk_cmaes.pose.search.global_search import Candidate
+from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.pose.seen_views import SeenView, seen_views
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
@@ -120,21 +119,17 @@ def estimate(
         base = found.camera_from_base
     else:
         modes = () if start is None else _modes(start, seen[0], model)
-        if len(views) == 1:
-            found = find_pose(main.renderer, decimated, main.evidence, readings, settings, modes)
-        else:
-            found = find_pose_in_views(views, decimated, readings, settings, modes)
-        found, source = _in_camera(found, seen[0]), "frame"
-        base = find_camera_from_base(found.camera_from_root, given, arm, roll_offset=model.roll_offset)
-    tips, tips_px = locate_tips(model, rig.camera, found.camera_from_root, found.joints)
+        found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), seen[0]), "frame"
+        base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
+    tips, tips_px = locate_tips(model, rig.camera, found.at)
     return Result(
         frame=frame,
         status="doubtful" if found.reasons else "ok",
         reasons=found.reasons,
         instrument=model.name,
         root_link=model.root_link,
-        camera_from_root=found.camera_from_root,
-        joints=dict(zip(model.joint_names, found.joints.tolist(), strict=True)),
+        camera_from_root=found.at.pose,
+        joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
         warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
         unused=(*left_out, *_unused_evidence(views), *unused),
@@ -149,7 +144,7 @@ def estimate(
         mode_probability=found.mode_probability,
         alternatives=found.alternatives,
         views=() if isinstance(camera, Camera) else tuple(view.name for view in views),
-        view_fits=found.views,
+        view_fits=found.views if len(views) > 1 else (),
         seconds=perf_counter() - started,
         evaluations=found.evaluations,
         rays=found.rays,
@@ -166,7 +161,10 @@ def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
         return []
     others = ((other.camera_from_root, other.joints) for other in start.alternatives)
     return [
-        Candidate(view.view_from_camera @ pose, np.array([joints[name] for name in model.joint_names]), float(number))
+        Candidate(
+            Posed(pose, np.array([joints[name] for name in model.joint_names])).seen_from(view.view_from_camera),
+            float(number),
+        )
         for number, (pose, joints) in enumerate([(start.camera_from_root, start.joints), *others])
     ]
 
@@ -197,7 +195,7 @@ def _in_camera(found: FoundPose, view: SeenView) -> FoundPose:
     others = tuple(
         replace(other, camera_from_root=camera_from_view @ other.camera_from_root) for other in found.alternatives
     )
-    return replace(found, camera_from_root=camera_from_view @ found.camera_from_root, alternatives=others)
+    return replace(found, at=found.at.seen_from(camera_from_view), alternatives=others)
 
 
 def _unused_evidence(views: Sequence[FrameView]) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import Marker, place_markers
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pnp.pnp import PointPose, Solver, solve_points
@@ -138,7 +139,7 @@ def _result(
             reasons = (f"points: {answer.error_px:.1f} px rms from where the pose puts them",)
         base = find_camera_from_base(answer.camera_from_root, files.readings, arm, roll_offset=instrument.roll_offset)
         joints = np.array([files.readings[name] for name in instrument.joint_names])
-        tips, tips_px = locate_tips(instrument, camera, answer.camera_from_root, joints)
+        tips, tips_px = locate_tips(instrument, camera, Posed(answer.camera_from_root, joints))
     return Result(
         frame=files.name,
         status="failed" if not posed else "doubtful" if doubtful else "ok",

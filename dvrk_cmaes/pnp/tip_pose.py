@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
-from dvrk_cmaes.geometry import frame_along, moved, rotation_about_z, transform
+from dvrk_cmaes.geometry import Posed, frame_along, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pnp.pnp import PointPose, undistort
 from dvrk_cmaes.pose.search.losses import keypoint_loss
@@ -59,7 +59,7 @@ def solve_tips(
     seen = undistort(camera, tips)
     pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     starts = _starts(pinhole, instrument, joints, seen, edges)
-    scores = keypoint_loss(project_tips(instrument, pinhole, starts, np.tile(joints, (len(starts), 1))), seen)
+    scores = keypoint_loss(project_tips(instrument, pinhole, Posed(starts, np.tile(joints, (len(starts), 1)))), seen)
     found: list[tuple[float, Float64]] = []
     for index in np.argsort(scores, kind="stable")[:_STARTS]:
         for pairing in (seen, seen[::-1]):
@@ -67,7 +67,7 @@ def solve_tips(
 
             def residuals(change: Float64, start: Float64 = start, pairing: Float64 = pairing) -> Float64:
                 pose = moved(start, change * _SCALE)
-                tip = project_tips(instrument, pinhole, pose[None], joints[None])[0]
+                tip = project_tips(instrument, pinhole, Posed(pose[None], joints[None]))[0]
                 return np.concatenate([(tip - pairing).ravel(), _edge_distances(pinhole, instrument, pose, edges)])
 
             done = least_squares(residuals, np.zeros(6), max_nfev=60)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import change_between, rotation_angle
+from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.pose.mode_probability import mode_weights
-from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import Quality
 
 Float64 = NDArray[np.float64]
@@ -36,7 +36,7 @@ def rough_covariance(covariance: Float64, noise: OutlineNoise, quality: Quality)
     return covariance * noise.inflation * _occlusion_factor(quality)
 
 
-def pose_covariance(modes: Sequence[OutlineFit], quality: Quality) -> Float64:
+def pose_covariance(modes: Sequence[Fit], quality: Quality) -> Float64:
     """Return the covariance (6 + J, 6 + J) of small changes of the first mode, whose ``quality`` is given.
 
     It includes the other modes within 60 degrees, each with its share of the probability. Modes farther away, such as
@@ -45,8 +45,7 @@ def pose_covariance(modes: Sequence[OutlineFit], quality: Quality) -> Float64:
     best, weights = modes[0], mode_weights(modes)
     covariance = np.linalg.inv(best.information) * _occlusion_factor(quality)
     for mode, weight in zip(modes[1:], weights[1:], strict=True):
-        if rotation_angle(best.camera_from_root, mode.camera_from_root) < _NEAR:
-            change = change_between(best.camera_from_root, mode.camera_from_root)
-            apart = np.concatenate([change, mode.joints - best.joints])
+        if rotation_angle(best.at.pose, mode.at.pose) < _NEAR:
+            apart = mode.at.minus(best.at)
             covariance += weight / (weight + weights[0]) * np.outer(apart, apart)
     return np.asarray(covariance, dtype=np.float64)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.expected_error import jacobian
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -55,11 +56,11 @@ def place_of_other(
     """
     if not all(_is_trusted(result, least_probability) for result in results):
         return "unclear"
-    tools = [_Posed.of(result, body) for result, body in zip(results, bodies, strict=True)]
-    found = {_place_in_view(tools[0], tools[1], view) for view in views} - {"apart"}
-    if not found:
+    first, second = (_Tool.of(result, body) for result, body in zip(results, bodies, strict=True))
+    places = {_place_in_view(first, second, view) for view in views} - {"apart"}
+    if not places:
         return "apart"
-    return found.pop() if len(found) == 1 else "unclear"
+    return places.pop() if len(places) == 1 else "unclear"
 
 
 def _is_trusted(result: Result, least_probability: float) -> bool:
@@ -70,33 +71,32 @@ def _is_trusted(result: Result, least_probability: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Posed:
-    """A tool's body, pose (4, 4), joints (J,) and the covariance (6 + J, 6 + J) of their small changes."""
+class _Tool:
+    """A tool's body, its pose, and the covariance (6 + J, 6 + J) of small changes of that."""
 
     body: Body
-    pose: Float64
-    joints: Float64
+    at: Posed
     covariance: Float64
 
     @staticmethod
-    def of(result: Result, body: Body) -> _Posed:
+    def of(result: Result, body: Body) -> _Tool:
         assert result.camera_from_root is not None
         assert result.covariance is not None
         joints = np.array([result.joints[name] for name in body.instrument.joint_names])
-        return _Posed(body, result.camera_from_root, joints, result.covariance)
+        return _Tool(body, Posed(result.camera_from_root, joints), result.covariance)
 
     def silhouette(self, view: SharedView) -> Bool:
         """Return the silhouette (H, W) in a view."""
-        pose = view.view_from_camera @ self.pose
-        return np.asarray(Renderer(self.body, view.camera, threads=1).masks(pose[None], self.joints[None])[0])
+        seen = self.at.seen_from(view.view_from_camera)
+        return np.asarray(Renderer(self.body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])
 
     def depths(self, view: SharedView, pixels: Float64) -> tuple[Float64, Float64]:
         """Return the depths (N,) of the surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
 
         The variances follow from the covariance of the pose and the joints.
         """
-        pose = view.view_from_camera @ self.pose
-        links = self.body.camera_from_links(pose[None], self.joints[None])[0]
+        seen = self.at.seen_from(view.view_from_camera)
+        links = self.body.camera_from_links(seen.pose[None], seen.joints[None])[0]
         directions = np.c_[view.camera.normalise(pixels), np.ones(len(pixels))]
         depth, owner = self.body.scenes.depths(links, directions)
         hit = np.isfinite(depth)
@@ -105,16 +105,16 @@ class _Posed:
         centred = points - links[owner, :3, 3]
         in_link = np.einsum("nij,ni->nj", links[owner, :3, :3], centred)
 
-        def moved_depth(poses: Float64, joints: Float64) -> Float64:
-            moved = self.body.camera_from_links(poses, joints)[:, owner, 2]
+        def moved_depth(at: Posed) -> Float64:
+            moved = self.body.camera_from_links(at.pose, at.joints)[:, owner, 2]
             return np.asarray(np.einsum("cnj,nj->cn", moved[..., :3], in_link) + moved[..., 3])
 
-        slope = jacobian(moved_depth, pose, self.joints)
+        slope = jacobian(moved_depth, seen)
         variance[hit] = np.einsum("ni,ij,nj->n", slope, self.covariance, slope)
         return depth, variance
 
 
-def _place_in_view(first: _Posed, second: _Posed, view: SharedView) -> Place:
+def _place_in_view(first: _Tool, second: _Tool, view: SharedView) -> Place:
     """Return where the second tool is, as seen by the first, in one view.
 
     Depths are compared where both silhouettes are, and where the masks meet, there with the nearest pixel of each

@@ -12,37 +12,78 @@ import numpy as np
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.straight_cut import shaft_width
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.mode_probability import mode_weights
-from dvrk_cmaes.pose.refine.coarse_to_fine import is_twin
-from dvrk_cmaes.pose.refine.outline import OutlineFit
-from dvrk_cmaes.pose.search.modes import HasPose
-from dvrk_cmaes.results.result import ExpectedError, Quality
+from dvrk_cmaes.pose.refine.gauss_newton import Fit
+from dvrk_cmaes.pose.search.modes import Candidate, is_twin
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
 
 
-def _tips_out_of_view(best: HasPose, instrument: Instrument, evidence: Evidence) -> bool:
-    """Return whether a jaw tip is behind the camera or outside the image."""
-    pose, camera = best.camera_from_root, evidence.camera
-    tips = apply(pose, instrument.tips(best.joints))
-    if (tips[:, 2] <= 0).any():
-        return True
-    pixels = camera.project(tips)
-    return bool((pixels < -0.5).any() or (pixels > [camera.width - 0.5, camera.height - 0.5]).any())
-
-
-def doubts_of_fit(
-    best: HasPose,
-    quality: Quality,
+def judge(
+    modes: Sequence[Fit],
+    views: Sequence[FrameView],
+    checks: Sequence[ViewCheck],
     expected: ExpectedError,
-    evidence: Evidence,
-    instrument: Instrument,
+    probability: float,
+    readings: Readings,
     trust: TrustConfig,
+) -> tuple[list[str], list[str]]:
+    """List the reasons, in words, for which the first of all modes is doubtful, and remarks on single views.
+
+    ``checks`` are those of the views, in their order, ``expected`` the expected error and ``probability`` that of the
+    first mode.
+    """
+    qualities = [check.quality for check in checks]
+    reasons, remarks = doubts_in_views(modes[0].at, views, qualities, expected, trust)
+    reasons += [text for check in checks[1:] if (text := _disagreement(check, views[0].name, trust)) is not None]
+    evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
+    instrument = views[0].renderer.body.instrument
+    return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust), remarks
+
+
+def doubts_in_views(
+    at: Posed,
+    views: Sequence[FrameView],
+    qualities: Sequence[Quality],
+    expected: ExpectedError,
+    trust: TrustConfig,
+) -> tuple[list[str], list[str]]:
+    """List the reasons for which a pose is doubtful that hold in every view, and remarks for those that do not.
+
+    What one view shows well is not in doubt because another view is occluded, cut or has the tips outside: a reason
+    that does not hold in every view is a remark that names the view. ``qualities`` are those of the pose in each view,
+    in their order.
+    """
+    of_views = [
+        _doubts_in_view(at, view, quality, expected, trust) for view, quality in zip(views, qualities, strict=True)
+    ]
+    kinds = [{_kind(reason) for reason in reasons} for reasons in of_views]
+    everywhere = set.intersection(*kinds)
+    reasons = [reason for reason in of_views[0] if _kind(reason) in everywhere]
+    remarks = [
+        f"view {view.name}: {reason}"
+        for view, own in zip(views, of_views, strict=True)
+        for reason in own
+        if _kind(reason) not in everywhere
+    ]
+    return reasons, remarks
+
+
+def _kind(reason: str) -> str:
+    """Return the kind of a reason: its text before the first colon."""
+    return reason.split(":")[0]
+
+
+def _doubts_in_view(
+    at: Posed, view: FrameView, quality: Quality, expected: ExpectedError, trust: TrustConfig
 ) -> list[str]:
-    """List the reasons, in words, for which a pose does not explain its mask or is not accurate; empty without any."""
+    """List the reasons, in words, for which a pose does not explain a view's mask or is not accurate."""
+    instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
     reasons = []
     if quality.iou < trust.least_iou:
         reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
@@ -51,12 +92,12 @@ def doubts_of_fit(
             f"wrist or jaws off: beyond the shaft, the mask's contour is {quality.distal_px:.1f} px (rms) from the "
             "silhouette; another instrument, another tool or tissue may be there"
         )
-    shaft = shaft_width(instrument, evidence.camera, best.camera_from_root)
+    shaft = shaft_width(instrument, evidence.camera, seen.pose)
     if shaft is not None and quality.bend_px > max(trust.largest_bend_px, trust.largest_bend_share * shaft):
         reasons.append(
             f"mask cut straight: along a straight line that ends it, the silhouette bends by {quality.bend_px:.1f} px"
         )
-    if instrument.jaw_tips and _tips_out_of_view(best, instrument, evidence):
+    if instrument.jaw_tips and _tips_out_of_view(seen, instrument, evidence):
         reasons.append("tip out of view: a jaw tip lies outside the image")
     if expected.of_tips_mm > trust.tip_mm:
         reasons.append(
@@ -65,26 +106,29 @@ def doubts_of_fit(
     return reasons
 
 
-def judge(
-    modes: Sequence[OutlineFit],
-    quality: Quality,
-    expected: ExpectedError,
-    probability: float,
-    evidence: Evidence,
-    readings: Readings,
-    instrument: Instrument,
-    trust: TrustConfig,
-) -> list[str]:
-    """List the reasons, in words, for which the first of all modes is doubtful; empty if there are none.
+def _tips_out_of_view(seen: Posed, instrument: Instrument, evidence: Evidence) -> bool:
+    """Return whether a jaw tip is behind the camera or outside the image."""
+    camera = evidence.camera
+    tips = apply(seen.pose, instrument.tips(seen.joints))
+    if (tips[:, 2] <= 0).any():
+        return True
+    pixels = camera.project(tips)
+    return bool((pixels < -0.5).any() or (pixels > [camera.width - 0.5, camera.height - 0.5]).any())
 
-    ``probability`` is that of the first mode, ``expected`` its expected error.
-    """
-    reasons = doubts_of_fit(modes[0], quality, expected, evidence, instrument, trust)
-    return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust)
+
+def _disagreement(check: ViewCheck, main: str, trust: TrustConfig) -> str | None:
+    """Say by how much a view contradicts the main one; None if it does not, beyond its error."""
+    angle = float(np.linalg.norm(check.rotation_deg))
+    if angle < trust.largest_view_deg or check.significance < trust.largest_view_sigmas:
+        return None
+    return (
+        f"views disagree: {check.name} fits {main} only if turned by {angle:.2f} deg; the rig may be calibrated "
+        "wrongly, or the images are not of one time or exchanged"
+    )
 
 
 def doubts_of_modes(
-    modes: Sequence[OutlineFit],
+    modes: Sequence[Fit],
     probability: float,
     evidence: Evidence,
     readings: Readings,
@@ -101,24 +145,24 @@ def doubts_of_modes(
     return reasons + _doubts_of_readings(best, evidence, readings, instrument, trust)
 
 
-def _mode_in_doubt(modes: Sequence[OutlineFit], probability: float, instrument: Instrument) -> str:
+def _mode_in_doubt(modes: Sequence[Fit], probability: float, instrument: Instrument) -> str:
     """Say how probable the first mode is, and which other one is the most probable."""
     text = f"mode in doubt: the pose is in the right mode with a probability of {probability:.2f}"
     if len(modes) < 2 or mode_weights(modes)[1:].max() < 1 - probability - _MINOR:
         return f"{text}; the mask says too little"
     other = min(modes[1:], key=lambda mode: mode.score)
-    twin = instrument.has_twin and is_twin(instrument, modes[0], other)
+    twin = instrument.has_twin and is_twin(instrument, modes[0].at, other.at)
     return f"{text}; {'the mirror twin' if twin else 'another pose'} explains the frame nearly as well"
 
 
 def _doubts_of_readings(
-    best: OutlineFit, evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
+    best: Candidate, evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
 ) -> list[str]:
     """List the reasons, in words, for which a pose contradicts its readings or could not be told without them."""
     reasons = []
     if np.isnan(readings.values).all():
         reasons.append("no readings: nothing tells the pose from its mirror twin")
-    off = np.abs(best.joints - readings.values) / readings.sigma
+    off = np.abs(best.at.joints - readings.values) / readings.sigma
     for name, sigmas in zip(instrument.joint_names, off, strict=True):
         if sigmas > trust.largest_reading_sigmas:
             reasons.append(f"far from the readings: {name} is {sigmas:.1f} times the expected error away")

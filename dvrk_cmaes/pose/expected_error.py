@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply, frame_along, moved
+from dvrk_cmaes.geometry import Posed, apply, frame_along
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import ExpectedError
 
 Float64 = NDArray[np.float64]
-Quantity = Callable[[Float64, Float64], Float64]
-"""Function of poses (C, 4, 4) and joints (C, J) with values (C, n)."""
+Quantity = Callable[[Posed], Float64]
+"""Function of C poses with values (C, n)."""
 Points = tuple[Float64, ...]
 
 INTERVAL = 0.9
@@ -31,20 +31,19 @@ _NORMAL = 1.2815515655446004  # quantile ``INTERVAL`` of the standard normal dis
 _ITERATIONS = 20  # of Newton's method, which needs four
 
 
-def jacobian(quantity: Quantity, pose: Float64, joints: Float64) -> Float64:
+def jacobian(quantity: Quantity, at: Posed) -> Float64:
     """Return the derivatives (n, 6 + J) of a quantity by small changes [t, r, joints], from central differences."""
-    count = 6 + len(joints)
-    change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
-    values = quantity(moved(pose, change[:, :6]), joints + change[:, 6:])
+    count = 6 + len(at.joints)
+    values = quantity(at.moved(_STEP * np.concatenate([np.eye(count), -np.eye(count)])))
     return np.asarray((values[:count] - values[count:]).T / (2 * _STEP))
 
 
 def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
     """Return the quantity: mean position of some tips in the camera, (C, 3) m."""
 
-    def position(poses: Float64, joints: Float64) -> Float64:
-        tips = instrument.ends(joints)[:, list(which)].mean(axis=1)
-        return np.asarray(np.einsum("nij,nj->ni", poses[:, :3, :3], tips) + poses[:, :3, 3])
+    def position(at: Posed) -> Float64:
+        tips = instrument.ends(at.joints)[:, list(which)].mean(axis=1)
+        return np.asarray(np.einsum("nij,nj->ni", at.pose[:, :3, :3], tips) + at.pose[:, :3, 3])
 
     return position
 
@@ -54,8 +53,8 @@ def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
     across = frame_along(about[:3, :3] @ along)[:, :2]
 
-    def direction(poses: Float64, joints: Float64) -> Float64:
-        return np.asarray(poses[:, :3, :3] @ along @ across)
+    def direction(at: Posed) -> Float64:
+        return np.asarray(at.pose[:, :3, :3] @ along @ across)
 
     return direction
 
@@ -91,15 +90,15 @@ def _gamma_quantile(shape: float) -> float:
     return at
 
 
-def expected_error(instrument: Instrument, pose: Float64, joints: Float64, covariance: Float64) -> ExpectedError:
-    """Propagate the covariance (6 + J, 6 + J) of a pose (4, 4) and joints (J,) to tips and shaft."""
-    count = len(instrument.ends(joints))
+def expected_error(instrument: Instrument, at: Posed, covariance: Float64) -> ExpectedError:
+    """Propagate the covariance (6 + J, 6 + J) of the small changes of one pose to tips and shaft."""
+    count = len(instrument.ends(at.joints))
     names = {f"jaw_{k + 1}": [k] for k in range(count)} | {"mean": [*range(count)]} if count > 1 else {"tip": [0]}
     spreads = {}
     for name, which in names.items():
-        slope = jacobian(tip_position(instrument, which), pose, joints)
+        slope = jacobian(tip_position(instrument, which), at)
         spreads[name] = 1e6 * slope @ covariance @ slope.T
-    slope = np.degrees(jacobian(shaft_direction(instrument, pose), pose, joints))
+    slope = np.degrees(jacobian(shaft_direction(instrument, at.pose), at))
     return ExpectedError(
         tip_mm={name: float(np.sqrt(np.trace(spread))) for name, spread in spreads.items()},
         tip_axes_mm={name: np.sqrt(np.diag(spread)) for name, spread in spreads.items()},
@@ -108,10 +107,10 @@ def expected_error(instrument: Instrument, pose: Float64, joints: Float64, covar
     )
 
 
-def locate_tips(instrument: Instrument, camera: Camera, pose: Float64, joints: Float64) -> tuple[Points, Points]:
-    """Return the tips of a pose (4, 4) and joints (J,): their positions in the camera, (3,) m each, and pixels, (2,).
+def locate_tips(instrument: Instrument, camera: Camera, at: Posed) -> tuple[Points, Points]:
+    """Return the tips of one pose: their positions in the camera, (3,) m each, and pixels, (2,) each.
 
     There are no pixels if a tip is behind the camera.
     """
-    points = apply(pose, instrument.ends(joints))
+    points = apply(at.pose, instrument.ends(at.joints))
     return tuple(points), tuple(camera.project(points)) if (points[:, 2] > 0).all() else ()

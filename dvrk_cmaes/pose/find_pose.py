@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
 from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.doubts import judge
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.mode_probability import mode_probability
-from dvrk_cmaes.pose.quality import measure_quality
-from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch, is_twin
-from dvrk_cmaes.pose.refine.outline import OutlineFit
-from dvrk_cmaes.pose.search.global_search import Candidate, find_candidates
+from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
+from dvrk_cmaes.pose.refine.gauss_newton import Fit
+from dvrk_cmaes.pose.search.global_search import find_candidates
+from dvrk_cmaes.pose.search.modes import Candidate, is_twin
+from dvrk_cmaes.pose.views import FrameView, clearest_view
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -30,16 +32,15 @@ Float64 = NDArray[np.float64]
 class FoundPose:
     """The pose found in one frame and what supports it.
 
-    ``camera_from_root`` (4, 4) and ``joints`` (J,), rad, have the ``covariance`` (6 + J, 6 + J) of the small changes
-    [t, r, joints] in the root's axes; ``expected_error`` is that of tips and shaft. ``mode_probability`` is that of the
-    pose's mode, None where a session's prediction tells the mode. ``reasons`` say why the pose is doubtful; none if it
-    is not. ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the
-    readings. ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced. Where several views were
-    used, ``views`` has the fit in each, and ``notes`` remark on single ones.
+    ``at`` is one pose in the camera of the first view that shows the instrument, with the ``covariance``
+    (6 + J, 6 + J) of its small changes; ``expected_error`` is that of tips and shaft. ``mode_probability`` is that of
+    the pose's mode, None where a session's prediction tells the mode. ``reasons`` say why the pose is doubtful; none if
+    it is not. ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the
+    readings. ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced. ``views`` has the fit in
+    each view, and ``notes`` remark on single ones.
     """
 
-    camera_from_root: Float64
-    joints: Float64
+    at: Posed
     covariance: Float64
     quality: Quality
     reasons: tuple[str, ...]
@@ -54,66 +55,70 @@ class FoundPose:
 
 
 def find_pose(
-    renderer: Renderer,
+    views: Sequence[FrameView],
     decimated: Body,
-    evidence: Evidence,
     readings: Readings,
     config: EstimateConfig,
     start: Sequence[Candidate] = (),
 ) -> FoundPose:
-    """Find the pose that best explains the evidence of one frame.
+    """Find the pose that best explains the evidence of the views of one frame.
 
-    ``renderer`` draws the instrument at full detail in the frame's camera; ``decimated`` is the same instrument with
-    fewer faces, for the small images of the search. Where there are candidates to ``start`` from, these are refined,
-    and nothing is searched.
+    The first view is the reference: its ``view_from_camera`` is the identity, and the pose is in its camera. The view
+    with the largest mask is searched; a search of all would cost more and find the same modes, since the eyes of an
+    endoscope see nearly the same. What is found, or else the candidates to ``start`` from, is refined, ranked and
+    judged on all of them. ``decimated`` is the instrument with fewer faces, for the small images of the search.
     """
-    instrument = renderer.body.instrument
-    coarse = Renderer(decimated, evidence.camera, threads=config.threads)
-    candidates, searched, traced = list(start), 0, 0
+    instrument = decimated.instrument
+    candidates, evaluations, rays = list(start), 0, 0
     if not candidates:
-        candidates, objective = find_candidates(coarse, evidence, readings, config)
-        searched, traced = objective.evaluations, objective.renderer.rays
-    local = LocalSearch(renderer, coarse, evidence, readings, config)
-    modes = local.refine(candidates)
+        searched = clearest_view(views)
+        coarse = Renderer(decimated, searched.evidence.camera, threads=config.threads)
+        seen, objective = find_candidates(coarse, searched.evidence, readings, config)
+        camera_from_view = inverse(searched.view_from_camera)
+        candidates = [Candidate(each.at.seen_from(camera_from_view), each.score) for each in seen]
+        evaluations, rays = objective.evaluations, objective.renderer.rays
+    local = LocalSearch(views, decimated, readings, config)
+    modes, rotations = local.refine(candidates)
     best = modes[0]
-    qualities, confirming = measure_quality(
-        renderer, evidence, readings, modes, config.weights, decay=config.decay_px, field=config.distance_field
-    )
+    of_views, confirming = measure_views(views, readings, Posed.stacked([mode.at for mode in modes]), config)
+    qualities = [pooled_quality(of_mode) for of_mode in zip(*of_views, strict=True)]
     covariance = pose_covariance(modes, qualities[0])
-    expected = expected_error(instrument, best.camera_from_root, best.joints, covariance)
+    expected = expected_error(instrument, best.at, covariance)
     probability = mode_probability(modes, expected.of_tips_mm)
-    reasons = judge(modes, qualities[0], expected, probability, evidence, readings, instrument, config.trust)
+    of_rig = [(np.zeros(3), np.zeros((3, 3))), *rotations]  # the first view is the reference
+    checks = tuple(
+        ViewCheck(view.name, quality[0], np.degrees(turn), np.degrees(np.degrees(spread)))
+        for view, quality, (turn, spread) in zip(views, of_views, of_rig, strict=True)
+    )
+    reasons, notes = judge(modes, views, checks, expected, probability, readings, config.trust)
     return FoundPose(
-        camera_from_root=best.camera_from_root,
-        joints=best.joints,
+        at=best.at,
         covariance=covariance,
         quality=qualities[0],
         reasons=tuple(reasons),
-        evaluations=searched + local.silhouettes + renderer.poses,
-        rays=traced + local.rays + renderer.rays + confirming,
+        evaluations=evaluations + local.silhouettes + sum(view.renderer.poses for view in views),
+        rays=rays + local.rays + sum(view.renderer.rays for view in views) + confirming,
         expected_error=expected,
         mode_probability=probability,
-        alternatives=alternatives_of(instrument, readings, modes, qualities),
+        alternatives=_alternatives(instrument, readings, modes, qualities),
+        views=checks,
+        notes=tuple(notes),
     )
 
 
-def alternatives_of(
-    instrument: Instrument, readings: Readings, modes: Sequence[OutlineFit], qualities: Sequence[Quality]
+def _alternatives(
+    instrument: Instrument, readings: Readings, modes: Sequence[Fit], qualities: Sequence[Quality]
 ) -> tuple[Alternative, ...]:
-    """Describe all modes of a frame but the first, with the qualities of all."""
-    pairs = zip(modes[1:], qualities[1:], strict=True)
-    return tuple(_alternative(instrument, readings, modes[0], mode, quality) for mode, quality in pairs)
-
-
-def _alternative(
-    instrument: Instrument, readings: Readings, best: OutlineFit, mode: OutlineFit, quality: Quality
-) -> Alternative:
-    """Describe another mode of the frame, and how it relates to the best one."""
-    return Alternative(
-        camera_from_root=mode.camera_from_root,
-        joints=dict(zip(instrument.joint_names, mode.joints.tolist(), strict=True)),
-        loss=quality.loss,
-        iou=quality.iou,
-        relation="mirror twin" if instrument.has_twin and is_twin(instrument, best, mode) else "other mode",
-        reading_distance_deg=reading_distance(readings, mode.joints),
+    """Describe all modes of a frame but the first, with the qualities of all, and how they relate to the first."""
+    best = modes[0].at
+    return tuple(
+        Alternative(
+            camera_from_root=mode.at.pose,
+            joints=dict(zip(instrument.joint_names, mode.at.joints.tolist(), strict=True)),
+            loss=quality.loss,
+            iou=quality.iou,
+            relation="mirror twin" if instrument.has_twin and is_twin(instrument, best, mode.at) else "other mode",
+            reading_distance_deg=reading_distance(readings, mode.at.joints),
+        )
+        for mode, quality in zip(modes[1:], qualities[1:], strict=True)
     )

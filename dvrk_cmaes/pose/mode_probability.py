@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import rotation_angle
-from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.pose.search.modes import Candidate
 
 Float64 = NDArray[np.float64]
 
@@ -24,19 +24,19 @@ SAME_MODE = np.deg2rad(30.0)
 _MISSED_MM, _MISSED_POWER = 10.0, 3.0  # odds of a mode that was not found
 
 
-def mode_weights(modes: Sequence[OutlineFit]) -> Float64:
+def mode_weights(modes: Sequence[Candidate]) -> Float64:
     """Return the share of each mode (M,) in the posterior probability of all that were found."""
     weights = np.exp(-(np.array([mode.score for mode in modes]) - min(mode.score for mode in modes)))
     return np.asarray(weights / weights.sum())
 
 
-def mode_probability(modes: Sequence[OutlineFit], expected_mm: float) -> float:
+def mode_probability(modes: Sequence[Candidate], expected_mm: float) -> float:
     """Return the probability that the first mode is within 30 degrees of the truth.
 
     ``expected_mm`` is the expected error of the tips if it is.
     """
-    best = modes[0].camera_from_root
-    same = [float(rotation_angle(best, mode.camera_from_root)) < SAME_MODE for mode in modes]
-    found = float(mode_weights(modes)[same].sum())
+    best = modes[0].at.pose
+    same = [float(rotation_angle(best, mode.at.pose)) < SAME_MODE for mode in modes]
+    share = float(mode_weights(modes)[same].sum())
     missed = (expected_mm / _MISSED_MM) ** _MISSED_POWER
-    return float(found / (1 + missed))
+    return float(share / (1 + missed))

@@ -8,18 +8,18 @@ from dataclasses import asdict
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.config import LossWeights
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, window_around
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
-from dvrk_cmaes.pose.search.modes import HasPose
 from dvrk_cmaes.pose.search.objective import pose_terms
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
-from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
 Float64 = NDArray[np.float64]
@@ -51,33 +51,26 @@ def _distal_error(evidence: Evidence, pose: Float64, signed: Float64) -> float:
 
 
 def measure_quality(
-    renderer: Renderer,
-    evidence: Evidence,
-    readings: Readings,
-    modes: Sequence[HasPose],
-    weights: LossWeights,
-    *,
-    decay: float,
-    field: str,
+    view: FrameView, readings: Readings, at: Posed, config: EstimateConfig
 ) -> tuple[list[Quality], int]:
-    """Measure overlap, losses and contour distances of all modes at full image size.
+    """Measure overlap, losses and contour distances of C poses in one view at full image size.
 
     The silhouettes are rendered as masks and checked by ray tracing along their outlines. The distance field is
-    computed by the method ``field``, in a window around the mask and all silhouettes; ``decay``, px, is the distance
-    over which it increases by one. Returns the quality of each mode and the number of rays traced.
+    computed in a window around the mask and all silhouettes. Returns the quality of each pose and the number of rays
+    traced.
     """
-    poses, joints = np.stack([mode.camera_from_root for mode in modes]), np.stack([mode.joints for mode in modes])
-    masks, rays = trace_near_outlines(renderer, poses, joints, renderer.masks(poses, joints))
+    evidence, renderer, weights = view.evidence, view.renderer, config.weights
+    seen = at.seen_from(view.view_from_camera)
+    masks, rays = trace_near_outlines(renderer, seen.pose, seen.joints, renderer.masks(seen.pose, seen.joints))
     left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
     window = np.s_[top : top + height, left : left + width]
     mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
     around = np.pad(mask, 1)  # the distance field is undefined for a mask without background
     drawn_anywhere = np.pad(masks[:, window[0], window[1]].any(axis=0), 1)
-    far = distance_field(around, field, where=drawn_anywhere)[1:-1, 1:-1] / decay
+    far = distance_field(around, config.distance_field, where=drawn_anywhere)[1:-1, 1:-1] / config.decay_px
     area = float((mask * weight).sum())
-    others = pose_terms(evidence, renderer.body.instrument, readings, weights, poses, joints)
-    cylinder, keypoints, deviations = others
-    found = []
+    cylinder, keypoints, deviations = pose_terms(evidence, renderer.body.instrument, readings, weights, seen)
+    qualities = []
     for i, silhouette in enumerate(masks[:, window[0], window[1]]):
         drawn = silhouette * weight
         terms = Terms(
@@ -93,8 +86,8 @@ def measure_quality(
         diagonal = float(np.hypot(*evidence.mask.shape))
         signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -diagonal, diagonal)
         distances = np.abs(signed) if len(signed) else np.array([diagonal])
-        shaft = shaft_width(renderer.body.instrument, evidence.camera, poses[i])
-        found.append(
+        shaft = shaft_width(renderer.body.instrument, evidence.camera, seen.pose[i])
+        qualities.append(
             Quality(
                 iou=float(both / max(either, 1)),
                 loss=float(terms.total(weights)[0]),
@@ -103,7 +96,28 @@ def measure_quality(
                 contour_px_95=float(np.percentile(distances, 95)),
                 bend_px=0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
                 steady_share=float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
-                distal_px=_distal_error(evidence, poses[i], signed),
+                distal_px=_distal_error(evidence, seen.pose[i], signed),
             )
         )
-    return found, rays
+    return qualities, rays
+
+
+def measure_views(
+    views: Sequence[FrameView], readings: Readings, at: Posed, config: EstimateConfig
+) -> tuple[list[list[Quality]], int]:
+    """Measure the quality of each of C poses in each view; returns a list of the poses' for each view, and the rays.
+
+    The readings count in every view, so that the mean of the losses has them once.
+    """
+    of_views = [measure_quality(view, readings, at, config) for view in views]
+    return [qualities for qualities, _ in of_views], sum(rays for _, rays in of_views)
+
+
+def pooled_quality(qualities: Sequence[Quality]) -> Quality:
+    """Return the quality of a pose in several views: means, and the largest of what tells a cut or occluded mask."""
+    names = ("iou", "loss", "contour_px_median", "steady_share")
+    means = {name: float(np.mean([getattr(quality, name) for quality in qualities])) for name in names}
+    largest = {name: max(getattr(quality, name) for quality in qualities) for name in ("contour_px_95", "bend_px")}
+    terms = {name: float(np.mean([quality.terms[name] for quality in qualities])) for name in qualities[0].terms}
+    distal = float(np.sqrt(np.mean([quality.distal_px**2 for quality in qualities])))
+    return Quality(**{**asdict(qualities[0]), **means, **largest, "terms": terms, "distal_px": distal})

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.search.modes import HasPose, Posed
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.silhouette import Renderer
 
 Float64 = NDArray[np.float64]
@@ -25,15 +25,14 @@ class FrameView:
     renderer: Renderer
     view_from_camera: Float64
 
-    def sees(self, fit: HasPose) -> Posed:
-        """Return a pose of the reference camera in this view's camera."""
-        return Posed(self.view_from_camera @ fit.camera_from_root, fit.joints, fit.score)
+    def silhouette(self, at: Posed) -> NDArray[np.bool_]:
+        """Draw the silhouette (H, W) of one pose in the reference camera."""
+        seen = at.seen_from(self.view_from_camera)
+        return np.asarray(self.renderer.masks(seen.pose[None], seen.joints[None])[0])
 
-
-def without_readings(readings: Readings) -> Readings:
-    """Return readings that say nothing, for all views but the first: readings and limits count once a frame."""
-    unknown = np.full_like(readings.values, np.nan)
-    return replace(readings, values=unknown, low=np.full_like(unknown, -np.inf), high=np.full_like(unknown, np.inf))
+    def noise_at(self, at: Posed) -> OutlineNoise:
+        """Estimate the noise of the mask's contour from its distances to the silhouette of one pose."""
+        return measure_noise(self.evidence.contour, self.silhouette(at))
 
 
 def clearest_view(views: Sequence[FrameView]) -> FrameView:

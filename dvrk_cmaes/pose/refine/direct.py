@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
 
 Float64 = NDArray[np.float64]
@@ -21,11 +22,24 @@ Loss = Callable[[Float64], Float64]
 _NLOPT_LOCAL = {"bobyqa": "LN_BOBYQA", "sbplx": "LN_SBPLX"}
 
 
-def refine_direct(method: str, loss: Loss, dimension: int, evaluations: int, seed: int) -> tuple[Float64, float, int]:
-    """Minimise a loss near 0; parameters are the small changes [t, r, joints] in units of their expected error.
+def refine_direct(
+    method: str, cost: Callable[[Posed], Float64], start: Posed, scale: Float64, evaluations: int, seed: int
+) -> tuple[Posed, int]:
+    """Minimise the cost (C,) of C poses near one; parameters are small changes in units of their expected error.
 
-    Returns the best change (D,), its loss and the number of evaluations. Raises `InputError` for an unknown method.
+    ``scale`` (6 + J,) are these units. Returns the best pose and the number of evaluations. Raises `InputError` for an
+    unknown method.
     """
+
+    def loss(change: Float64) -> Float64:
+        return cost(start.moved(change * scale))
+
+    change, _, count = _minimise(method, loss, len(scale), evaluations, seed)
+    return start.moved(change * scale), count
+
+
+def _minimise(method: str, loss: Loss, dimension: int, evaluations: int, seed: int) -> tuple[Float64, float, int]:
+    """Minimise a loss near 0; returns the best change (D,), its loss and the number of evaluations."""
     if method in _NLOPT_LOCAL:
         return run_nlopt(
             _NLOPT_LOCAL[method],

@@ -9,13 +9,17 @@ about the error of the pose, and shadows make it longer.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
-from dvrk_cmaes.pose.refine.correlated_noise import is_rough
-from dvrk_cmaes.pose.refine.outline import OutlineFit, OutlineRefiner
+from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.contour import is_rough
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Term, sum_of_locals
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
@@ -29,35 +33,36 @@ _ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
 _ROUGH_FACTOR, _SMOOTH_FACTOR = 0.455, 0.65  # on the covariance; fitted to the 90 % intervals of made frames
 
 
-def pose_information(refiner: OutlineRefiner, fit: OutlineFit, noise: OutlineNoise) -> Float64:
-    """Compute the information (6 + J, 6 + J) of outline and priors about the small changes of a fitted pose."""
-    information, factor = _outline_and_factor(refiner, fit, noise)
-    information = information + refiner.priors.terms(fit.camera_from_root[None], fit.joints[None])[0][0]
-    return np.asarray((information + np.diag(_bounds(len(information)))) / factor)
+@dataclass(frozen=True, eq=False)
+class ViewAtFullSize:
+    """A view, and the same as it is compared with outlines at its whole size."""
+
+    view: FrameView
+    sized: SizedView
+
+    def placed(self, view_from_camera: Float64) -> ViewAtFullSize:
+        """Return the same view at another place of the rig."""
+        return ViewAtFullSize(
+            replace(self.view, view_from_camera=view_from_camera), self.sized.placed(view_from_camera)
+        )
 
 
-def joint_information(
-    refiners: Sequence[OutlineRefiner], fits: Sequence[OutlineFit], noises: Sequence[OutlineNoise]
-) -> list[Float64]:
-    """Compute the information (6 + J, 6 + J) of each of several views about the small changes of one fitted pose.
+def information_of_views(views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed) -> list[Float64]:
+    """Compute the information (6 + J, 6 + J) of each view about the small changes of one fitted pose.
 
-    ``fits`` are that pose in each view; the first view's priors include the readings. The errors of the masks of
-    different views are taken to be independent.
+    That of the first view includes the other ``terms``. The errors of the masks of different views are taken to be
+    independent.
     """
-    found = []
-    for k, (refiner, fit, noise) in enumerate(zip(refiners, fits, noises, strict=True)):
-        information, factor = _outline_and_factor(refiner, fit, noise)
-        information = information + refiner.priors.terms(fit.camera_from_root[None], fit.joints[None])[0][0]
-        bounds = _bounds(len(information)) if k == 0 else 0.0 * _bounds(len(information))
-        found.append((information + np.diag(bounds)) / factor)
-    return found
-
-
-def _outline_and_factor(refiner: OutlineRefiner, fit: OutlineFit, noise: OutlineNoise) -> tuple[Float64, float]:
-    """Compute the information (6 + J, 6 + J) of the outline, and the factor on its inverse that its noise requires."""
-    rough = is_rough(noise)
-    information = outline_information(refiner, fit, noise.sigma, _ROUGH_LENGTH if rough else noise.length)
-    return information, noise.inflation * (_ROUGH_FACTOR if rough else _SMOOTH_FACTOR)
+    information = []
+    for k, both in enumerate(views):
+        noise = both.view.noise_at(at)
+        rough = is_rough(noise)
+        of_view = outline_information(both.sized, at, noise.sigma, _ROUGH_LENGTH if rough else noise.length)
+        if k == 0:
+            of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
+            of_view = of_view + np.diag(_bounds(len(of_view)))
+        information.append(of_view / (noise.inflation * (_ROUGH_FACTOR if rough else _SMOOTH_FACTOR)))
+    return information
 
 
 def _bounds(count: int) -> Float64:
@@ -65,15 +70,16 @@ def _bounds(count: int) -> Float64:
     return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 
 
-def outline_information(refiner: OutlineRefiner, fit: OutlineFit, sigma: float, correlation: float) -> Float64:
-    """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of a fitted pose.
+def outline_information(view: SizedView, at: Posed, sigma: float, correlation: float) -> Float64:
+    """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of one fitted pose.
 
     ``sigma``, px, is the standard deviation of the whole contour, ``correlation``, px, its correlation length. Points
     at ignored pixels or farther than three standard deviations from the mask's outline do not count.
     """
-    outline, jacobian = refiner.outline_jacobian(fit.camera_from_root, fit.joints)
-    off = sampled(signed_distance(refiner.mask), outline.pixels)
-    weight = sampled(refiner.weight, outline.pixels)
+    (outline,) = view.outlines(Posed.stacked([at]))
+    (jacobian,) = view.jacobians([outline], Posed.stacked([at]))
+    off = sampled(signed_distance(view.mask), outline.pixels)
+    weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
     counts = weight * (np.abs(off) < _CLIP * max(sigma, 0.5))
     variance = _link_variances(outline, off, length * weight, sigma)[outline.link]

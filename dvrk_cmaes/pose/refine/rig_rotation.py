@@ -2,58 +2,168 @@
 
 At the pose that fits all views together, the distances of one view's contour from the outline tell where that view
 would rather have the instrument. A small rotation w of the view about the reference camera moves the instrument in
-that view only, so w is a further unknown of the normal equations, with the pose eliminated. A wrong baseline looks like
-a rotation as well: at the distance z, an error e of the baseline is a rotation by e / z.
+that view only, so w is a further unknown beside the pose. A wrong baseline looks like a rotation as well: at the
+distance z, an error e of the baseline is a rotation by e / z.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import adjoint, inverse
-from dvrk_cmaes.pose.refine.correlated_noise import contour_terms, invertible
-from dvrk_cmaes.pose.refine.joint_refiner import JointRefiner
-from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
+from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
+from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
+from dvrk_cmaes.pose.terms.contour import CorrelatedContour, DrawnContour
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Quadratic, Term
 
 Float64 = NDArray[np.float64]
+Rotation = tuple[Float64, Float64]
+"""Rotation (3,), rad, of a view about the reference camera's axes, and its covariance (3, 3)."""
 
 _REACH = 24  # px, in which the contour is searched
 _UNKNOWN = np.pi**2  # variance of a rotation, rad^2, where a contour is out of reach
+_STEPS = 4
+_LIKELY = 2.0  # standard deviations of a rotation, up to which the views may agree ...
+_LARGEST_LIKELY = np.deg2rad(0.25)  # ... unless the rotation is larger than this
 
 
-def rig_rotations(
-    refiner: JointRefiner, fit: OutlineFit, informations: Sequence[Float64]
-) -> list[tuple[Float64, Float64]]:
-    """Return the rotation (3,), rad, of each view but the first about the camera's axes, and its covariance (3, 3).
+@dataclass(frozen=True, eq=False)
+class PosedInRig(Posed):
+    """A pose, and the rotations (..., V - 1, 3), rad, by which the views but the first are turned.
 
-    ``informations`` (6 + J, 6 + J) are those of the views at the pose of ``fit``, weighted by the masks' errors.
+    The rotations are the last 3 (V - 1) of its small changes.
     """
-    pose, joints = fit.camera_from_root, fit.joints
-    found: list[tuple[Float64, Float64]] = []
-    terms = [contour_terms(view, seen @ pose, joints, reach=_REACH) for view, seen in refiner.views]
-    known = [term for term in terms if term is not None]
-    if len(known) < len(terms):
-        return [(np.zeros(3), _UNKNOWN * np.eye(3))] * (len(terms) - 1)
-    turn = np.zeros((len(informations[0]), 3))
-    turn[:6] = adjoint(inverse(pose))[:, 3:]
-    own, slopes = [term[0] for term in known], [term[1] for term in known]
-    slope = np.sum(slopes, axis=0)
-    for k in range(1, len(own)):
-        reduced = _reduced(own, k, turn)
-        along = turn.T @ (slopes[k] - own[k] @ np.linalg.solve(invertible(np.sum(own, axis=0)), slope))
-        covariance = np.linalg.inv(_reduced(informations, k, turn))
-        found.append((np.asarray(-np.linalg.solve(reduced, along)), np.asarray(covariance)))
-    return found
+
+    turns: Float64
+
+    def moved(self, change: Float64) -> PosedInRig:
+        """Return where it is after small changes (..., 6 + J + 3 (V - 1))."""
+        count = 6 + self.joints.shape[-1]
+        at = super().moved(change[..., :count])
+        return PosedInRig(at.pose, at.joints, self.turns + change[..., count:].reshape(self.turns.shape))
+
+    def __getitem__(self, index: Any) -> PosedInRig:
+        """Return one or some of the candidates."""
+        return PosedInRig(self.pose[index], self.joints[index], self.turns[index])
+
+    @staticmethod
+    def stacked(candidates: Any) -> PosedInRig:
+        """Return several candidates along a new first axis."""
+        parts = [(each.pose, each.joints, each.turns) for each in candidates]
+        return PosedInRig(*(np.stack(part) for part in zip(*parts, strict=True)))
 
 
-def _reduced(informations: Sequence[Float64], view: int, turn: Float64) -> Float64:
-    """Return the information (3, 3) about the rotation of one view, with the pose eliminated.
+class TurnedContours(OutlineTerm[DrawnContour]):
+    """The contours of the ``views``, of which all but the first may be turned; at poses of type `PosedInRig`."""
 
-    ``turn`` (6 + J, 3) are the small changes of the pose in that view by a rotation of the view.
+    def __init__(self, views: Sequence[SizedView]) -> None:
+        self.views = tuple(views)
+
+    def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnContour]:
+        """Draw C poses in the turned views."""
+        assert isinstance(at, PosedInRig)
+        return [self._drawn(at[k]) for k in range(len(at))]
+
+    def _drawn(self, at: PosedInRig) -> DrawnContour:
+        """Draw one pose in the turned views, and add up their terms about it and about the turns."""
+        own = 6 + len(at.joints)
+        count, turned = own + at.turns.size, _by_rotation(at)
+        further = zip(self.views[1:], at.turns, strict=True)
+        views = [self.views[0], *(v.placed(turned_place(v.view_from_camera, turn)) for v, turn in further)]
+        information, slope, cost = np.zeros((count, count)), np.zeros(count), 0.0
+        for k, drawn in enumerate(CorrelatedContour(views, reach=_REACH).of_views(at)):
+            columns = np.eye(own, count)
+            if k > 0:
+                columns[:, own + 3 * (k - 1) : own + 3 * k] = turned
+            information += columns.T @ drawn.information @ columns
+            slope += columns.T @ drawn.slope
+            cost += drawn.cost
+        return DrawnContour(information, slope, cost)
+
+    def cost_of(self, drawn: DrawnContour) -> float:
+        """Return the sum of squares of what was drawn."""
+        return drawn.cost
+
+    def near(self, drawn: Sequence[DrawnContour], at: Posed) -> Quadratic:
+        """Return the approximation of half the sum of squares near C poses."""
+        return Quadratic(np.stack([d.information for d in drawn]), np.stack([d.slope for d in drawn]))
+
+
+def turned_place(view_from_camera: Float64, turn: Float64) -> Float64:
+    """Return the place (4, 4) of a view that is turned by a rotation vector (3,) about the reference camera's axes."""
+    return moved(view_from_camera, np.concatenate([np.zeros(3), turn]))
+
+
+def rotations_of_views(
+    views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed, informations: Sequence[Float64]
+) -> list[Rotation]:
+    """Fit the rotation of each view but the first together with the pose.
+
+    ``informations`` (6 + J, 6 + J) are those of the views at the pose, as by `information_of_views`. One step suffices
+    for views that agree within the errors. Others are turned and fitted further, because the errors of the contours can
+    only be told from the disagreement of the views once that is removed.
     """
-    one, whole = informations[view], np.sum(informations, axis=0)
-    reduced = turn.T @ (one - one @ np.linalg.solve(invertible(whole), one)) @ turn
+    if len(views) == 1:
+        return []
+    contours = TurnedContours([both.sized for both in views])
+    start = PosedInRig(at.pose, at.joints, np.zeros((len(views) - 1, 3)))
+    drawn = CorrelatedContour(contours.views, reach=_REACH).of_views(at)
+    if not all(of_view.information.any() for of_view in drawn):
+        return [(np.zeros(3), _UNKNOWN * np.eye(3))] * (len(views) - 1)
+    steps = Steps(1, tested="none")
+    turned = _refined(contours, terms, start, steps)
+    rotations = _with_covariances(turned, at, informations)
+    if not any(_disagrees(*rotation) for rotation in rotations):
+        return rotations
+    turned = _refined(contours, terms, turned, replace(steps, iterations=_STEPS))
+    further = [
+        both.placed(turned_place(both.view.view_from_camera, turn))
+        for both, turn in zip(views[1:], turned.turns, strict=True)
+    ]
+    settled = Posed(turned.pose, turned.joints)
+    return _with_covariances(turned, settled, information_of_views([views[0], *further], terms, settled))
+
+
+def _refined(contours: TurnedContours, terms: Sequence[Term], start: PosedInRig, steps: Steps) -> PosedInRig:
+    """Refine a pose together with the rotations of the views."""
+    (fit,) = refine(contours, terms, PosedInRig.stacked([start]), steps)
+    assert isinstance(fit.at, PosedInRig)
+    return fit.at
+
+
+def _with_covariances(turned: PosedInRig, at: Posed, informations: Sequence[Float64]) -> list[Rotation]:
+    """Return the rotations with their covariances, given the information of each view about the pose ``at``."""
+    by_rotation = _by_rotation(at)
+    return [
+        (turn, np.asarray(np.linalg.inv(_about_rotation(informations, k, by_rotation)), dtype=np.float64))
+        for k, turn in enumerate(turned.turns, start=1)
+    ]
+
+
+def _by_rotation(at: Posed) -> Float64:
+    """Return the small changes (6 + J, 3) of one pose in a view by a rotation of the view."""
+    columns = np.zeros((6 + len(at.joints), 3))
+    columns[:6] = adjoint(inverse(at.pose))[:, 3:]
+    return columns
+
+
+def _about_rotation(informations: Sequence[Float64], view: int, by_rotation: Float64) -> Float64:
+    """Return the information (3, 3) about the rotation of one view, with the pose eliminated."""
+    of_view, whole = informations[view], np.sum(informations, axis=0)
+    diagonal = np.diag(whole)
+    whole = whole + np.diag(1e-9 * diagonal + 1e-12 * max(float(diagonal.max()), 1.0))  # of joints that nothing tells
+    reduced = by_rotation.T @ (of_view - of_view @ np.linalg.solve(whole, of_view)) @ by_rotation
     return np.asarray(reduced + 1e-6 * np.trace(reduced) * np.eye(3))
+
+
+def _disagrees(rotation: Float64, covariance: Float64) -> bool:
+    """Return whether a rotation (3,), rad, with its covariance is larger than the errors of the contours explain."""
+    significance = float(np.sqrt(rotation @ np.linalg.solve(covariance, rotation)))
+    return significance > _LIKELY or float(np.linalg.norm(rotation)) > _LARGEST_LIKELY

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise
-from dvrk_cmaes.pose.search.modes import best_per_mode
+from dvrk_cmaes.pose.search.modes import Candidate, best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.starts import draw_starts
 from dvrk_cmaes.silhouette import Renderer
@@ -24,15 +21,6 @@ _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2r
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
 _LEAST_AREA = 150.0  # px of a mask in the search's image
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A candidate pose (4, 4) with its joints (J,), rad, and its loss."""
-
-    camera_from_root: Float64
-    joints: Float64
-    score: float
 
 
 def scale_of_change(readings: Readings) -> Float64:
@@ -62,13 +50,13 @@ def find_candidates(
     instrument = renderer.body.instrument
     small = renderer.at(*search_size(evidence, config.search.width_px))
     objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
-    poses, joints, unread = draw_starts(evidence, instrument, readings, config, rng)
-    terms = objective.terms(poses, joints)
+    drawn, unread = draw_starts(evidence, instrument, readings, config, rng)
+    terms = objective.terms(drawn)
     losses = terms.total(config.weights)
-    ranked = [Candidate(poses[i], joints[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
+    ranked = [Candidate(drawn[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
     image_losses = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
     by_image = np.argsort(image_losses, kind="stable")[:60]
-    ranked_by_image = [Candidate(poses[i], joints[i], float(image_losses[i])) for i in by_image]
+    ranked_by_image = [Candidate(drawn[i], float(image_losses[i])) for i in by_image]
     most = config.search.starts + config.search.spares
     distinct = best_per_mode(ranked, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     starts, spares = distinct[: config.search.starts], distinct[config.search.starts :]
@@ -76,18 +64,15 @@ def find_candidates(
     unread_spares = best_per_mode(ranked_by_image, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     scale = scale_of_change(readings)
 
-    def search(start: Candidate, seed: int) -> Candidate:
-        def loss(change: Float64) -> Float64:
-            step = change * scale
-            return objective(moved(start.camera_from_root, step[:, :6]), start.joints + step[:, 6:])
+    def search(numbered: tuple[int, Candidate]) -> Candidate:
+        seed, start = numbered
 
-        found = minimise(config.search.method, loss, len(scale), config.search.evaluations, seed)
-        if found.loss >= start.score:
-            return start
-        best = found.best * scale
-        return Candidate(moved(start.camera_from_root, best[:6]), start.joints + best[6:], found.loss)
+        def loss(change: Float64) -> Float64:
+            return objective.cost(start.at.moved(change * scale))
+
+        least = minimise(config.search.method, loss, len(scale), config.search.evaluations, seed)
+        return start if least.loss >= start.score else Candidate(start.at.moved(least.best * scale), least.loss)
 
     small.threads = 1  # each start has its own thread below
-    numbered = list(enumerate(starts, start=config.seed))
-    found = map_threaded(lambda one: search(one[1], one[0]), numbered, config.threads)
-    return [*sorted(found, key=lambda c: c.score), *unread_spares, *spares], objective
+    searched = map_threaded(search, list(enumerate(starts, start=config.seed)), config.threads)
+    return [*sorted(searched, key=lambda candidate: candidate.score), *unread_spares, *spares], objective

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import LossWeights
+from dvrk_cmaes.config import EstimateConfig, LossWeights
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, shrunk
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypoint_loss, mse_loss, scale_loss
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import PixelSums, Renderer
 
 Float64 = NDArray[np.float64]
@@ -68,12 +72,12 @@ class Objective:
         """Number of silhouettes evaluated so far."""
         return self.renderer.poses
 
-    def terms(self, camera_from_root: Float64, joints: Float64) -> Terms:
-        """Compute all terms of C candidates with poses (C, 4, 4) and joints (C, J)."""
-        sums = self.renderer.sums(camera_from_root, joints, self._images, lines_per_pixel=self.lines_per_pixel)
+    def terms(self, at: Posed) -> Terms:
+        """Compute all terms of C candidates."""
+        sums = self.renderer.sums(at.pose, at.joints, self._images, lines_per_pixel=self.lines_per_pixel)
         area, overlap, far = sums.T
         cylinder, keypoints, readings = pose_terms(
-            self.evidence, self.renderer.body.instrument, self.readings, self.weights, camera_from_root, joints
+            self.evidence, self.renderer.body.instrument, self.readings, self.weights, at
         )
         return Terms(
             mse=mse_loss(area, overlap, self._square) / self._area,
@@ -84,9 +88,32 @@ class Objective:
             readings=readings,
         )
 
-    def __call__(self, camera_from_root: Float64, joints: Float64) -> Float64:
+    def cost(self, at: Posed) -> Float64:
         """Compute the total loss of C candidates, (C,)."""
-        return self.terms(camera_from_root, joints).total(self.weights)
+        return self.terms(at).total(self.weights)
+
+
+def loss_of_views(views: Sequence[FrameView], readings: Readings, config: EstimateConfig) -> Callable[[Posed], Float64]:
+    """Return the sum of the losses (C,) of C candidates in all views at full image size; the readings count once."""
+    unknown = np.full_like(readings.values, np.nan)
+    silent = replace(readings, values=unknown, low=np.full_like(unknown, -np.inf), high=np.full_like(unknown, np.inf))
+    objectives = [
+        Objective(
+            view.renderer,
+            view.evidence,
+            silent if number else readings,
+            config.weights,
+            decay=config.decay_px,
+            field=config.distance_field,
+        )
+        for number, view in enumerate(views)
+    ]
+
+    def loss(at: Posed) -> Float64:
+        pairs = zip(objectives, views, strict=True)
+        return np.asarray(sum(objective.cost(at.seen_from(view.view_from_camera)) for objective, view in pairs))
+
+    return loss
 
 
 def pose_terms(
@@ -94,30 +121,29 @@ def pose_terms(
     instrument: Instrument,
     readings: Readings,
     weights: LossWeights,
-    camera_from_root: Float64,
-    joints: Float64,
+    at: Posed,
 ) -> tuple[Float64, Float64, Float64]:
     """Compute the terms of shaft edges, jaw tips and readings, (C,) each, which need no silhouette.
 
     The terms of shaft edges and jaw tips are zero without evidence.
     """
-    cylinder = keypoints = np.zeros(len(camera_from_root))
+    cylinder = keypoints = np.zeros(len(at))
     camera, edges, shaft, tips = evidence.camera, evidence.shaft_edges, instrument.shaft, evidence.tips
-    rotation, translation = camera_from_root[:, :3, :3], camera_from_root[:, :3, 3]
+    rotation, translation = at.pose[:, :3, :3], at.pose[:, :3, 3]
     if edges and shaft is not None:
         projected = project_cylinder(rotation @ shaft.point + translation, rotation @ shaft.direction, shaft.radius)
         # The best supported pair is not always the shaft, so the pair with the smallest loss counts.
         pairs = np.stack([pair.planes for pair in edges])[:, None]
         cylinder = cylinder_loss(projected, pairs, camera, weights.line_offset).min(axis=0)
     if tips is not None and instrument.jaw_tips:
-        keypoints = keypoint_loss(project_tips(instrument, camera, camera_from_root, joints), tips) * (
+        keypoints = keypoint_loss(project_tips(instrument, camera, at), tips) * (
             1.0 if evidence.tips_given else weights.found_tips
         )
-    return cylinder, keypoints, readings.cost(joints)
+    return cylinder, keypoints, readings.cost(at.joints)
 
 
-def project_tips(instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64) -> Float64:
+def project_tips(instrument: Instrument, camera: Camera, at: Posed) -> Float64:
     """Project the jaw tips of C candidates, (C, 2, 2) px, with depths limited to at least 1 mm."""
-    points = apply(camera_from_root, instrument.tips(joints))
+    points = apply(at.pose, instrument.tips(at.joints))
     points[..., 2] = np.maximum(points[..., 2], 1e-3)
     return np.asarray(camera.project(points))

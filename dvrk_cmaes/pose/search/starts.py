@@ -10,7 +10,7 @@ from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
-from dvrk_cmaes.geometry import exp_rotation, frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import Posed, exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 
@@ -148,8 +148,8 @@ def draw_starts(
     readings: Readings,
     config: EstimateConfig,
     rng: np.random.Generator,
-) -> tuple[Float64, Float64, NDArray[np.bool_]]:
-    """Draw the candidates of the search: poses (N, 4, 4), joints (N, J), and whether these ignore the readings (N,).
+) -> tuple[Posed, NDArray[np.bool_]]:
+    """Draw the N candidates of the search, and whether their joints ignore the readings, (N,).
 
     A fraction ``free_share`` is drawn in the LookAt space. Of the others, 3/5 lie on the best supported pair of edges
     and the rest on the other pairs, in equal numbers; all lie on the only pair if there is one, and all in the LookAt
@@ -172,4 +172,4 @@ def draw_starts(
     uniform = sample_joints(unknown, readings.sigma, readings.low, readings.high, count, rng)
     unread = rng.uniform(size=count) < config.search.unread_share
     joints[unread] = uniform[unread]
-    return np.concatenate(poses), joints, unread
+    return Posed(np.concatenate(poses), joints), unread

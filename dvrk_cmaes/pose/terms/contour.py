@@ -1,28 +1,31 @@
-"""Last refinement on masks whose contour errors are correlated, by generalised least squares.
+"""The contour of rough masks as a term, whose errors are correlated: generalised least squares.
 
 The contour errors of a segmentation can have a standard deviation of a pixel or more and a correlation length of about
 twenty pixels. The errors of neighbouring points are then nearly equal: their mean carries little information, while
 their differences, such as the position of a bend or the direction of an edge, carry much. Generalised least squares
-(Aitken) weights both correctly. For errors e (N,) with covariance C (N, N) and Jacobian J (N, D), the step x solves
+(Aitken) weights both correctly: for errors e (N,) with covariance C (N, N), the sum of squares is e^T C^-1 e / f with
+f = ``_INFLATION``. For points at a distance of d px, C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I), plus the
+variance of the quantisation to pixels. The uncorrelated part represents errors that are not smooth; per px of outline
+its variance is about that of the whole error. Points with errors above ``_CLIP`` standard deviations are outliers of
+the segmentation and left out.
 
-    (J^T C^-1 J / f + P) x = J^T C^-1 e / f - p,
-
-where P and p come from the priors and f = ``_INFLATION``. For points at a distance of d px,
-C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I), plus the variance of the quantisation to pixels. The uncorrelated part
-represents errors that are not smooth; per px of outline its variance is about that of the whole error. Points with
-errors above ``_CLIP`` standard deviations are outliers of the segmentation and left out.
+Which points count, and s, are found anew at each pose, so sums of squares at different poses are not to be compared:
+this term is for steps that are not tested, from poses that are accurate to about a millimetre.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
@@ -33,11 +36,10 @@ _LENGTH = 21.0  # px, correlation length
 _CORRELATED = 0.95  # share of the variance
 _CLIP = 2.5  # standard deviations
 _REACH = 8  # px from the outline in which the mask's contour is searched
+_LEAST_POINTS = 40  # outline points that need a contour point within reach for a view to count
 _GRID = 1 / 12  # px^2, variance of the quantisation to pixels
 _INFLATION = 2.0  # factor on the variances, because the errors of fits are larger than the covariance predicts
 _FARTHEST = 40.0  # px, between points whose errors are correlated
-_STEPS = 6  # at most
-_LARGEST_STEP = 6.0  # standard deviations
 
 
 def is_rough(noise: OutlineNoise) -> bool:
@@ -46,66 +48,65 @@ def is_rough(noise: OutlineNoise) -> bool:
 
 
 def has_correlated_noise(noise: OutlineNoise) -> bool:
-    """Return whether the noise of a mask's contour is of the kind that `fit_correlated` models."""
+    """Return whether the noise of a mask's contour is of the kind that `CorrelatedContour` models."""
     return is_rough(noise) and noise.length < _LARGEST_LENGTH
 
 
-def fit_correlated(
-    refiner: OutlineRefiner,
-    pose: Float64,
-    joints: Float64,
-    others: Sequence[tuple[OutlineRefiner, Float64]] = (),
-) -> tuple[Float64, Float64]:
-    """Refine a pose (4, 4) and joints (J,), already accurate to about a millimetre, with a refiner at full image size.
+@dataclass(frozen=True, eq=False)
+class DrawnContour:
+    """The errors of a mask's contour along the outline of a pose, and what follows from their covariance.
 
-    Stops early if fewer than 40 outline points have a contour point within reach. ``others`` are the refiners of
-    further views with their ``view_from_camera`` (4, 4); one with too few such points does not count.
+    ``information`` (D, D) and ``slope`` (D,) are those of half the sum of squares, ``cost``; all are zero where too
+    little contour is within reach.
     """
-    for _ in range(_STEPS):
-        terms = contour_terms(refiner, pose, joints)
-        if terms is None and not others:
-            return pose, joints
-        information, slope = terms or _nothing(joints)
-        for other, view_from_camera in others:
-            more = contour_terms(other, view_from_camera @ pose, joints) or _nothing(joints)
-            information, slope = information + more[0], slope + more[1]
-        if not information.any():
-            return pose, joints
-        of_priors, slope_of_priors = refiner.priors.terms(pose[None], joints[None])
-        information, slope = information + of_priors[0], slope + slope_of_priors[0]
-        step = -np.linalg.solve(invertible(information), slope)
-        size = float(np.sqrt(step @ information @ step))
-        step *= min(1.0, _LARGEST_STEP / max(size, 1e-12))
-        pose, joints = moved(pose, step[:6]), refiner.priors.clip_to_limits(joints + step[6:])
-        if size < 0.3:
-            break
-    return pose, joints
+
+    information: Float64
+    slope: Float64
+    cost: float
 
 
-def invertible(information: Float64) -> Float64:
-    """Return an information matrix (M, M) with a little added: neither contour nor reading may tell a hidden joint."""
-    diagonal = np.diag(information)
-    return information + np.diag(1e-9 * diagonal + 1e-12 * max(float(diagonal.max()), 1.0))
+class CorrelatedContour(OutlineTerm[DrawnContour]):
+    """Distances of the masks' contours from the outline, of the ``views`` at their whole size.
 
-
-def _nothing(joints: Float64) -> tuple[Float64, Float64]:
-    """Return the information and the slope of a mask that tells nothing."""
-    count = 6 + len(joints)
-    return np.zeros((count, count)), np.zeros(count)
-
-
-def contour_terms(
-    refiner: OutlineRefiner, pose: Float64, joints: Float64, *, reach: int = _REACH
-) -> tuple[Float64, Float64] | None:
-    """Compute the outline's information (6 + J, 6 + J) and slope (6 + J,); None with fewer than 40 points in reach.
-
-    ``reach``, px, is the distance from the outline in which the mask's contour is searched.
+    ``reach``, px, is the distance from the outline in which the contour is searched.
     """
-    outline, jacobian = refiner.outline_jacobian(pose, joints)
-    error, lengths = _contour_distances(refiner.mask, outline, reach)
-    known = np.isfinite(error) & (sampled(refiner.weight, outline.pixels) > 0.5)
-    if known.sum() < 40:
-        return None
+
+    def __init__(self, views: Sequence[SizedView], *, reach: int = _REACH) -> None:
+        self.views = tuple(views)
+        self._reach = reach
+
+    def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnContour]:
+        """Draw C poses, and sum up the views."""
+        return [self._summed(self.of_views(at[k])) for k in range(len(at))]
+
+    def of_views(self, at: Posed) -> list[DrawnContour]:
+        """Draw one pose in each view."""
+        return [_of_view(view, at, self._reach) for view in self.views]
+
+    @staticmethod
+    def _summed(of_views: Sequence[DrawnContour]) -> DrawnContour:
+        """Return the sum of the views."""
+        information, slope = (np.sum([getattr(d, name) for d in of_views], axis=0) for name in ("information", "slope"))
+        return DrawnContour(information, slope, sum(drawn.cost for drawn in of_views))
+
+    def cost_of(self, drawn: DrawnContour) -> float:
+        """Return the sum of squares of what was drawn."""
+        return drawn.cost
+
+    def near(self, drawn: Sequence[DrawnContour], at: Posed) -> Quadratic:
+        """Return the approximation of half the sum of squares near C poses."""
+        return Quadratic(np.stack([d.information for d in drawn]), np.stack([d.slope for d in drawn]))
+
+
+def _of_view(view: SizedView, at: Posed, reach: int) -> DrawnContour:
+    """Compare the outline of one pose with the contour of one view."""
+    (outline,) = view.outlines(Posed.stacked([at]))
+    (jacobian,) = view.jacobians([outline], Posed.stacked([at]))
+    error, lengths = _contour_distances(view.mask, outline, reach)
+    known = np.isfinite(error) & (sampled(view.weight, outline.pixels) > 0.5)
+    if known.sum() < _LEAST_POINTS:
+        count = 6 + len(at.joints)
+        return DrawnContour(np.zeros((count, count)), np.zeros(count), 0.0)
     sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 0.5)
     index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
     error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
@@ -113,7 +114,8 @@ def contour_terms(
     variance = max(float(np.mean(error**2)) - _GRID / 2, 0.02)
     uncorrelated = variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
     solved = solve_correlated(pixels, variance * _CORRELATED, uncorrelated, np.c_[jacobian, error])
-    return jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
+    information, slope = jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
+    return DrawnContour(information, slope, float(error @ solved[:, -1]) / _INFLATION)
 
 
 def solve_correlated(pixels: Float64, variance: float, uncorrelated: Float64, right: Float64) -> Float64:
@@ -172,8 +174,8 @@ def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints, reach: i
         row = np.clip(np.rint(across).astype(int), 0, len(edges) - 1)
         column = np.floor(along).astype(int)[:, None] + np.arange(-reach, reach + 1)
         inside = (column >= 0) & (column < edges.shape[1])
-        found = edges[row[:, None], np.clip(column, 0, edges.shape[1] - 1)] == -outwards[:, None]
-        off = np.where(inside & found, column + 0.5 - along[:, None], np.inf)
+        is_edge = edges[row[:, None], np.clip(column, 0, edges.shape[1] - 1)] == -outwards[:, None]
+        off = np.where(inside & is_edge, column + 0.5 - along[:, None], np.inf)
         nearest = off[np.arange(len(index)), np.abs(off).argmin(axis=1)]
         error[index] = np.where(np.isfinite(nearest), nearest * outwards, np.nan)
     return error / lengths, lengths

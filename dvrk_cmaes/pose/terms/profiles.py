@@ -3,36 +3,37 @@
 The residual image, blurred coverage less blurred mask, is sampled along the normal of each outline point. If the point
 moves outwards by e px, the blurred coverage s px outside its present place becomes larger by e times the density of the
 normal distribution at s whose standard deviation is that of the blur. The sum of the robust loss over all samples is
-therefore a function of the change of the pose that needs no further silhouettes. It is minimised by iteratively
-reweighted least squares, whose many short steps would otherwise each cost a silhouette.
+therefore a function of the change of the pose that needs no further silhouettes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.pose.terms.term import Approximation
 from dvrk_cmaes.silhouette import OutlinePoints
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _REACH = 4  # px from the outline to which the residual is sampled
-_SOLVED = 0.01  # length of a step, in standard deviations per parameter, below which the minimum is reached
 _LARGEST_SHIFT = 3.0  # px; beyond it an outline has left the profile that was sampled
 
 
 @dataclass(frozen=True, eq=False)
-class Profiles:
+class Profiles(Approximation):
     """Samples of residuals along the normals of C outlines, padded to N points each, K samples per point.
 
     residual : (C, N, K) blurred coverage less blurred mask. weight : (C, N, K) px of outline that the sample stands
     for, 0 at ignored pixels and for padding. jacobian : (C, N, D) of the displacement of the points along their unit
-    normals, px. offsets : (K,) px along the normals, positive outside.
+    normals, px. offsets : (K,) px along the normals, positive outside. blur : px, that of coverage and mask. cauchy :
+    width of the robust loss.
     """
 
     residual: Float32
@@ -40,6 +41,7 @@ class Profiles:
     jacobian: Float32
     offsets: Float32
     blur: float
+    cauchy: float
 
     @classmethod
     def sampled(
@@ -49,6 +51,7 @@ class Profiles:
         outlines: Sequence[OutlinePoints],
         jacobians: Sequence[Float64],
         blur: float,
+        cauchy: float,
     ) -> Profiles:
         """Sample C residual images (H, W) at the points of C outlines.
 
@@ -58,12 +61,13 @@ class Profiles:
         count = max(max(len(outline.pixels) for outline in outlines), 1)
         offsets = np.arange(-_REACH, _REACH + 1, dtype=np.float32)
         shape = len(outlines), count, len(offsets)
-        found = cls(
+        profiles = cls(
             np.zeros(shape, np.float32),
             np.zeros(shape, np.float32),
             np.zeros((*shape[:2], jacobians[0].shape[1]), np.float32),
             offsets,
             blur,
+            cauchy,
         )
         all_count = bool(weight.all())
         for i, (image, outline, jacobian) in enumerate(zip(residuals, outlines, jacobians, strict=True)):
@@ -74,24 +78,30 @@ class Profiles:
             unit = (outline.normals / length[:, None]).astype(np.float32)
             at = outline.pixels.astype(np.float32)
             u, v = (at[:, k : k + 1] + unit[:, k : k + 1] * offsets for k in (0, 1))
-            found.residual[i, :points] = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            found.weight[i, :points] = length[:, None]
+            profiles.residual[i, :points] = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            profiles.weight[i, :points] = length[:, None]
             if not all_count:
-                found.weight[i, :points] *= cv2.remap(weight, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            found.jacobian[i, :points] = jacobian / length[:, None]
-        return found
+                shares = cv2.remap(weight, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+                profiles.weight[i, :points] *= shares
+            profiles.jacobian[i, :points] = jacobian / length[:, None]
+        return profiles
 
-    def select(self, index: Sequence[int]) -> Profiles:
+    @property
+    def dimension(self) -> int:
+        """Number D of small changes."""
+        return int(self.jacobian.shape[2])
+
+    def select(self, index: Sequence[int]) -> Self:
         """Return the profiles of some of the outlines."""
         chosen = list(index)
         return replace(self, residual=self.residual[chosen], weight=self.weight[chosen], jacobian=self.jacobian[chosen])
 
-    @staticmethod
-    def joined(groups: Sequence[Profiles]) -> Profiles:
+    @classmethod
+    def joined(cls, groups: Sequence[Self]) -> Self:
         """Return the profiles of several groups of outlines together."""
         if len(groups) == 1:
             return groups[0]
-        count = max(one.residual.shape[1] for one in groups)
+        count = max(group.residual.shape[1] for group in groups)
 
         def padded(values: Float32) -> Float32:
             more = count - values.shape[1]
@@ -99,9 +109,9 @@ class Profiles:
 
         return replace(
             groups[0],
-            residual=np.concatenate([padded(one.residual) for one in groups]),
-            weight=np.concatenate([padded(one.weight) for one in groups]),
-            jacobian=np.concatenate([padded(one.jacobian) for one in groups]),
+            residual=np.concatenate([padded(group.residual) for group in groups]),
+            weight=np.concatenate([padded(group.weight) for group in groups]),
+            jacobian=np.concatenate([padded(group.jacobian) for group in groups]),
         )
 
     @staticmethod
@@ -110,15 +120,17 @@ class Profiles:
 
         The changes of the poses have the same axes in every view, and the views the same blur.
         """
-        weights = [one.weight * np.float32(factor) for one, factor in zip(views, factors, strict=True)]
+        if len(views) == 1:
+            return views[0]
+        weights = [view.weight * np.float32(factor) for view, factor in zip(views, factors, strict=True)]
         return replace(
             views[0],
-            residual=np.concatenate([one.residual for one in views], axis=1),
+            residual=np.concatenate([view.residual for view in views], axis=1),
             weight=np.concatenate(weights, axis=1),
-            jacobian=np.concatenate([one.jacobian for one in views], axis=1),
+            jacobian=np.concatenate([view.jacobian for view in views], axis=1),
         )
 
-    def normal_equations(self, change: Float64, cauchy: float) -> tuple[Float64, Float64]:
+    def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
         """Compute information (C, D, D) and slope (C, D) of the robust loss at changes (C, D) of the poses.
 
         They are in sums of squares of coverage, with the weights of the Cauchy loss at the changed poses.
@@ -129,7 +141,7 @@ class Profiles:
         if change.any():
             moved = np.matmul(self.jacobian, change[:, :, None].astype(np.float32))
             residual = residual + moved * gradient
-        weighted = residual * np.float32(1 / cauchy)
+        weighted = residual * np.float32(1 / self.cauchy)
         weighted *= weighted
         weighted += 1
         np.divide(self.weight, weighted, out=weighted)
@@ -142,49 +154,8 @@ class Profiles:
         symmetric = (information + information.swapaxes(1, 2)).astype(np.float64) / 2
         return symmetric, slope.astype(np.float64)
 
-    def largest_shift(self, change: Float64) -> Float64:
-        """Return the largest displacement of an outline point along its normal by each change (C, D), px, (C,)."""
+    def share_that_holds(self, change: Float64) -> Float64:
+        """Return the share (C,) of each change (C, D) up to which no outline point leaves the profile's middle."""
         moved = np.matmul(self.jacobian, change[:, :, None].astype(np.float32))
-        return np.asarray(np.abs(moved[:, :, 0]).max(axis=1), dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class Quadratics:
-    """Quadratic terms added to the losses of C poses: information (C, D, D) and slope (C, D) at no change.
-
-    ``scale`` (C,) is the factor from sums of squares of coverage to sums of squares in standard deviations.
-    """
-
-    scale: Float64
-    information: Float64
-    slope: Float64
-
-    @staticmethod
-    def joined(groups: Sequence[Quadratics]) -> Quadratics:
-        """Return the terms of several groups of poses together."""
-        names = ("scale", "information", "slope")
-        return Quadratics(*(np.concatenate([getattr(one, name) for one in groups]) for name in names))
-
-
-def minimise(profiles: Profiles, terms: Quadratics, cauchy: float, damping: Float64, iterations: int) -> Float64:
-    """Find the changes (C, D) that minimise the losses together with quadratic terms.
-
-    ``damping`` (C,) times the diagonal of the information at no change keeps the changes small (Levenberg-Marquardt).
-    """
-    count, dimension = terms.slope.shape
-    change = np.zeros((count, dimension))
-    prior, held = terms.information, None
-    for _ in range(iterations):
-        information, slope = profiles.normal_equations(change, cauchy)
-        information, slope = terms.scale[:, None, None] * information, terms.scale[:, None] * slope
-        full = information + prior
-        if held is None:
-            held = damping[:, None] * (np.diagonal(full, axis1=1, axis2=2) + 1e-9)
-        full = full + held[:, :, None] * np.eye(dimension)
-        slope = slope + terms.slope + np.einsum("cij,cj->ci", prior, change) + held * change
-        step = -np.linalg.solve(full, slope[:, :, None])[:, :, 0]
-        change = change + step
-        if (np.einsum("ci,cij,cj->c", step, full, step) < _SOLVED**2 * dimension).all():
-            break
-    shift = profiles.largest_shift(change)
-    return np.asarray(change * np.minimum(1, _LARGEST_SHIFT / np.maximum(shift, 1e-12))[:, None])
+        largest = np.asarray(np.abs(moved[:, :, 0]).max(axis=1), dtype=np.float64)
+        return np.minimum(1, _LARGEST_SHIFT / np.maximum(largest, 1e-12))

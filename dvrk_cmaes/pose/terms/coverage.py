@@ -1,0 +1,189 @@
+"""The coverage of all views as a term: the differences between antialiased coverage and mask.
+
+Both are slightly blurred, so that the differences are smooth functions of the pose. They have a robust Cauchy loss, so
+that outliers of the segmentation have little influence. Moving the outline by e along its normal adds e to the coverage
+there, so the loss after a small change of the pose is known from the residual beside the outline (see `profiles`).
+
+The weight of the residuals relative to other terms is estimated from the residuals. Shifting a piece of outline of
+length s by e changes the sum of squares of an edge blurred with sigma by s e^2 / (2 sqrt(pi) sigma), so the sum of
+squares gives the variance of the outline's error; ``correlation`` px of outline are one independent measurement. The
+masks of one frame come from one segmenter: the variance is one for all views. With a variance of its own, the view
+that happens to fit best would have nearly all the weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.profiles import Profiles
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.silhouette import OutlinePoints
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnCoverage:
+    """The blurred coverage (H, W) of a pose in each view, and its outlines where asked for.
+
+    ``loss`` is the sum of squares with the width of the refinement, ``final_loss`` that with the width of scores.
+    """
+
+    images: tuple[Float32, ...]
+    outlines: tuple[OutlinePoints | None, ...]
+    loss: float
+    final_loss: float
+
+
+class Coverage(OutlineTerm[DrawnCoverage]):
+    """The sum of the views' losses, each in proportion to its number of independent measurements a pixel of contour.
+
+    Parameters
+    ----------
+    views
+        The views at their sizes.
+    config
+        Width of the loss, blur and lines.
+    correlations
+        px of outline of each view that count as one independent measurement; ``config.correlation`` by default.
+    cauchy
+        Width of the loss that is made small, where it is not that of scores, ``config.cauchy``.
+    noise
+        The sum of squares from which the weight follows; by default that of each pose.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[SizedView],
+        config: OutlineConfig,
+        *,
+        correlations: Sequence[float] = (),
+        cauchy: float | None = None,
+        noise: float | None = None,
+    ) -> None:
+        self.views = tuple(views)
+        self._config = config
+        self._width = config.cauchy if cauchy is None else cauchy
+        lengths = list(correlations) or [config.correlation] * len(views)
+        pairs = list(zip(views, lengths, strict=True))
+        self._count = sum(view.length / length * view.shrink for view, length in pairs)
+        self._shares = [lengths[0] / length * (view.shrink / views[0].shrink) for view, length in pairs]
+        exact = [view.length * config.noise_floor**2 / (2 * np.sqrt(np.pi) * config.blur) for view in views]
+        self._least = sum(share * floor for share, floor in zip(self._shares, exact, strict=True))
+        self._correlations = lengths
+        self.noise = noise
+
+    def with_correlations(self, lengths: Sequence[float]) -> Coverage:
+        """Return the same term with other correlation lengths, px, one of each view, and the width of scores."""
+        return Coverage(self.views, self._config, correlations=lengths, noise=self.noise)
+
+    def with_width(self, cauchy: float) -> Coverage:
+        """Return the same term with another width of the loss that is made small."""
+        return Coverage(self.views, self._config, correlations=self._correlations, cauchy=cauchy, noise=self.noise)
+
+    def with_noise(self, noise: float) -> Coverage:
+        """Return the same term with a given sum of squares, as by `noise_at`, from which the weight follows."""
+        return Coverage(self.views, self._config, correlations=self._correlations, cauchy=self._width, noise=noise)
+
+    def with_camera(self, camera: Camera) -> Coverage:
+        """Return the same term seen by another camera of the only view, for images of its whole size."""
+        (view,) = self.views
+        return Coverage(
+            [view.with_camera(camera)],
+            self._config,
+            correlations=self._correlations,
+            cauchy=self._width,
+            noise=self.noise,
+        )
+
+    def noise_at(self, at: Posed) -> float:
+        """Return the sum of squares at one pose, with the width of scores."""
+        return self.draw(Posed.stacked([at]), derivatives=False)[0].final_loss
+
+    def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnCoverage]:
+        """Draw C poses in all views."""
+        lines = self._config.lines_per_pixel
+        of_views = [view.draw(at, lines, outlines=derivatives) for view in self.views]
+        return [self._measured(*zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
+
+    def _measured(self, images: tuple[Float32, ...], outlines: tuple[OutlinePoints | None, ...]) -> DrawnCoverage:
+        """Return what was drawn of a pose with its losses."""
+        loss = self._loss(images, self._width)
+        same = self._width == self._config.cauchy
+        return DrawnCoverage(images, outlines, loss, loss if same else self._loss(images, self._config.cauchy))
+
+    def _loss(self, images: Sequence[Float32], cauchy: float) -> float:
+        """Compute the sum of the views' losses, which are sums of squares for small residuals."""
+        views = zip(self._shares, images, self.views, strict=True)
+        return sum(share * _cauchy_loss(image - view.target, view.weight, cauchy) for share, image, view in views)
+
+    def cost_of(self, drawn: DrawnCoverage) -> float:
+        """Return the sum of squares of what was drawn."""
+        return drawn.loss
+
+    def final_cost(self, drawn: DrawnCoverage) -> float:
+        """Return the sum of squares by which fits are scored."""
+        return drawn.final_loss
+
+    def weight(self, cost: float) -> float:
+        """Return the factor to sums of squares in standard deviations, from a sum of squares or the given noise."""
+        return float(self._count / max(cost if self.noise is None else self.noise, self._least))
+
+    def score(self, cost: float) -> float:
+        """Return the negative log-likelihood up to a constant; with the variance estimated if no noise is given."""
+        if self.noise is not None:
+            return 0.5 * self.weight(cost) * cost
+        return 0.5 * self._count * float(np.log(max(cost, self._least)))
+
+    def near(self, drawn: Sequence[DrawnCoverage], at: Posed) -> Profiles:
+        """Return the loss near C poses, as a function of their small changes."""
+        of_views = []
+        for k, view in enumerate(self.views):
+            outlines = [outline for one in drawn if (outline := one.outlines[k]) is not None]
+            residuals = [one.images[k] - view.target for one in drawn]
+            jacobians = view.jacobians(outlines, at)
+            of_views.append(
+                Profiles.sampled(residuals, view.weight, outlines, jacobians, self._config.blur, self._width)
+            )
+        return Profiles.of_views(of_views, self._shares)
+
+    def near_with_camera(self, at: Posed) -> tuple[Float64, Float64]:
+        """Return information (D + 3, D + 3) and slope (D + 3,) about one pose and about the camera of the only view.
+
+        The last three unknowns are the logarithm of the factor of `Camera.changed` and its shift, px of the image at
+        the view's size. Both are in standard deviations.
+        """
+        (view,), (drawn,) = self.views, self.draw(Posed.stacked([at]))
+        (outline,), (image,) = drawn.outlines, drawn.images
+        assert outline is not None
+        (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
+        from_centre = outline.pixels - [view.camera.cx, view.camera.cy]
+        of_focal_length = (outline.normals * from_centre).sum(axis=1)
+        jacobian = np.column_stack([of_pose, of_focal_length, outline.normals])
+        profiles = Profiles.sampled(
+            [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
+        )
+        information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
+        weight = self.weight(drawn.loss)
+        return weight * information[0], weight * slope[0]
+
+
+def _cauchy_loss(residual: Float32, weight: Float32, cauchy: float) -> float:
+    """Compute the Cauchy loss of an image of residuals (H, W), whose pixels have weights (H, W)."""
+    r = residual.ravel()
+    near = np.flatnonzero(r != 0)  # few pixels: both images are 0 or 1 elsewhere
+    r = r.take(near)
+    r *= np.float32(1 / cauchy)
+    r *= r
+    np.log1p(r, out=r)
+    r *= weight.ravel().take(near)
+    return float(cauchy**2 * r.sum(dtype=np.float64))

@@ -1,0 +1,35 @@
+"""What is expected of a pose beforehand, for example by a session, as a term."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.term import Quadratic, Term
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Expected(Term):
+    """A normal distribution of pose and joints.
+
+    ``mean`` is in the reference camera; ``information`` (6 + J, 6 + J) is the inverse covariance of the small changes
+    from it, m and rad.
+    """
+
+    mean: Posed
+    information: Float64
+
+    def cost(self, at: Posed) -> Float64:
+        """Return the squared Mahalanobis distance (C,) from the mean."""
+        off = at.minus(self.mean)
+        return np.asarray(np.einsum("ci,ij,cj->c", off, self.information, off))
+
+    def local(self, at: Posed) -> Quadratic:
+        """Return the approximation of half of it, which is exact but for the curvature of rotations."""
+        information = np.broadcast_to(self.information, (len(at), *self.information.shape))
+        return Quadratic(information, at.minus(self.mean) @ self.information)

@@ -1,0 +1,68 @@
+"""The interface of terms of the outline: what is drawn at a pose serves its value and its derivatives."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Approximation
+
+Float64 = NDArray[np.float64]
+D = TypeVar("D")
+
+
+class OutlineTerm(ABC, Generic[D]):
+    """A sum of squares that compares outlines with masks, in a unit of its own; its weight is apart from it.
+
+    Drawing is what costs time, so value and approximation are computed from what was drawn, of the type D.
+    """
+
+    views: tuple[SizedView, ...]
+
+    @abstractmethod
+    def draw(self, at: Posed, *, derivatives: bool = True) -> list[D]:
+        """Draw C poses; the approximation needs what is drawn with ``derivatives``."""
+
+    @abstractmethod
+    def cost_of(self, drawn: D) -> float:
+        """Return the sum of squares of what was drawn."""
+
+    @abstractmethod
+    def near(self, drawn: Sequence[D], at: Posed) -> Approximation:
+        """Return the approximation of half the sum of squares near C poses that were drawn."""
+
+    def weight(self, cost: float) -> float:
+        """Return the factor from the sum of squares to one in standard deviations, given its value."""
+        return 1.0
+
+    def score(self, cost: float) -> float:
+        """Return the negative log-likelihood of the masks up to a constant, given the sum of squares."""
+        return 0.5 * self.weight(cost) * cost
+
+    def final_cost(self, drawn: D) -> float:
+        """Return the sum of squares by which fits are scored, if it is not that which is made small."""
+        return self.cost_of(drawn)
+
+    def cost(self, at: Posed) -> Float64:
+        """Return the sum of squares (C,) at C poses."""
+        return np.array([self.cost_of(drawn) for drawn in self.draw(at, derivatives=False)])
+
+    def local(self, at: Posed) -> Approximation:
+        """Return the approximation of half the sum of squares near C poses."""
+        return self.near(self.draw(at), at)
+
+    @property
+    def silhouettes(self) -> int:
+        """Number of silhouettes drawn so far."""
+        return sum(view.silhouettes for view in self.views)
+
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+        return sum(view.rays for view in self.views)

@@ -1,0 +1,106 @@
+"""A view of a frame at one image size: the mask as it is compared with silhouettes, and how these are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.gather import shrunk, window_around
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.refine.outline_jacobian import outline_jacobians
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import OutlinePoints, Renderer
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+_BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
+
+
+class SizedView:
+    """A view at 1 / ``shrink`` of its size, in a window around the mask.
+
+    mask : (H, W) bool, of the window. target : (H, W), the blurred mask. weight : (H, W), 0 for ignored pixels and
+    beside them, 1 for others. length : px of contour at this size. shrink, view_from_camera : as given. Poses are in
+    the reference camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
+    another body than that of the view, if given.
+    """
+
+    def __init__(self, view: FrameView, *, blur: float, shrink: int = 1, renderer: Renderer | None = None) -> None:
+        evidence, camera = view.evidence, view.evidence.camera
+        size = (camera.width, camera.height)
+        mask, weight = evidence.mask.astype(np.float32), evidence.weight
+        if shrink > 1:
+            size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
+            mask, weight = shrunk(mask, *size), shrunk(weight, *size)
+        left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
+        window = np.s_[top : top + height, left : left + width]
+        self._view, self._size, self._window = view, size, (left, top, width, height)
+        used = view.renderer if renderer is None else renderer
+        self.camera = self._in_window(camera)
+        self._renderer = Renderer(used.body, self.camera, threads=used.threads)
+        self._blur = blur
+        beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
+        clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(clear[window])
+        self.mask = mask[window] > 0.5
+        self.target = self._blurred(np.ascontiguousarray(mask[window]))
+        self.shrink = shrink
+        self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
+        self.view_from_camera = view.view_from_camera
+
+    def placed(self, view_from_camera: Float64) -> SizedView:
+        """Return the same view at another place of the rig."""
+        other = object.__new__(SizedView)
+        other.__dict__ |= self.__dict__ | {"view_from_camera": view_from_camera}
+        return other
+
+    def with_camera(self, camera: Camera) -> SizedView:
+        """Return the same view seen by another camera, for images of the whole size; its silhouettes count anew."""
+        other = object.__new__(SizedView)
+        other.__dict__ |= self.__dict__
+        other.camera = self._in_window(camera)
+        other._renderer = Renderer(self._renderer.body, other.camera, threads=self._renderer.threads)
+        return other
+
+    def _in_window(self, camera: Camera) -> Camera:
+        """Return the camera of the window at this size."""
+        resized = camera if self._size == (camera.width, camera.height) else camera.scaled(*self._size)
+        return resized.cropped(*self._window)
+
+    @property
+    def silhouettes(self) -> int:
+        """Number of silhouettes drawn so far."""
+        return self._renderer.poses
+
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+        return self._renderer.rays
+
+    def _blurred(self, image: Float32) -> Float32:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur, borderType=cv2.BORDER_REPLICATE))
+
+    def draw(self, at: Posed, lines_per_pixel: int, *, outlines: bool) -> list[tuple[Float32, OutlinePoints | None]]:
+        """Draw the blurred coverage (H, W) of each of C poses, and find its outline if ``outlines`` are asked for."""
+        seen = at.seen_from(self.view_from_camera)
+        if not outlines:
+            coverage = self._renderer.coverage(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
+            return [(self._blurred(image), None) for image in coverage]
+        coverage, points = self._renderer.coverage_and_outlines(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
+        pairs = zip(coverage, points.of_each(len(at)), strict=True)
+        return [(self._blurred(image), outline) for image, outline in pairs]
+
+    def outlines(self, at: Posed) -> list[OutlinePoints]:
+        """Find the outline of each of C poses."""
+        seen = at.seen_from(self.view_from_camera)
+        return list(self._renderer.outlines(seen.pose, seen.joints).of_each(len(at)))
+
+    def jacobians(self, outlines: Sequence[OutlinePoints], at: Posed) -> list[Float64]:
+        """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as `outline_jacobians`."""
+        seen = at.seen_from(self.view_from_camera)
+        return outline_jacobians(self._renderer.body.instrument, self.camera, outlines, seen.pose, seen.joints)

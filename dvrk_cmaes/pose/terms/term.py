@@ -1,0 +1,118 @@
+"""The interface of a term: a sum of squares that a pose should make small, and its approximation near a pose."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import Posed
+
+Float64 = NDArray[np.float64]
+
+
+class Approximation(ABC):
+    """A term near C poses, as a function of small changes (C, D) of these."""
+
+    @property
+    @abstractmethod
+    def dimension(self) -> int:
+        """Number D of small changes."""
+
+    @abstractmethod
+    def select(self, index: Sequence[int]) -> Self:
+        """Return that near some of the poses."""
+
+    @classmethod
+    @abstractmethod
+    def joined(cls, groups: Sequence[Self]) -> Self:
+        """Return those near several groups of poses together."""
+
+    @abstractmethod
+    def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
+        """Return the information (C, D, D) and the slope (C, D) of half the sum of squares after changes (C, D)."""
+
+    def share_that_holds(self, change: Float64) -> Float64:
+        """Return the share (C,) of each change (C, D) up to which the approximation holds; by default all of it."""
+        return np.ones(len(change))
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic(Approximation):
+    """The quadratic approximation of half a sum of squares: ``information`` (C, D, D) and ``slope`` (C, D)."""
+
+    information: Float64
+    slope: Float64
+
+    @staticmethod
+    def zero(count: int, dimension: int) -> Quadratic:
+        """Return that of a term that is zero everywhere, for C = ``count`` poses and D = ``dimension`` changes."""
+        return Quadratic(np.zeros((count, dimension, dimension)), np.zeros((count, dimension)))
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        """Return that of the sum of two terms."""
+        return Quadratic(self.information + other.information, self.slope + other.slope)
+
+    @property
+    def dimension(self) -> int:
+        """Number D of small changes."""
+        return int(self.slope.shape[-1])
+
+    def select(self, index: Sequence[int]) -> Self:
+        """Return that near some of the poses."""
+        chosen = list(index)
+        return replace(self, information=self.information[chosen], slope=self.slope[chosen])
+
+    @classmethod
+    def joined(cls, groups: Sequence[Self]) -> Self:
+        """Return those near several groups of poses together."""
+        return cls(
+            np.concatenate([group.information for group in groups]), np.concatenate([group.slope for group in groups])
+        )
+
+    def padded(self, dimension: int) -> Quadratic:
+        """Return that of a function of more unknowns, D' = ``dimension``, which does not depend on the further ones."""
+        more = dimension - self.dimension
+        if not more:
+            return self
+        return Quadratic(
+            np.pad(self.information, ((0, 0), (0, more), (0, more))), np.pad(self.slope, ((0, 0), (0, more)))
+        )
+
+    def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
+        """Return information and slope after changes, as of `Approximation`."""
+        return self.information, self.slope + np.einsum("cij,cj->ci", self.information, change)
+
+
+class Term(ABC):
+    """A sum of squares in units of its standard deviations, as a function of a pose.
+
+    Small changes (D,), D = 6 + J, are those of `Posed`.
+    """
+
+    @abstractmethod
+    def cost(self, at: Posed) -> Float64:
+        """Return the sum of squares (C,) at C poses."""
+
+    @abstractmethod
+    def local(self, at: Posed) -> Quadratic:
+        """Return the approximation of half the sum of squares near C poses, by Gauss and Newton."""
+
+    def allowed(self, at: Posed) -> Posed:
+        """Return the poses within what the term allows at all; by default, it allows everything."""
+        return at
+
+
+def sum_of_costs(terms: Iterable[Term], at: Posed) -> Float64:
+    """Return the sum of the terms' sums of squares (C,) at C poses."""
+    return sum((term.cost(at) for term in terms), start=np.zeros(len(at)))
+
+
+def sum_of_locals(terms: Iterable[Term], at: Posed) -> Quadratic:
+    """Return the approximation of half the sum of the terms' sums of squares near C poses."""
+    zero = Quadratic.zero(len(at), 6 + at.joints.shape[1])
+    return sum((term.local(at) for term in terms), start=zero)
