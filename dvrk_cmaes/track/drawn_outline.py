@@ -68,14 +68,6 @@ class DrawnOutline:
         }
 
     @cached_property
-    def by_link(self) -> Float64:
-        """Homogeneous points (N, 4 L), in the columns of their links; the other columns are zero."""
-        columns = np.zeros((len(self.link), int(self.link.max(initial=0)) + 1, 4))
-        row = np.arange(len(self.link))
-        columns[row, self.link, :3], columns[row, self.link, 3] = self.points, 1.0
-        return columns.reshape(len(columns), -1)
-
-    @cached_property
     def clearance(self) -> Clearance:
         """How far the lines along the normals, of an outline in one view, run within the silhouette and beside it."""
         return Clearance.of(self.pixels, self.normals)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette.moving_points import MovingPoints, moving_points, placed_points
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 
 Float64 = NDArray[np.float64]
@@ -17,16 +16,7 @@ Float64 = NDArray[np.float64]
 _DRAWN_WIDTH = 640  # px; larger outlines are drawn about this wide, since their points are as exact
 _BORDER = 2.0  # px from the image's border; points closer to it are not used
 _LEAST_POINTS = 8  # of an outline in a view
-_STEP = 1e-5  # of normalised coordinates, for the derivatives of a lens
 _NEAREST = 1e-3  # m, least depth of a point
-
-
-@dataclass(frozen=True, eq=False)
-class Projected:
-    """Outline points at a pose: ``pixels`` (N, 2), and ``jacobian`` (N, 6 + J) of their motion along the normals."""
-
-    pixels: Float64
-    jacobian: Float64
 
 
 class OutlineModel:
@@ -87,37 +77,26 @@ class OutlineModel:
 
     def place(self, outline: DrawnOutline, at: Posed) -> Float64 | None:
         """Project the points at a pose, (N, 2); None if one is not in front of its camera."""
-        links, pixels = self.instrument.forward(at.joints), np.empty_like(outline.pixels)
-        for view, part in outline.parts.items():
-            points = apply(self._seen(view, at).pose, _in_root(outline.by_view[view], links))
+        pixels = []
+        for view, drawn in outline.by_view.items():
+            points = placed_points(self.instrument, drawn, self._seen(view, at))
             if points[:, 2].min() < _NEAREST:
                 return None
-            pixels[part] = self.rig.views[view].camera.project(points)
-        return pixels
+            pixels.append(self.rig.views[view].camera.project(points))
+        return np.concatenate(pixels)
 
-    def project(self, outline: DrawnOutline, at: Posed) -> Projected | None:
-        """Project the points at a pose, with their Jacobian; None if one of them is not in front of its camera.
+    def move(self, outline: DrawnOutline, at: Posed) -> MovingPoints | None:
+        """Project the points at a pose, and compute their motion; None if one of them is not in front of its camera.
 
-        The Jacobian's columns are the small changes of `Posed`, which all views have in common.
+        The pose's small changes are in the root's axes, which all views have in common.
         """
-        links, twists = self.instrument.twists(at.joints)
-        pixels, jacobian = np.empty_like(outline.pixels), np.empty((len(outline.pixels), 6 + len(at.joints)))
-        for view, part in outline.parts.items():
-            drawn, camera, pose = outline.by_view[view], self.rig.views[view].camera, self._seen(view, at).pose
-            in_root = _in_root(drawn, links)
-            seen = apply(pose, in_root)
-            depth = seen[:, 2:]
-            if depth.min() < _NEAREST:
-                return None
-            xy = seen[:, :2] / depth
-            pixels[part], across = _in_image(camera, xy, drawn.normals)
-            # how far a point moves along its normal when it moves in the camera, (N, 3), then in the root's axes
-            slope = np.concatenate([across, -(across * xy).sum(axis=1, keepdims=True)], axis=1) / depth
-            (x, y, z), (a, b, c) = in_root.T, (slope @ pose[:3, :3]).T
-            by_pose = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
-            jacobian[part, :6] = by_pose
-            jacobian[part, 6:] = np.einsum("nk,nkj->nj", by_pose, twists[drawn.link])
-        return Projected(pixels, jacobian)
+        of_views = []
+        for view, drawn in outline.by_view.items():
+            seen = self._seen(view, at)
+            here = Posed(seen.pose[None], seen.joints[None])
+            of_views += moving_points(self.instrument, self.rig.views[view].camera, [drawn], here)
+        moving = MovingPoints.joined(of_views)
+        return None if moving.depth.min() < _NEAREST else moving
 
     def _seen(self, view: int, at: Posed) -> Posed:
         """Return a pose of the reference camera in a view's."""
@@ -128,23 +107,3 @@ def _reduced(camera: Camera) -> Camera:
     """Return the camera of the images in which outlines are drawn."""
     shrink = max(camera.width // _DRAWN_WIDTH, 1)
     return camera.scaled(max(camera.width // shrink, 1), max(camera.height // shrink, 1))
-
-
-def _in_image(camera: Camera, xy: Float64, normals: Float64) -> tuple[Float64, Float64]:
-    """Return the pixels (N, 2) of points at normalised coordinates (N, 2), and their motion along the normals.
-
-    The motion (N, 2) is the derivative by the coordinates.
-    """
-    focal, principal = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    if camera.is_pinhole:
-        return xy * focal + principal, normals * focal
-    steps = _STEP * np.array([[0.0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    distorted = camera.distort(xy + steps[:, None])
-    motion = (distorted[1::2] - distorted[2::2]) / (2 * _STEP)  # (2, N, 2)
-    return distorted[0] * focal + principal, ((motion * (normals * focal)).sum(axis=2)).T
-
-
-def _in_root(outline: DrawnOutline, links: Float64) -> Float64:
-    """Compute an outline's points in the root's frame, (N, 3), from the poses of the links, (L, 4, 4)."""
-    matrix = links[:, :3].swapaxes(1, 2).reshape(-1, 3)
-    return np.asarray(outline.by_link @ matrix[: outline.by_link.shape[1]])

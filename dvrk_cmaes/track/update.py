@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.edges import EdgeDistances
 from dvrk_cmaes.track.evidence import Evidence
@@ -69,7 +71,7 @@ class OutlineUpdate:
         self._config = config
         self._motion = motion
         self._model = model
-        self._limits = Readings.none(model.instrument)
+        self._limits = ReadingsTerm(Readings.none(model.instrument))
 
     def __call__(
         self,
@@ -101,7 +103,7 @@ class OutlineUpdate:
             reach = each.reach
             for _ in range(each.steps):
                 at, loadings = self._motion.linearised(state, anchor)
-                seen = self._model.project(outline, at)
+                seen = self._model.move(outline, at)
                 if seen is None:
                     return None
                 edges = evidence.distances(seen.pixels, outline, reach)
@@ -110,17 +112,18 @@ class OutlineUpdate:
                 of_pose = own if spread is None else spread
                 expected = np.einsum("nd,nd->n", seen.jacobian @ of_pose, seen.jacobian)
                 weighted = seen.jacobian.T * self._weights(edges, outline.lengths, sigma, expected, reach)
-                of_limits, slope_of_limits = _of_limits(self._limits, at.joints)
-                information = weighted @ seen.jacobian + of_limits
-                slope = weighted @ edges.distance + slope_of_limits
+                limits = self._limits.local(Posed(at.pose[None], at.joints[None]))
+                information = weighted @ seen.jacobian + limits.information[0]
+                slope = weighted @ edges.distance + limits.slope[0]
                 solved = _Solved.of(information, slope, towards, own, loadings @ off, seen.jacobian)
                 state, off = state.changed(solved.state_change - off), solved.state_change
                 if solved.moved < _STILL_PX:
                     break
         assert solved is not None
         at = self._motion.posed(state, anchor)
-        beyond = np.maximum(self._limits.low - at.joints, at.joints - self._limits.high)
-        pixels = self._model.place(outline, at) if beyond.max() <= _FARTHEST_BEYOND * LIMIT_SIGMA else None
+        low, high = self._limits.readings.low, self._limits.readings.high
+        beyond = np.maximum(low - at.joints, at.joints - high).max()
+        pixels = self._model.place(outline, at) if beyond <= _FARTHEST_BEYOND * LIMIT_SIGMA else None
         if pixels is None:
             return None
         edges = evidence.distances(pixels, outline, reach)
@@ -164,16 +167,6 @@ class OutlineUpdate:
         }
         missing = float(np.mean(list(unexplained.values())))
         return Fit(supported, missing, total, _NORMAL_MEDIAN * typical, cost, of_views)
-
-
-def _of_limits(limits: Readings, joints: Float64) -> tuple[Float64, Float64]:
-    """Return information (M, M) and slope (M,) of half the squares of joints (J,) beyond their limits, M = 6 + J."""
-    count = 6 + len(joints)
-    information, slope = np.zeros((count, count)), np.zeros(count)
-    below, above = np.maximum(limits.low - joints, 0), np.maximum(joints - limits.high, 0)
-    information[range(6, count), range(6, count)] = ((below > 0) | (above > 0)) / LIMIT_SIGMA**2
-    slope[6:] = (above - below) / LIMIT_SIGMA**2
-    return information, slope
 
 
 @dataclass(frozen=True, eq=False)

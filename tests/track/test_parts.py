@@ -124,7 +124,7 @@ def test_jacobian_of_outline_agrees_with_differences() -> None:
     model, at = OutlineModel(prepare("lnd"), Rig.of(SMALL), 100), Posed(POSE, np.array([0.3, 0.2, 0.7]))
     outline = model.draw(at, (0,))
     assert outline is not None
-    here = model.project(outline, at)
+    here = model.move(outline, at)
     assert here is not None
     step = 1e-6
     for k in range(9):
