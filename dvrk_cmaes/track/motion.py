@@ -116,8 +116,9 @@ class MotionModel:
         at, count = self._at, self._at.joints
         moved_root = self._root(state, anchor) @ state.slack
         out = np.zeros((6 + count, at.size))
-        out[:6, at.base] = adjoint(inverse(moved_root))
-        out[:6, at.roll] = adjoint(inverse(state.slack))[:, 5]
+        from_base, from_root = adjoint(inverse(np.array([moved_root, state.slack])))
+        out[:6, at.base] = from_base
+        out[:6, at.roll] = from_root[:, 5]
         out[:6, at.slack] = np.eye(6)
         out[6:, at.offsets] = np.eye(count)
         return Posed(state.camera_from_base @ moved_root, anchor.joints + state.offsets[1:]), out
