@@ -161,12 +161,12 @@ class Posed:
         """Return the number of candidates, the length of the first axis."""
         return len(self.joints)
 
-    def __getitem__(self, index: int | slice | list[int] | NDArray[np.integer]) -> Posed:
-        """Return one or some of the candidates."""
+    def __getitem__(self, index: int | slice | list[int] | NDArray[np.integer] | None) -> Posed:
+        """Return one or some of the candidates; with None, this one alone as the only candidate."""
         return Posed(self.pose[index], self.joints[index])
 
     @staticmethod
     def stacked(candidates: Iterable[Posed]) -> Posed:
         """Return several candidates along a new first axis; there must be at least one."""
-        all_of_them = list(candidates)
-        return Posed(np.stack([one.pose for one in all_of_them]), np.stack([one.joints for one in all_of_them]))
+        several = list(candidates)
+        return Posed(np.stack([each.pose for each in several]), np.stack([each.joints for each in several]))

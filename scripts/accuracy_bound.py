@@ -23,7 +23,7 @@ from accuracy_errors import frame_errors
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.expected_error import jacobian, shaft_direction, tip_position
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -94,15 +94,15 @@ def frame_bound(body: Body, run: Run, config: EstimateConfig) -> dict[str, Any]:
     covariance = least_covariance(body, run.case, config)
     names = instrument.joint_names
     pose, joints = truth.camera_from_root, true_joints(body, run.case)
-    found = np.array([run.joints[name] for name in names])
+    found = Posed(run.pose, np.array([run.joints[name] for name in names]))
     row: dict[str, Any] = {"session": run.case.session, "frame": run.case.frame}
     tips = [tip_position(instrument, [k]) for k in range(len(instrument.jaw_tips))]
     axis = shaft_direction(instrument, pose)
     for name, unit, group in (("tip_mm", 1e3, tips), ("axis_deg", np.degrees(1.0), [axis])):
         if not group:
             continue
-        squared = [((q(run.pose[None], found[None]) - q(pose[None], joints[None])) ** 2).sum() for q in group]
-        slopes = [jacobian(q, pose, joints) for q in group]
+        squared = [((q(found[None]) - q(Posed(pose, joints)[None])) ** 2).sum() for q in group]
+        slopes = [jacobian(q, Posed(pose, joints)) for q in group]
         least = [np.trace(slope @ covariance @ slope.T) for slope in slopes]
         error, bound = np.sqrt(np.mean(squared)), np.sqrt(np.mean(least))
         row[name] = float(unit * error)

@@ -16,6 +16,7 @@ from accuracy_errors import frame_errors
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import INTERVAL, Quantity, jacobian, shaft_direction, tip_position
 
@@ -24,7 +25,7 @@ Float64 = NDArray[np.float64]
 
 def joint_value(index: int) -> Quantity:
     """Return the quantity: the value of one joint, (C, 1) rad."""
-    return lambda poses, joints: joints[:, index : index + 1]
+    return lambda at: at.joints[:, index : index + 1]
 
 
 def quantities(instrument: Instrument, pose: Float64) -> dict[str, Quantity]:
@@ -44,13 +45,13 @@ def distances(instrument: Instrument, run: Run) -> dict[str, tuple[float, int]]:
     """Return the squared Mahalanobis distance of each quantity from its true value, and the degrees of freedom."""
     assert run.case.truth is not None
     names = instrument.joint_names
-    joints = np.array([run.joints[name] for name in names])
+    at = Posed(run.pose, np.array([run.joints[name] for name in names]))
     true_joints = np.array([run.case.truth.joints[name] for name in names])
     found = {}
     for name, quantity in quantities(instrument, run.pose).items():
-        here = quantity(run.pose[None], joints[None])[0]
-        truth = quantity(run.case.truth.camera_from_root[None], true_joints[None])[0]
-        slope = jacobian(quantity, run.pose, joints)
+        here = quantity(at[None])[0]
+        truth = quantity(Posed(run.case.truth.camera_from_root, true_joints)[None])[0]
+        slope = jacobian(quantity, at)
         covariance = slope @ run.covariance @ slope.T
         found[name] = float((truth - here) @ np.linalg.solve(covariance, truth - here)), len(here)
     return found

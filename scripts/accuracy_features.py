@@ -5,7 +5,7 @@ All of them are computed from the frame and its result, without the truth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -16,10 +16,12 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import measure_noise, sampled, signed_distance
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -96,24 +98,31 @@ def _modes(
     assert result.camera_from_root is not None
     noise = measure_noise(evidence.contour, silhouette)
     outline = replace(config.refine.outline, correlation=noise.length)
-    refiner = OutlineRefiner(renderer, evidence, readings, outline)
-    best = refiner.assess(result.camera_from_root, np.array(list(result.joints.values())))
-    best_prior = 0.5 * float(readings.cost(best.joints))
+    view = FrameView("", evidence, renderer, np.eye(4))
+    coverage = Coverage([SizedView(view, blur=outline.blur)], outline)
+
+    def residual_and_score(pose: Float64, joints: Mapping[str, float]) -> tuple[float, float, float]:
+        """Return the residual of a pose, its negative log-likelihood, and the part of that by the readings."""
+        at = Posed(pose, np.array(list(joints.values())))
+        (drawn,), prior = coverage.draw(at[None], derivatives=False), 0.5 * float(readings.cost(at.joints))
+        return coverage.cost_of(drawn), coverage.score_of(drawn) + prior, prior
+
+    best_residual, best_score, best_prior = residual_and_score(result.camera_from_root, result.joints)
     features = {
         "noise_sigma_px": noise.sigma,
         "noise_length_px": noise.length,
-        "residual_per_px": best.residual / max(len(evidence.contour.pixels), 1),
+        "residual_per_px": best_residual / max(len(evidence.contour.pixels), 1),
         "gap_twin": _NO_MODE,
         "gap_other": _NO_MODE,
     }
     for other in result.alternatives:
-        fit = refiner.assess(other.camera_from_root, np.array(list(other.joints.values())))
+        residual, score, prior = residual_and_score(other.camera_from_root, other.joints)
         name = "gap_twin" if other.relation == "mirror twin" else "gap_other"
-        gap = fit.score - best.score
+        gap = score - best_score
         if gap < features[name]:
             features[name] = gap
-            features[f"{name}_outline"] = gap - 0.5 * float(readings.cost(fit.joints)) + best_prior
-            features[f"{name}_residual"] = fit.residual / best.residual
+            features[f"{name}_outline"] = gap - prior + best_prior
+            features[f"{name}_residual"] = residual / best_residual
             features[f"{name}_iou"] = result.quality.iou - other.iou if result.quality is not None else np.nan
     return features
 

@@ -38,7 +38,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, converge_shafts, rcm_spread
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.expected_error import jacobian, tip_position
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -178,12 +178,12 @@ def tip_rows(body: Body, bounded: BoundedRuns) -> list[dict[str, Any]]:
     variances: dict[str, list[float]] = {model: [] for model in MODELS}
     for run, bound in zip(bounded.runs, bounded.bounds, strict=True):
         assert run.case.truth is not None
-        pose, joints = run.case.truth.camera_from_root, true_joints(body, run.case)
-        found = np.array([run.joints[name] for name in instrument.joint_names])
+        true = Posed(run.case.truth.camera_from_root, true_joints(body, run.case))
+        found = Posed(run.pose, np.array([run.joints[name] for name in instrument.joint_names]))
         for k in range(len(instrument.jaw_tips)):
             tip = tip_position(instrument, [k])
-            squared.append(float(((tip(run.pose[None], found[None]) - tip(pose[None], joints[None])) ** 2).sum()))
-            slope = jacobian(tip, pose, joints)
+            squared.append(float(((tip(found[None]) - tip(true[None])) ** 2).sum()))
+            slope = jacobian(tip, true)
             for model in MODELS:
                 variances[model].append(float(np.trace(slope @ bound.covariances[model] @ slope.T)))
     error = 1e3 * float(np.sqrt(np.mean(squared)))

@@ -22,6 +22,7 @@ from accuracy_errors import frame_errors
 from numpy.typing import NDArray
 from scipy.stats import chi2, rankdata
 
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import INTERVAL, jacobian, tip_position
 
@@ -143,9 +144,9 @@ def attainable_area(instrument: Instrument, runs: Sequence[Run], score: Float64,
     tips = [tip_position(instrument, [k]) for k in range(len(instrument.jaw_tips))]
     drawn = []
     for run in runs:
-        joints = np.array([run.joints[name] for name in instrument.joint_names])
+        at = Posed(run.pose, np.array([run.joints[name] for name in instrument.joint_names]))
         changes = rng.multivariate_normal(np.zeros(len(run.covariance)), run.covariance, _DRAWS)
-        slopes = [jacobian(tip, run.pose, joints) for tip in tips]
+        slopes = [jacobian(tip, at) for tip in tips]
         drawn.append(1e3 * np.mean([np.linalg.norm(changes @ slope.T, axis=1) for slope in slopes], axis=0))
     areas = [area_under_roc(score, one > LARGE_MM) for one in np.array(drawn).T]
     known = [area for area in areas if area is not None]

@@ -22,7 +22,7 @@ from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.silhouette.prepare import prepare
 
 HERE: Final = Path(__file__).resolve().parents[1]
-_FINISHED = (0, 3)  # exit codes of a command that has estimated its frames
+FINISHED: Final = (0, 3)  # exit codes of a command that has estimated its frames
 
 _WORKER: Final = """
 import pickle, sys, time
@@ -159,7 +159,7 @@ def _run(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:
         command, env=checkout.environment, cwd=checkout.folder, capture_output=True, text=True, check=False
     )
     wall, after = time.perf_counter() - started, os.times()
-    if done.returncode not in _FINISHED:
+    if done.returncode not in FINISHED:
         raise InputError(f"{checkout.folder}: {' '.join(command[1:])}: {done.stderr.strip()[-300:]}")
     spent = after.children_user + after.children_system - before.children_user - before.children_system
     return wall, spent

@@ -15,9 +15,10 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import one_tool as estimation
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.pose import find_pose
+from dvrk_cmaes.pose import find_pose, views
 from dvrk_cmaes.pose.refine import coarse_to_fine
-from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.pose.terms.contour import CorrelatedContour
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -26,19 +27,20 @@ _SIZES = {1: "refinement, whole size", 2: "refinement, half size"}
 _SMALL = "refinement, smaller sizes"
 
 
-def _size(refiner: OutlineRefiner, *_: Any, **__: Any) -> str:
-    """Name the stage of a refinement by its image size."""
-    return _SIZES.get(refiner.shrink, _SMALL)
+def _stage(outline: OutlineTerm[Any], *_: Any, **__: Any) -> str:
+    """Name the stage of a refinement by its term and image size."""
+    if isinstance(outline, CorrelatedContour):
+        return "refinement, correlated errors"
+    return _SIZES.get(outline.views[0].shrink, _SMALL)
 
 
 _STAGES: tuple[tuple[Any, str, str | Callable[..., str]], ...] = (
     (estimation, "gather_evidence", "evidence of the mask"),
     (find_pose, "find_candidates", "search"),
-    (OutlineRefiner, "refine_all", _size),
-    (coarse_to_fine, "measure_noise", "errors of the contour"),
-    (coarse_to_fine, "fit_correlated", "refinement, correlated errors"),
-    (coarse_to_fine, "pose_information", "covariance"),
-    (find_pose, "measure_quality", "quality, and rays that confirm it"),
+    (coarse_to_fine, "refine", _stage),
+    (views, "measure_noise", "errors of the contour"),
+    (coarse_to_fine, "information_of_views", "covariance"),
+    (find_pose, "measure_views", "quality, and rays that confirm it"),
 )
 """Module or class, name of the function, and the stage that its time counts for."""
 

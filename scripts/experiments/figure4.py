@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.global_search import search_size
 from dvrk_cmaes.pose.search.objective import Objective
@@ -78,10 +79,11 @@ def best_of_first(
                 sample = sample_uniform if space == UNIFORM else sample_lookat
                 poses = sample(count, config.lookat, rng, camera=plan.camera)
                 joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
+                at = Posed(poses, joints)
             else:
                 search = replace(config.search, samples=count, use_edges=space == EDGES, unread_share=0.0)
-                poses, joints, _ = draw_starts(evidence, instrument, readings, replace(config, search=search), rng)
-            losses = objective.terms(poses, joints).total(weights)[rng.permutation(count)]
+                at, _ = draw_starts(evidence, instrument, readings, replace(config, search=search), rng)
+            losses = objective.terms(at).total(weights)[rng.permutation(count)]
             best[space].append(np.minimum.accumulate(losses)[np.array(COUNTS) - 1])
     return {space: np.mean(found, axis=0) for space, found in best.items()}
 

@@ -8,36 +8,36 @@ from helpers.session_worlds import SMALL
 
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
-POSE, JOINTS = lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.2, -0.3, 0.5])
+TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.2, -0.3, 0.5]))
 
 
 @pytest.fixture(scope="module")
 def view(bundled_body: Body) -> FrameView:
     renderer = Renderer(bundled_body, SMALL, threads=1)
-    evidence = gather_evidence(renderer.masks(POSE[None], JOINTS[None])[0], SMALL, bundled_body.instrument)
+    evidence = gather_evidence(renderer.masks(TRUE.pose[None], TRUE.joints[None])[0], SMALL, bundled_body.instrument)
     return FrameView("", evidence, renderer, np.eye(4))
 
 
 def test_true_pose_overlaps_fully_with_errors_of_single_pixels(view: FrameView) -> None:
-    own = OwnEstimate.of([view], POSE, JOINTS)
+    own = OwnEstimate.of([view], TRUE)
     assert own.iou == 1.0
     assert own.lengths[0] < 4
 
 
 def test_shifted_pose_overlaps_less_and_errs_alike_along_the_contour(view: FrameView) -> None:
-    own = OwnEstimate.of([view], moved(POSE, np.array([1e-3, 0, 0, 0, 0, 0])), JOINTS)
+    own = OwnEstimate.of([view], TRUE.moved(np.array([1e-3, 0, 0, 0, 0, 0, 0, 0, 0])))
     assert 0.3 < own.iou < 0.95
     assert own.lengths[0] > 10
 
 
 def test_views_are_measured_each_and_overlap_is_their_mean(view: FrameView) -> None:
     shifted = FrameView("right", view.evidence, view.renderer, moved(np.eye(4), np.array([1e-3, 0, 0, 0, 0, 0])))
-    both = OwnEstimate.of([view, shifted], POSE, JOINTS)
-    alone = OwnEstimate.of([shifted], POSE, JOINTS)
+    both = OwnEstimate.of([view, shifted], TRUE)
+    alone = OwnEstimate.of([shifted], TRUE)
     assert both.lengths[1:] == alone.lengths
     assert both.iou == pytest.approx((1 + alone.iou) / 2)

@@ -19,7 +19,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -55,7 +55,7 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
         evidence = gather_evidence(one.data.mask, wrong, body.instrument)
         stored.append(StoredEvidence.of(evidence))
         view = FrameView("", evidence, Renderer(body, wrong, threads=1), np.eye(4))
-        own.append(OwnEstimate.of([view], pose, joint))
+        own.append(OwnEstimate.of([view], Posed(pose, joint)))
     outlines = SessionOutlines(
         tuple(stored),
         readings,

@@ -12,12 +12,11 @@ from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.geometry import Posed, transform
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.pose.doubts import doubts_of_fit
-from dvrk_cmaes.pose.refine.outline import OutlineFit
-from dvrk_cmaes.pose.search.modes import HasPose
+from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -135,9 +134,10 @@ def evidence(bundled_body: Body) -> Evidence:
 
 
 def doubts(body: Body, evidence: Evidence, bend: float, distance: float = 0.11) -> list[str]:
-    best: HasPose = OutlineFit(lookat_pose(0.5, 1.0, 0.7, distance), JOINTS, 0.0, 0.0, 0.0, np.eye(9))
+    at = Posed(lookat_pose(0.5, 1.0, 0.7, distance), JOINTS)
+    view = FrameView("", evidence, Renderer(body, CAMERA), np.eye(4))
     quality, error = Quality(0.99, 0.1, {}, 0.3, 0.9, bend), ExpectedError({"tip": 0.3}, {}, 0.5, 0.4)
-    return doubts_of_fit(best, quality, error, evidence, body.instrument, TrustConfig())
+    return doubts_in_views(at, [view], [quality], error, TrustConfig())[0]
 
 
 def test_reason_states_bend(bundled_body: Body, evidence: Evidence) -> None:

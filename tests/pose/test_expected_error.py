@@ -7,7 +7,7 @@ import pytest
 from scipy.special import gammaincinv
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply, moved
+from dvrk_cmaes.geometry import Posed, apply, moved
 from dvrk_cmaes.pose.expected_error import expected_error, largest_distance, locate_tips
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body
@@ -20,7 +20,7 @@ def test_errors_are_those_of_samples(bundled_body: Body) -> None:
     instrument, rng = bundled_body.instrument, np.random.default_rng(0)
     turn = np.linalg.qr(rng.standard_normal((9, 9)))[0] * 0.2 + np.eye(9)
     root = np.diag(SPREAD) @ turn
-    stated = expected_error(instrument, POSE, JOINTS, root @ root.T)
+    stated = expected_error(instrument, Posed(POSE, JOINTS), root @ root.T)
     changes = rng.standard_normal((20000, 9)) @ root.T
     poses, joints = moved(POSE, changes[:, :6]), JOINTS + changes[:, 6:]
     off = 1e3 * (apply(poses, instrument.tips(joints)) - apply(POSE, instrument.tips(JOINTS)))
@@ -42,11 +42,11 @@ def test_distance_holds_nine_tenths(axes: tuple[float, ...]) -> None:
 
 def test_tips_are_located_in_camera_and_image(bundled_body: Body) -> None:
     camera = Camera(640, 480, 880, 880, 330, 250)
-    points, pixels = locate_tips(bundled_body.instrument, camera, POSE, JOINTS)
+    points, pixels = locate_tips(bundled_body.instrument, camera, Posed(POSE, JOINTS))
     np.testing.assert_allclose(points, apply(POSE, bundled_body.instrument.tips(JOINTS)))
     np.testing.assert_allclose(pixels, camera.project(np.array(points)))
     behind = moved(POSE, np.array([0, 0, -0.3, 0, 0, 0]))
-    assert locate_tips(bundled_body.instrument, camera, behind, JOINTS)[1] == ()
+    assert locate_tips(bundled_body.instrument, camera, Posed(behind, JOINTS))[1] == ()
 
 
 @pytest.mark.parametrize("axes", [(1, 0, 0), (1, 0.3, 0.1), (2, 1, 1), (1, 1, 1)])

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.covariance import pose_covariance, rough_covariance
 from dvrk_cmaes.pose.mode_probability import mode_probability
-from dvrk_cmaes.pose.refine.outline import OutlineFit
+from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import Quality
 
 POSE, JOINTS = np.eye(4), np.zeros(3)
 GOOD = Quality(0.97, 0.1, {}, 0.5, 1.5, distal_px=0.8)
 
 
-def mode(turn_deg: float, score: float, shift: float = 0.0) -> OutlineFit:
+def mode(turn_deg: float, score: float, shift: float = 0.0) -> Fit:
     change = np.array([shift, 0, 0, 0, 0, np.deg2rad(turn_deg)])
-    return OutlineFit(moved(POSE, change), JOINTS, score, score, 0.0, np.eye(9) * 1e6)
+    return Fit(Posed(moved(POSE, change), JOINTS), score, score, np.eye(9) * 1e6)
 
 
 def test_only_mode_of_accurate_pose_is_certain() -> None:

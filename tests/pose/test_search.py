@@ -11,9 +11,11 @@ import pytest
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.search import METHODS, minimise
 from dvrk_cmaes.pose.search.global_search import search_size
+from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(640, 480, 800.0, 800.0, 319.5, 239.5)
@@ -72,14 +74,15 @@ def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
 
 @pytest.mark.parametrize("method", ["coordinate-descent", "bobyqa", "sbplx"])
 def test_direct_refinement_reduces_loss(method: str) -> None:
-    best, loss, count = refine_direct(method, _wide, 7, 500, seed=0)
-    assert loss < 0.05 * float(_wide(np.zeros((1, 7)))[0])
-    assert loss == pytest.approx(float(_wide(best[None])[0]))
+    start, scale = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4])), np.array([1e-3] * 3 + [0.05] * 4)
+    goal = start.moved(np.linspace(-0.5, 0.5, 7) * scale)
+
+    def cost(at: Posed) -> np.ndarray:
+        return ((at.minus(goal) / scale) ** 2).sum(axis=-1)
+
+    best, count = refine_direct(method, cost, start, scale, 500, seed=0)
+    assert cost(best[None])[0] < 0.05 * cost(start[None])[0]
     assert count <= 500
-
-
-def _wide(candidates: np.ndarray) -> np.ndarray:
-    return ((candidates - np.linspace(-0.5, 0.5, 7)) ** 2).sum(axis=1)
 
 
 @pytest.mark.parametrize(("side", "expected"), [(240, (80, 60)), (70, (128, 96)), (8, (160, 120))])

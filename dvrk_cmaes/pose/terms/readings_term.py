@@ -27,14 +27,13 @@ class ReadingsTerm(Term):
 
     def local(self, at: Posed) -> Quadratic:
         """Return the approximation of half of it, which is exact but for the corners at the limits."""
-        values = self.readings.values
         weight, centre = self._weight_and_centre
-        found = Quadratic.zero(len(at), 6 + len(values))
+        quadratic = Quadratic.zero(len(at), 6 + len(weight))
         beyond = np.maximum(at.joints - self.readings.high, 0) - np.maximum(self.readings.low - at.joints, 0)
-        np.einsum("cii->ci", found.information)[:, 6:] = weight + (beyond != 0) / LIMIT_SIGMA**2
-        found.slope[:, 6:] = weight * (at.joints - centre)
-        found.slope[:, 6:] += beyond / LIMIT_SIGMA**2
-        return found
+        np.einsum("cii->ci", quadratic.information)[:, 6:] = weight + (beyond != 0) / LIMIT_SIGMA**2
+        quadratic.slope[:, 6:] = weight * (at.joints - centre)
+        quadratic.slope[:, 6:] += beyond / LIMIT_SIGMA**2
+        return quadratic
 
     @cached_property
     def _weight_and_centre(self) -> tuple[Float64, Float64]:

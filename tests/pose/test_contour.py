@@ -4,60 +4,61 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from helpers.frame_terms import Terms, readings_of, view_of
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.refine.correlated_noise import fit_correlated, has_correlated_noise, solve_correlated
-from dvrk_cmaes.pose.refine.outline import OutlineRefiner
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise, solve_correlated
 from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
-POSE = lookat_pose(0.2, 0.3, 1.0, 0.12)
-JOINTS = np.array([0.4, -0.3, 0.5])
-READ = JOINTS + np.array([0.1, -0.1, 0.15])
+TRUE = Posed(lookat_pose(0.2, 0.3, 1.0, 0.12), np.array([0.4, -0.3, 0.5]))
+READ = TRUE.joints + np.array([0.1, -0.1, 0.15])
 
 
 def noisy_mask(body: Body, seed: int, size: float = 1.0) -> np.ndarray:
     """Give the silhouette with its outline moved by smooth errors: std ``size`` px, correlation length about 20 px."""
-    exact = Renderer(body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+    exact = Renderer(body, CAMERA).masks(TRUE.pose[None], TRUE.joints[None])[0]
     waves = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(exact.shape), (0, 0), 6.0)
     return signed_distance(exact) < size * waves / waves.std()
 
 
-def refiner(body: Body, mask: np.ndarray, read: np.ndarray = READ, ignore: np.ndarray | None = None) -> OutlineRefiner:
-    low, high = body.instrument.limits.T
-    readings = Readings(read, np.deg2rad([10, 10, 15]), low, high)
-    evidence = gather_evidence(mask, CAMERA, body.instrument, ignore=ignore)
-    return OutlineRefiner(Renderer(body, CAMERA), evidence, readings, OutlineConfig())
+def terms(body: Body, mask: np.ndarray, read: np.ndarray = READ, ignore: np.ndarray | None = None) -> Terms:
+    return Terms([view_of(body, CAMERA, mask, ignore=ignore)], readings_of(body, read))
 
 
-def tip_error(body: Body, pose: np.ndarray, joints: np.ndarray) -> float:
+def refined(at: Terms, start: Posed) -> Posed:
+    """Give a pose after steps on the contour with correlated errors."""
+    steps = Steps(6, tolerance=0.1, tested="none", largest=6.0)
+    return refine(CorrelatedContour(at.views), at.others, start[None], steps)[0].at
+
+
+def tip_error(body: Body, at: Posed) -> float:
     """Give the root mean square error of the jaw tips, mm."""
-    found, true = (body.instrument.tips(q) @ t[:3, :3].T + t[:3, 3] for t, q in ((pose, joints), (POSE, JOINTS)))
-    return float(1e3 * np.sqrt(((found - true) ** 2).sum(axis=1).mean()))
+    tips, true = (body.instrument.tips(p.joints) @ p.pose[:3, :3].T + p.pose[:3, 3] for p in (at, TRUE))
+    return float(1e3 * np.sqrt(((tips - true) ** 2).sum(axis=1).mean()))
 
 
 def axis_error(pose: np.ndarray) -> float:
     """Give the angle between the shaft's axis and the true one, deg."""
-    return float(np.degrees(np.linalg.norm(np.cross(pose[:3, 2], POSE[:3, 2]))))
+    return float(np.degrees(np.linalg.norm(np.cross(pose[:3, 2], TRUE.pose[:3, 2]))))
 
 
 def test_modelled_correlation_reduces_errors(bundled_body: Body) -> None:
     rng = np.random.default_rng(5)
     tips, axes = [], []
     for seed in range(8):
-        at = refiner(bundled_body, noisy_mask(bundled_body, seed))
-        start = moved(POSE, rng.normal(size=6) * [3e-4, 3e-4, 1e-3, 0.03, 0.03, 0.08])
-        fit = at.refine_all(start[None], JOINTS[None] + 0.1 * rng.normal(size=(1, 3)))[0]
-        fit = at.refine_all(fit.camera_from_root[None], fit.joints[None], cauchy=OutlineConfig.last_cauchy)[0]
-        poses = (fit.camera_from_root, fit.joints), fit_correlated(at, fit.camera_from_root, fit.joints)
-        tips.append([tip_error(bundled_body, *one) for one in poses])
-        axes.append([axis_error(pose) for pose, _ in poses])
+        at = terms(bundled_body, noisy_mask(bundled_body, seed))
+        off = np.r_[rng.normal(size=6) * [3e-4, 3e-4, 1e-3, 0.03, 0.03, 0.08], 0.1 * rng.normal(size=3)]
+        (fit,) = at.refined(at.refined(TRUE.moved(off))[0].at, cauchy=OutlineConfig.last_cauchy)
+        both = fit.at, refined(at, fit.at)
+        tips.append([tip_error(bundled_body, each) for each in both])
+        axes.append([axis_error(each.pose) for each in both])
     before, after = np.sqrt(np.mean(np.square(axes), axis=0))
     assert after < 0.7 * before
     assert after < 1.0
@@ -66,7 +67,7 @@ def test_modelled_correlation_reduces_errors(bundled_body: Body) -> None:
 
 
 def test_correlated_noise_is_recognised(bundled_body: Body) -> None:
-    exact = Renderer(bundled_body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+    exact = Renderer(bundled_body, CAMERA).masks(TRUE.pose[None], TRUE.joints[None])[0]
     for size, expected in ((1.0, True), (0.0, False)):
         evidence = gather_evidence(noisy_mask(bundled_body, 1, size), CAMERA, bundled_body.instrument)
         assert has_correlated_noise(measure_noise(evidence.contour, exact)) == expected
@@ -79,26 +80,33 @@ def test_outliers_are_rejected(bundled_body: Body) -> None:
     row, column = np.argwhere(mask)[len(np.argwhere(mask)) // 3]
     cv2.circle(blob := np.zeros(mask.shape, dtype=np.uint8), (int(column), int(row)), 14, 1, -1)
     bitten[blob > 0] = False
-    whole, less = (fit_correlated(refiner(bundled_body, one), POSE, JOINTS) for one in (mask, bitten))
-    assert tip_error(bundled_body, *less) < tip_error(bundled_body, *whole) + 0.15
+    whole, less = (refined(terms(bundled_body, each), TRUE) for each in (mask, bitten))
+    assert tip_error(bundled_body, less) < tip_error(bundled_body, whole) + 0.15
 
 
 def test_pose_far_from_mask_is_unchanged(bundled_body: Body) -> None:
-    away = POSE.copy()
+    away = TRUE.pose.copy()
     away[:3, 3] += [0.5, 0.3, 0.0]
-    pose, joints = fit_correlated(refiner(bundled_body, noisy_mask(bundled_body, 0)), away, JOINTS)
-    np.testing.assert_array_equal(pose, away)
-    np.testing.assert_array_equal(joints, JOINTS)
+    at = refined(terms(bundled_body, noisy_mask(bundled_body, 0)), Posed(away, TRUE.joints))
+    np.testing.assert_array_equal(at.pose, away)
+    np.testing.assert_array_equal(at.joints, TRUE.joints)
+
+
+def test_joints_stay_near_their_limits(bundled_body: Body) -> None:
+    mask = noisy_mask(bundled_body, 0)
+    readings = readings_of(bundled_body, TRUE.joints)
+    readings.low[2], readings.high[2] = 0.0, 0.1  # the jaw is open by 0.5
+    at = Terms([view_of(bundled_body, CAMERA, mask)], readings)
+    assert refined(at, TRUE).joints[2] <= 0.1 + np.deg2rad(3.0) + 1e-12
 
 
 def test_hidden_joints_without_readings_stay_as_they_are(bundled_body: Body) -> None:
-    wrist = CAMERA.project(POSE[None, :3, 3])[0]
+    wrist = CAMERA.project(TRUE.pose[None, :3, 3])[0]
     hidden = np.linalg.norm(np.indices((CAMERA.height, CAMERA.width))[::-1].T - wrist, axis=2).T < 200
-    at = refiner(bundled_body, noisy_mask(bundled_body, 0), np.full(3, np.nan), hidden)
-    start = moved(POSE, [5e-4, 0, 0, 0, 0.01, 0])
-    pose, joints = fit_correlated(at, start, JOINTS)
-    np.testing.assert_allclose(joints, JOINTS, atol=1e-6)
-    assert np.isfinite(pose).all()
+    at = terms(bundled_body, noisy_mask(bundled_body, 0), np.full(3, np.nan), hidden)
+    there = refined(at, TRUE.moved(np.array([5e-4, 0, 0, 0, 0.01, 0, 0, 0, 0])))
+    np.testing.assert_allclose(there.joints, TRUE.joints, atol=1e-6)
+    assert np.isfinite(there.pose).all()
 
 
 def test_banded_solution_is_that_of_the_whole_covariance() -> None:

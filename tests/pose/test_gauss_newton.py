@@ -1,0 +1,144 @@
+"""Refinement on the coverage: convergence from nearby starts, and finite results from distant ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from helpers.frame_terms import Terms, readings_of, view_at
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Posed, rotation_angle
+from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.silhouette import Body
+
+CAMERA = Camera(640, 480, 880, 880, 330, 250)
+TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))
+NEAR = np.array([3e-4, -3e-4, 5e-4, 0.01, -0.01, 0.05, 0.05, 0.05, 0.05])
+
+
+def terms(
+    body: Body, read: np.ndarray = TRUE.joints, shrink: int = 1, ignore: np.ndarray | None = None, **settings: float
+) -> Terms:
+    return Terms([view_at(body, CAMERA, TRUE, ignore=ignore)], readings_of(body, read), shrink, **settings)
+
+
+@pytest.mark.parametrize("shrink", [1, 2, 4])
+def test_nearby_start_converges_to_truth(bundled_body: Body, shrink: int) -> None:
+    (fit,) = terms(bundled_body, shrink=shrink).refined(TRUE.moved(NEAR))
+    # The tolerance grows with the pixel size.
+    assert np.linalg.norm(fit.at.pose[:3, 3] - TRUE.pose[:3, 3]) < 1.5e-4 * shrink
+    assert rotation_angle(fit.at.pose, TRUE.pose) < np.deg2rad(0.8) * shrink
+    np.testing.assert_allclose(fit.at.joints, TRUE.joints, atol=np.deg2rad(0.8) * shrink)
+
+
+def test_batch_agrees_with_single_refinements(bundled_body: Body) -> None:
+    at = terms(bundled_body, shrink=4)
+    starts = [TRUE.moved(np.array([0, 0, 0, 0.01 * i, 0, 0.05 * i, 0, 0, 0])) for i in range(4)]
+    for start, fit in zip(starts, at.refined(*starts), strict=True):
+        assert at.refined(start)[0].score == pytest.approx(fit.score, abs=0.5)
+
+
+class Valley(OutlineTerm[Posed]):
+    """A sum of squares with a minimum at the true pose, and a narrow valley in which shift and turn about z trade."""
+
+    views = ()
+
+    def __init__(self) -> None:
+        scale = 1 / np.array([1e-5] * 3 + [1e-3] * 6)
+        tight = np.eye(9)
+        tight[2, 5] = tight[5, 2] = 0.9995
+        self.information = tight * np.outer(scale, scale)
+
+    def draw(self, at: Posed, *, derivatives: bool = True) -> list[Posed]:
+        return [at[k] for k in range(len(at))]
+
+    def cost_of(self, drawn: Posed) -> float:
+        off = drawn.minus(TRUE)
+        return float(off @ self.information @ off)
+
+    def near(self, drawn: Sequence[Posed], at: Posed) -> Quadratic:
+        information = np.broadcast_to(self.information, (len(drawn), 9, 9))
+        return Quadratic(information, at.minus(TRUE) @ self.information)
+
+
+def test_damping_falls_after_good_steps() -> None:
+    """With a constant damping, eight steps would cover a quarter of the way along the valley."""
+    start = TRUE.moved(np.array([0, 0, 1e-3, 0, 0, -0.1, 0, 0, 0]))
+    (fit,) = refine(Valley(), [], start[None], Steps(8, tolerance=1e-3))
+    assert abs(fit.at.minus(TRUE)[5]) < 2e-3
+
+
+def test_steps_that_are_not_tested_are_not_damped_but_limited() -> None:
+    start = TRUE.moved(np.array([0, 0, 1e-5, 0, 0, 1e-3, 0, 0, 0]))  # across the valley, 2 standard deviations
+    (whole,), (short,) = (
+        refine(Valley(), [], start[None], Steps(1, tested="none", largest=largest)) for largest in (6.0, 0.5)
+    )
+    np.testing.assert_allclose(whole.at.minus(TRUE), 0.0, atol=1e-7)
+    distances = [np.sqrt(Valley().cost(at[None])[0]) for at in (start, short.at)]
+    assert distances[0] - distances[1] == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_border_of_ignored_pixels_is_no_edge(bundled_body: Body, shrink: int) -> None:
+    ignore = np.zeros((CAMERA.height, CAMERA.width), dtype=bool)
+    wrist = CAMERA.project(TRUE.pose[None, :3, 3])[0].astype(int)
+    ignore[wrist[1] - 25 : wrist[1] + 25, wrist[0] - 25 : wrist[0] + 25] = True  # across the instrument
+    at = Posed.stacked([TRUE])
+    whole, hidden = (terms(bundled_body, shrink=shrink, ignore=each).coverage.cost(at)[0] for each in (None, ignore))
+    assert hidden < whole  # the mask ends at the border of the ignored pixels, the silhouette does not
+
+
+def test_weight_of_readings_follows_correlation(bundled_body: Body) -> None:
+    off = TRUE.joints + np.array([0.2, 0, 0])
+    weak, strong = (
+        terms(bundled_body, off, 4, correlation=length).refined(TRUE)[0].at.joints[0] for length in (1.0, 1e5)
+    )
+    assert abs(weak - TRUE.joints[0]) < 0.25 * abs(strong - TRUE.joints[0])
+
+
+def test_silhouette_outside_window_gives_finite_score(bundled_body: Body) -> None:
+    away = Posed(TRUE.pose.copy(), TRUE.joints)
+    away.pose[:3, 3] += [0.5, 0.3, 0.0]
+    lost, fit = terms(bundled_body).refined(away, TRUE)
+    assert np.isfinite(lost.score)
+    assert fit.score < lost.score
+
+
+def test_short_steps_need_no_silhouette_if_only_long_ones_are_tested(bundled_body: Body) -> None:
+    at = terms(bundled_body)
+    (there,) = at.refined(TRUE.moved(NEAR))
+    for _ in range(3):
+        (there,) = at.refined(there.at)
+    counts, fits = [], []
+    for tested in ("all", "long"):
+        before = at.coverage.silhouettes
+        fits += refine(at.coverage, at.others, Posed.stacked([there.at]), Steps(20, 6, 0.05, tested))
+        counts.append(at.coverage.silhouettes - before)
+    assert counts[0] - counts[1] == 1  # the last step
+    spread = np.sqrt(np.diag(np.linalg.inv(fits[0].information)))
+    assert (np.abs(fits[1].at.minus(fits[0].at)) < 0.15 * spread).all()
+
+
+@pytest.mark.parametrize(("unknown", "step"), [(0, 2e-3), (1, 0.3), (2, 0.3)])
+def test_slope_about_camera_is_gradient_of_residual(bundled_body: Body, unknown: int, step: float) -> None:
+    off = TRUE.moved(np.array([3e-4, -2e-4, 1e-3, 0, 0, 0, 0, 0, 0]))
+    at = terms(bundled_body, cauchy=10.0)
+    coverage = at.coverage.with_noise(at.coverage.noise_at(off))
+    information, slope = coverage.near_with_camera(off)
+    np.testing.assert_allclose(information, information.T)
+
+    def residual(change: np.ndarray, along: float) -> float:
+        camera = CAMERA.changed(float(np.exp(change[0])), (float(change[1]), float(change[2])))
+        there = off.moved(np.array([0, 0, along, 0, 0, 0, 0, 0, 0]))
+        return float(coverage.with_camera(camera).cost(Posed.stacked([there]))[0])
+
+    changed, along = np.eye(3)[unknown] * step, 5e-5
+    about_camera = (residual(changed, 0.0) - residual(-changed, 0.0)) / (2 * step)
+    about_pose = (residual(np.zeros(3), along) - residual(np.zeros(3), -along)) / (2 * along)
+    # both have the factor from coverage to standard deviations
+    assert slope[9 + unknown] / about_camera == pytest.approx(slope[2] / about_pose, rel=0.2)

@@ -1,0 +1,105 @@
+"""All terms of a frame: their derivatives are those of their sums of squares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers.frame_terms import readings_of, view_at
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.geometry import Posed, exp_rotation, transform
+from dvrk_cmaes.pose.search.objective import project_tips
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Term
+from dvrk_cmaes.pose.terms.tips_term import TipsTerm
+from dvrk_cmaes.silhouette import Body
+
+CAMERA = Camera(640, 480, 880, 880, 330, 250, (-0.2, 0.05, 0.001, 0.0, 0.0))
+RIGHT_FROM_LEFT = transform(exp_rotation([0.01, -0.02, 0.01]), [-0.005, 0.0, 0.0003])
+TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))
+OFF = np.array([2e-4, -2e-4, 6e-4, 0.006, -0.008, 0.02, 0.02, -0.03, 0.02])
+STEPS = np.array([2e-5] * 3 + [5e-4] * 2 + [2e-3] * 4)  # of the central differences
+SPREAD = np.array([6e-4] * 3 + [0.02] * 2 + [0.09] * 4)  # of the changes for which derivatives count alike
+
+
+def readings(body: Body) -> Term:
+    low_jaw = readings_of(body, np.array([0.3, np.nan, 0.4]))
+    low_jaw.high[2] = 0.45  # the jaw is beyond it
+    return ReadingsTerm(low_jaw)
+
+
+def tips(body: Body) -> Term:
+    given = project_tips(body.instrument, CAMERA, TRUE.seen_from(RIGHT_FROM_LEFT)[None])[0, ::-1] + [3.0, -2.0]
+    view = view_at(body, CAMERA, TRUE, RIGHT_FROM_LEFT, tips=given)
+    (term,) = TipsTerm.of_views([view_at(body, CAMERA, TRUE), view], OutlineConfig())
+    return term
+
+
+def expected(body: Body) -> Term:
+    root = np.random.default_rng(0).normal(size=(9, 9)) / SPREAD
+    return Expected(TRUE, root.T @ root)
+
+
+def coverage(body: Body) -> OutlineTerm[object]:
+    views = [view_at(body, CAMERA, TRUE), view_at(body, CAMERA, TRUE, RIGHT_FROM_LEFT)]
+    return Coverage([SizedView(view, blur=1.2) for view in views], OutlineConfig(cauchy=10.0), correlations=[8, 12])
+
+
+@dataclass(frozen=True)
+class Case:
+    """A term, and how exact its approximation is beside that of its largest derivative."""
+
+    make: Callable[[Body], Term | OutlineTerm[object]]
+    tolerance: float
+    squares_only: bool = True
+
+
+CASES = {
+    "readings": Case(readings, 1e-6),
+    "tips": Case(tips, 2e-3),
+    "expected": Case(expected, 0.02),
+    "coverage": Case(coverage, 0.12),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_local_is_the_derivative_of_cost(bundled_body: Body, name: str) -> None:
+    case = CASES[name]
+    term, at = case.make(bundled_body), TRUE.moved(OFF)
+    information, slope = (part[0] for part in term.local(at[None]).normal_equations(np.zeros((1, 9))))
+    changes = np.diag(STEPS)
+    ahead, behind = (term.cost(Posed.stacked([at.moved(sign * change) for change in changes])) for sign in (1, -1))
+    # of half the sum of squares, in units in which the unknowns count alike
+    gradient = (ahead - behind) / (4 * STEPS) * SPREAD
+    np.testing.assert_allclose(slope * SPREAD, gradient, atol=case.tolerance * np.abs(gradient).max())
+    np.testing.assert_allclose(information, information.T, rtol=1e-5, atol=1e-9 * np.abs(information).max())
+    assert np.linalg.eigvalsh(information * np.outer(SPREAD, SPREAD)).min() > -1e-6 * np.abs(information).max()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_information_tells_how_fast_the_slope_changes(bundled_body: Body, name: str) -> None:
+    term = CASES[name].make(bundled_body)
+    change = OFF / 20
+    slopes = [term.local(at[None]).normal_equations(np.zeros((1, 9)))[1][0] for at in (TRUE, TRUE.moved(change))]
+    information = term.local(TRUE[None]).normal_equations(np.zeros((1, 9)))[0][0]
+    expected_change = information @ change * SPREAD
+    np.testing.assert_allclose(
+        (slopes[1] - slopes[0]) * SPREAD, expected_change, atol=0.25 * np.abs(expected_change).max() + 1e-9
+    )
+
+
+def test_terms_of_several_poses_are_those_of_each(bundled_body: Body) -> None:
+    poses = Posed.stacked([TRUE, TRUE.moved(OFF), TRUE.moved(-OFF)])
+    for name, case in CASES.items():
+        term = case.make(bundled_body)
+        alone = np.concatenate([term.cost(poses[k][None]) for k in range(3)])
+        np.testing.assert_allclose(term.cost(poses), alone, rtol=1e-4, err_msg=name)
