@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Correction, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, log_likelihood, run_filter
 from dvrk_cmaes.joints.cable_prior import CablePrior
 from dvrk_cmaes.joints.cables import features
@@ -99,17 +98,16 @@ def observe_errors(
     """
     count = len(model.names)
     bare = model.with_correction(Correction.none(len(model.outer), count))
-    poses, joints = bare.predict(calibration)
-    off = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)
+    off = bare.predict(calibration).minus(fits.at)
     outer = bare.outer_loadings(calibration)[:3]
     spread = np.einsum("kni,knj->nij", outer, outer)
     spread[:, :6, :6] += np.diag(model.deviations.slack**2)
     loading = np.zeros((6 + count, 1 + count))
     loading[_ROLL_AXIS, 0] = 1.0
     loading[6:, 1:] = np.eye(count)
-    widened = np.eye(6 + count) + fits.information @ spread
-    slope = fits.slope + np.einsum("nij,nj->ni", fits.information, off)
-    seen = np.linalg.solve(widened, np.concatenate([fits.information @ loading, slope[..., None]], axis=2))
+    told, slope = fits.outlines.normal_equations(off)
+    widened = np.eye(6 + count) + told @ spread
+    seen = np.linalg.solve(widened, np.concatenate([told @ loading, slope[..., None]], axis=2))
     seen = weights[:, None, None] * (loading.T @ seen)
     read = ~np.isnan(np.concatenate([model.outer[:, 3:], model.joints], axis=1))
     information = seen[:, :, :-1] * read[:, :, None] * read[:, None]
@@ -125,10 +123,10 @@ def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, Cabl
     least = fits[0].trial.likelihood
 
     def most_likely(among: list[_Fit]) -> CableFit:
-        best = max(among, key=lambda one: one.trial.likelihood)
+        best = max(among, key=lambda fit: fit.trial.likelihood)
         return (best if best.trial.likelihood > least + _MARGIN else among[0]).described(session, least)
 
-    return most_likely(fits), most_likely([one for one in fits if not _ORDERED & {*one.parts}])
+    return most_likely(fits), most_likely([fit for fit in fits if not _ORDERED & {*fit.parts}])
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +207,9 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
         return _Trial(filtered.log_likelihood, noise, filtered, assumed)
 
     usual = 1.0 if "wander" in parts else 0.0
-    best = max((trial(noise, usual) for noise in _NOISES), key=lambda one: one.likelihood)
+    best = max((trial(noise, usual) for noise in _NOISES), key=lambda tried: tried.likelihood)
     others = [trial(best.noise, wander) for wander in _WANDERS] if "wander" in parts else []
-    return _Fit(parts, active, given, max([best, *others], key=lambda one: one.likelihood))
+    return _Fit(parts, active, given, max([best, *others], key=lambda tried: tried.likelihood))
 
 
 def _observations(session: CableSession, active: NDArray[np.bool_]) -> Observations:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import adjoint, change_between, inverse
+from dvrk_cmaes.geometry import Posed, adjoint, inverse
+from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 
@@ -30,14 +31,21 @@ _OUTLIER_STD = np.array([0.02, 0.02, 0.02, _OUTLIER_ANGLE, _OUTLIER_ANGLE, 2 * _
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode of a frame's pose: camera_from_root (4, 4), joints (J,), rad, and their covariance (D, D), D = 6 + J.
+    """A mode of a frame's pose, with the covariance (D, D) of its small changes, D = 6 + J."""
 
-    The covariance is that of small changes in the root's axes, m and rad.
-    """
-
-    camera_from_root: Float64
-    joints: Float64
+    at: Posed
     covariance: Float64
+
+    @classmethod
+    def all_of(cls, result: Result, joint_names: Sequence[str]) -> list[Mode]:
+        """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
+        pose, covariance = result.camera_from_root, result.covariance
+        assert pose is not None
+        assert covariance is not None
+        poses = [(pose, result.joints), *((other.camera_from_root, other.joints) for other in result.alternatives)]
+        return [
+            cls(Posed(there, np.array([joints[name] for name in joint_names])), covariance) for there, joints in poses
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +117,14 @@ def find_consensus(
 
 def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
     """Choose the mode of each of N frames with the least Mahalanobis distance from a calibration's prediction."""
-    poses, joints = model.predict(calibration)
-    own_poses, own_joints, own_covariance = _stacked(modes)
-    changes = np.concatenate([change_between(poses[:, None], own_poses), own_joints - joints[:, None]], axis=-1)
+    at, own_covariance = _stacked(modes)
+    changes = at.minus(_for_each_mode(model.predict(calibration)))
     squares = _squared_distances(changes, model.covariance(calibration)[:, None] + own_covariance)
     return [of_frame[best] for of_frame, best in zip(modes, squares.argmin(axis=1), strict=True)]
 
 
-def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Float64, Float64, Float64]:
-    """Return the poses (N, M, 4, 4), joints (N, M, J) and covariances (N, M, D, D) of N frames' modes, at most M each.
+def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Posed, Float64]:
+    """Return the modes (N, M) of N frames, at most M each, and their covariances (N, M, D, D).
 
     The last mode of a frame with fewer is repeated, which changes neither the minimum over the frame's modes nor the
     first index at which it is reached.
@@ -125,10 +132,14 @@ def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Float64, Float64, Float64
     most = max(len(of_frame) for of_frame in modes)
     padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
     return (
-        np.array([[m.camera_from_root for m in of_frame] for of_frame in padded]),
-        np.array([[m.joints for m in of_frame] for of_frame in padded]),
-        np.array([[m.covariance for m in of_frame] for of_frame in padded]),
+        Posed.stacked(Posed.stacked(mode.at for mode in of_frame) for of_frame in padded),
+        np.array([[mode.covariance for mode in of_frame] for of_frame in padded]),
     )
+
+
+def _for_each_mode(at: Posed) -> Posed:
+    """Return N predictions with a second axis of length 1, for the modes of each frame."""
+    return Posed(at.pose[:, None], at.joints[:, None])
 
 
 def _squared_distances(changes: Float64, covariance: Float64) -> Float64:
@@ -160,11 +171,11 @@ class _HypothesisScorer:
     def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> None:
         self._model = model
         self._modes = modes
-        self._poses, self._joints, self._covariance = _stacked(modes)
+        self._at, self._covariance = _stacked(modes)
         # No hypothesis has an offset of insertion or roll, so the kinematics and their errors are the same for all.
         none = Calibration(np.eye(4), np.zeros(len(offset_std)))
-        self._base_from_root, self._read = model.predict(none)
-        self._root_from_base = inverse(self._base_from_root)
+        self._read = model.predict(none)  # as seen from the base
+        self._root_from_base = inverse(self._read.pose)
         self._of_readings = model.covariance(none)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
 
@@ -173,28 +184,22 @@ class _HypothesisScorer:
 
         Joints without a reading have an offset of zero, too.
         """
-        mode = self._modes[frame][k]
-        offsets = np.zeros(len(mode.joints) + 2)
-        offsets[2:] = np.nan_to_num(mode.joints - self._model.joints[frame])
-        return Calibration(mode.camera_from_root @ self._root_from_base[frame], offsets)
+        at = self._modes[frame][k].at
+        offsets = np.zeros(len(at.joints) + 2)
+        offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
+        return Calibration(at.pose @ self._root_from_base[frame], offsets)
 
     def score(self, hypothesis: Calibration, frame: int, k: int, test_frames: NDArray[np.intp]) -> _Scores:
         """Score a hypothesis that was made from mode ``k`` of a frame on test frames (V,)."""
-        poses = hypothesis.camera_from_base @ self._base_from_root[test_frames]
-        joints = self._read[test_frames] + hypothesis.offsets[2:]
-        dimension = 6 + joints.shape[1]
+        read = self._read[test_frames].seen_from(hypothesis.camera_from_base)
+        expected = Posed(read.pose, read.joints + hypothesis.offsets[2:])
+        dimension = 6 + expected.joints.shape[1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
         source = self._covariance[frame, k] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
-        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._base_from_root[frame])
+        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
         predicted = transport @ source @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
-        changes = np.concatenate(
-            [
-                change_between(poses[:, None], self._poses[test_frames]),
-                self._joints[test_frames] - joints[:, None],
-            ],
-            axis=-1,
-        )
+        changes = self._at[test_frames].minus(_for_each_mode(expected))
         total = predicted[:, None] + self._covariance[test_frames]
         misfit = _squared_distances(changes, total) / dimension
         log_determinant = np.linalg.slogdet(total)[1] / dimension

@@ -10,8 +10,17 @@ from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
 from scipy.stats import chi2
 
 from dvrk_cmaes.calibration.model import Calibration
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, frame_covariances, leave_one_out, marginalise, solve
-from dvrk_cmaes.geometry import change_between, moved, rotation_angle
+from dvrk_cmaes.calibration.solve import (
+    FrameFits,
+    Solution,
+    frame_covariances,
+    leave_one_out,
+    marginalise,
+    solution_at,
+    solve,
+)
+from dvrk_cmaes.geometry import Posed, change_between, moved, rotation_angle
+from dvrk_cmaes.pose.terms.term import Quadratic
 
 
 def a_start(world: World) -> Calibration:
@@ -65,11 +74,14 @@ def test_more_frames_reduce_standard_deviations() -> None:
 def test_third_of_frames_may_be_outliers() -> None:
     world = make_world(12, seed=4)
     right = world.fits(np.random.default_rng(5))
-    poses = right.poses.copy()
+    poses = right.at.pose.copy()
     wild = np.random.default_rng(6).uniform(-1, 1, (4, 6)) * [0.02, 0.02, 0.02, 1.5, 1.5, 1.5]
     wild[:, :3] += 0.01
     poses[[1, 4, 7, 10]] = moved(poses[[1, 4, 7, 10]], wild)
-    good, found = solved(world, right), solve(world.model, replace(right, poses=poses), world.truth, PRIOR)
+    good, found = (
+        solved(world, right),
+        solve(world.model, replace(right, at=Posed(poses, right.at.joints)), world.truth, PRIOR),
+    )
     apart = change_between(good.calibration.camera_from_base, found.calibration.camera_from_base)
     assert (np.abs(apart) < 2 * np.sqrt(np.diag(found.covariance)[:6])).all()
     assert set(np.flatnonzero(found.weights < 0.05)) == {1, 4, 7, 10}
@@ -96,21 +108,22 @@ def test_marginalised_information_is_exact() -> None:
     fits = world.fits(np.random.default_rng(0))
     frame = marginalise(world.model, fits, world.truth)
     expected = world.model.covariance(world.truth)[0]
-    np.testing.assert_allclose(frame.information[0] @ (expected + np.diag(SEEN**2)), np.eye(9), atol=1e-6)
-    poses, joints = world.model.predict(world.truth)
-    off = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)[0]
-    assert frame.misfit[0] == pytest.approx(off @ np.linalg.solve(expected + np.diag(SEEN**2), off))
+    np.testing.assert_allclose(frame.left.information[0] @ (expected + np.diag(SEEN**2)), np.eye(9), atol=1e-6)
+    off = world.model.predict(world.truth).minus(fits.at)[0]
+    misfit = solution_at(world.model, fits, world.truth, PRIOR).misfit[0]
+    assert misfit == pytest.approx(off @ np.linalg.solve(expected + np.diag(SEEN**2), off))
 
 
 def test_frame_without_outline_information_stays_as_predicted() -> None:
     world = make_world(6)
     fits = world.fits(np.random.default_rng(0))
-    blind = fits.information.copy()
+    blind = fits.outlines.information.copy()
     blind[2] *= 1e-12
-    frames = marginalise(world.model, replace(fits, information=blind), world.truth)
+    fits = replace(fits, outlines=Quadratic(blind, fits.outlines.slope))
+    frames = marginalise(world.model, fits, world.truth)
     np.testing.assert_allclose(frames.deviation[2], 0, atol=1e-6)
     np.testing.assert_allclose(frames.covariance[2], world.model.covariance(world.truth)[2], rtol=1e-6, atol=1e-12)
-    assert frames.misfit[2] == pytest.approx(0, abs=1e-6)
+    assert solution_at(world.model, fits, world.truth, PRIOR).misfit[2] == pytest.approx(0, abs=1e-6)
 
 
 def test_session_reduces_standard_deviations_of_frames() -> None:
