@@ -33,6 +33,7 @@ WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 _SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
+_STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _PLAUSIBLE = 2.0  # standard deviations of `WEAK_PRIOR`; linearised farther away, outlines leave the image
 
 
@@ -135,7 +136,7 @@ def estimate_camera(
     weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (count - 3)])
     for _ in range(passes):
         before, fits = change, outlines.near(at, change)
-        model, solution = solve_with_variances(model, fits, calibration, prior, config)
+        model, solution = solve_with_variances(model, fits, calibration, prior, config, steps=_STEPS)
         calibration, change = solution.calibration, solution.calibration.further
         information = solution.information + weak
         covariance = _inverse(information)[count:, count:]

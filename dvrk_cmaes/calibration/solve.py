@@ -26,7 +26,9 @@ Float64 = NDArray[np.float64]
 _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
 
-_ITERATIONS = 30
+MOST_STEPS = 30
+"""Largest number of steps of an estimation; where weights of outliers fall, it converges slowly."""
+
 _MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
 _PARTS = 8  # of a recording, whose errors are taken for independent of each other
 
@@ -115,7 +117,9 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
-def solve(model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64) -> Solution:
+def solve(
+    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
+) -> Solution:
     """Estimate the calibration by iteratively reweighted Gauss-Newton steps.
 
     Parameters
@@ -127,9 +131,11 @@ def solve(model: SessionModel, fits: FrameFits, start: Calibration, prior: Float
     prior : (K, K)
         Information matrix of the prior, whose mean has zero offsets and further constants; its rows and columns of the
         base are zero.
+    steps
+        Largest number of steps.
     """
     solution = solution_at(model, fits, start, prior)
-    for _ in range(_ITERATIONS):
+    for _ in range(steps):
         at = np.concatenate([np.zeros(6), solution.calibration.offsets, solution.calibration.further])
         information = solution.information
         step = -np.linalg.solve(information, prior @ at + solution.frame_slopes.sum(axis=0))

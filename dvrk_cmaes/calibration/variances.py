@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise, solve
+from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solution, marginalise, solve
 from dvrk_cmaes.config import SessionConfig
 
 Float64 = NDArray[np.float64]
@@ -32,10 +32,12 @@ def solve_with_variances(
     prior: Float64,
     config: SessionConfig,
     initial: Deviations | None = None,
+    *,
+    steps: int = MOST_STEPS,
 ) -> tuple[SessionModel, Solution]:
     """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
     for _ in range(_ITERATIONS):
-        solution = solve(model, fits, start, prior)
+        solution = solve(model, fits, start, prior, steps=steps)
         start = solution.calibration
         model = estimate_variances(model, fits, solution, config, initial)
     return model, solution

@@ -145,3 +145,66 @@ def test_undetermined_offsets_keep_prior_standard_deviation() -> None:
     assert np.isfinite(found.calibration.offsets).all()
     assert abs(np.degrees(found.calibration.offsets[1])) < 20
     assert len(spread) == 8 + len(NAMES)
+
+
+# further unknowns that all frames share
+
+
+def with_further(world: World, fits: FrameFits, columns: np.ndarray, values: np.ndarray) -> FrameFits:
+    """Let the outlines of ``fits`` shift by columns (N, D, E) times the differences of E unknowns from ``values``."""
+    both = np.concatenate([np.tile(np.eye(9), (len(fits.at), 1, 1)), -columns], axis=2)
+    information = np.swapaxes(both, 1, 2) @ fits.outlines.information @ both
+    at = information @ np.concatenate([np.zeros(9), -values])
+    return FrameFits(fits.at, Quadratic(information, at), np.zeros(len(values)))
+
+
+@pytest.mark.parametrize("further", [0, 3])
+def test_information_and_slope_are_the_derivatives_of_the_frames_cost(further: int) -> None:
+    rng = np.random.default_rng(0)
+    world = make_world(6, noise=0.1)
+    columns = SEEN[:, None] * rng.standard_normal((6, 9, further))
+    fits = with_further(world, world.fits(rng, 0.3), columns, np.zeros(further))
+    scale = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-4] + [1e-2] * 4 + [0.1] * further)
+    prior = np.zeros((len(scale),) * 2)
+    start = replace(world.truth, further=np.zeros(further))
+
+    def half(step: np.ndarray) -> float:
+        """Give half the sum of the frames' costs, whose weights are 1."""
+        found = solution_at(world.model, fits, start.changed(step), prior)
+        np.testing.assert_array_equal(found.weights, 1)
+        return float(found.misfit.sum() / 2)
+
+    found = solution_at(world.model, fits, start, prior)
+    steps = np.diag(scale)
+    slope = [(half(step) - half(-step)) / 2 for step in steps]
+    curvature = [half(step) - 2 * half(0 * step) + half(-step) for step in steps]
+    np.testing.assert_allclose(scale * found.frame_slopes.sum(axis=0), slope, rtol=0.01, atol=0.01)
+    np.testing.assert_allclose(scale**2 * np.diag(found.information), curvature, rtol=0.01)
+
+
+def test_further_unknowns_that_do_not_act_change_nothing() -> None:
+    world = make_world(8)
+    fits = world.fits(np.random.default_rng(0))
+    alone = solved(world, fits)
+    padded = replace(fits, outlines=fits.outlines.padded(12), further=np.ones(3))
+    start = replace(a_start(world), further=np.ones(3))
+    beside = solve(world.model, padded, start, np.pad(PRIOR, (0, 3)) + np.diag([*np.zeros(11), 1, 1, 1]))
+    np.testing.assert_allclose(beside.calibration.camera_from_base, alone.calibration.camera_from_base, atol=1e-12)
+    np.testing.assert_allclose(beside.calibration.offsets, alone.calibration.offsets, atol=1e-12)
+    np.testing.assert_allclose(beside.calibration.further, 0, atol=1e-12)
+    np.testing.assert_allclose(beside.information[:11, :11], alone.information, rtol=1e-9, atol=1e-3)
+    np.testing.assert_allclose(beside.weights, alone.weights, atol=1e-9)
+
+
+def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
+    rng = np.random.default_rng(3)
+    world = make_world(20, seed=3)
+    values = np.array([1.0, -2.0, 0.5])
+    fits = with_further(world, world.fits(rng), SEEN[:, None] * rng.standard_normal((20, 9, 3)), values)
+    start = replace(a_start(world), further=np.zeros(3))
+    found = solve(world.model, fits, start, np.pad(PRIOR, (0, 3)) + 1e-4 * np.diag([*np.zeros(11), 1, 1, 1]))
+    std = np.sqrt(np.diag(found.covariance))
+    assert (np.abs(found.calibration.further - values) < 3 * std[11:]).all()
+    assert (std[11:] < 1).all()
+    off = change_between(found.calibration.camera_from_base, world.truth.camera_from_base)
+    assert (np.abs(off) < 3 * std[:6]).all()
