@@ -1,4 +1,4 @@
-"""Settings of `estimate`: a tree of frozen dataclasses, which is also written into every result."""
+"""The package's version, and the settings of `estimate`: a tree of frozen dataclasses. Every result has both."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Any
+
+__version__ = "0.1.0"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
@@ -25,7 +24,7 @@ from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.json_file import read_json_object

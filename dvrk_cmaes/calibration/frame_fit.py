@@ -109,9 +109,9 @@ def fit_frame(
         Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
     shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
-    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
+        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
         coverage = _coverage(views, config, own_estimate, shrink)
         if own_estimate is not None:
             noise = own_estimate.noise if shrink == 1 else None

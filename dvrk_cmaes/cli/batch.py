@@ -172,7 +172,7 @@ def batch(
         write_common,
     )
     from dvrk_cmaes.frames.session_toml import read_session_toml
-    from dvrk_cmaes.runs.exchanged_masks import exchanged_in_results
+    from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
     entries = read_session_toml(session)

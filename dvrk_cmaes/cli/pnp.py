@@ -90,9 +90,9 @@ def _by_markers(
     markers: Path | None,
 ) -> Iterator[Result]:
     """Yield a result for each frame from the markers in the session's markers.csv."""
+    from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
     from dvrk_cmaes.frames.markers import read_detections, read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
-    from dvrk_cmaes.pnp.pnp_frame import pose_from_markers
 
     table = read_marker_table(markers or bundled_path("markers", "lnd.json"))
     path = session.folder / "markers.csv"
@@ -108,8 +108,8 @@ def _by_markers(
 
 def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions) -> Iterator[Result]:
     """Yield a result for each frame from its jaw tips and shaft edges."""
+    from dvrk_cmaes.estimation.pnp.frame import pose_from_tips
     from dvrk_cmaes.frames.frame import read_frame
-    from dvrk_cmaes.pnp.pnp_frame import pose_from_tips
 
     for files in session.frames:
         yield pose_from_tips(files, read_frame(files, session.camera), model, arm=instrument.kinematics)

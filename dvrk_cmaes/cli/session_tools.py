@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.runs.batch import BatchSummary
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 
 def chosen_tools(entries: SessionEntries | None, only: Sequence[str], folder: Path) -> list[ToolEntry | None]:
@@ -120,7 +120,7 @@ def arms_in_session(
     entries: SessionEntries | None,
 ) -> dict[str, ArmInSession]:
     """Read a session as each of its arms sees it."""
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
     arms = {}
     for tool in tools:

@@ -151,7 +151,7 @@ def track(
     from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation import shared_views
-from dvrk_cmaes.evaluate.fellows import PREFIX
 from dvrk_cmaes.frames.tool_frames import with_start
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
+from dvrk_cmaes.runs.base_agreement import PREFIX
 from dvrk_cmaes.runs.batch import (
     TIME_LIMIT,
     BatchProgress,

@@ -16,6 +16,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, moved
@@ -25,7 +26,6 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import write_camera_info
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
 from dvrk_cmaes.synth.truth import Truth

@@ -29,13 +29,13 @@ class ReadingsTerm(Term):
         values, sigma = self.readings.values, self.readings.sigma
         known = ~np.isnan(values)
         weight, centre = np.where(known, 1 / sigma**2, 0.0), np.where(known, values, 0.0)
-        found = Quadratic.zero(len(at), 6 + len(values))
+        quadratic = Quadratic.zero(len(at), 6 + len(values))
         low, high = self.readings.low - at.joints, at.joints - self.readings.high
         joints = range(6, 6 + len(values))
-        found.information[:, joints, joints] = weight + ((low > 0) | (high > 0)) / LIMIT_SIGMA**2
-        found.slope[:, 6:] = weight * (at.joints - centre)
-        found.slope[:, 6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
-        return found
+        quadratic.information[:, joints, joints] = weight + ((low > 0) | (high > 0)) / LIMIT_SIGMA**2
+        quadratic.slope[:, 6:] = weight * (at.joints - centre)
+        quadratic.slope[:, 6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
+        return quadratic
 
     def allowed(self, at: Posed) -> Posed:
         """Return the poses with joints clipped to at most ``LIMIT_SIGMA`` beyond their limits."""
