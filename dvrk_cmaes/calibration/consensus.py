@@ -50,15 +50,18 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """The calibration on which most frames agree.
+    """A calibration with what N frames say of it, each by its most likely mode.
 
-    ``chosen`` (N,) is the index of each frame's mode that fits it best, ``misfit`` (N,) that mode's squared Mahalanobis
-    distance from the prediction divided by D.
+    ``chosen`` (N,) is the index of that mode, ``misfit`` (N,) its squared Mahalanobis distance from the prediction
+    divided by D. ``cost`` (N,) is twice the negative log-likelihood per degree of freedom, up to a constant, and at
+    most that of an outlier. It includes the determinant of the covariance, since a hypothesis from an uncertain mode
+    has a small misfit in every frame.
     """
 
     calibration: Calibration
     chosen: NDArray[np.intp]
     misfit: Float64
+    cost: Float64
 
     @property
     def agree(self) -> NDArray[np.bool_]:
@@ -97,22 +100,12 @@ def find_consensus(
     hypothesis_frames, test_frames
         Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
     """
-    candidates = [(frame, k) for frame, of_frame in enumerate(modes) for k in range(len(of_frame))]
+    proposing = _evenly_spaced(len(modes), hypothesis_frames).tolist()
     tested = _evenly_spaced(len(modes), test_frames)
-    proposing = set(_evenly_spaced(len(modes), hypothesis_frames).tolist())
-    scorer = _HypothesisScorer(model, modes, offset_std)
-    best: Calibration | None = None
-    least = np.inf
-    for frame, k in candidates:
-        if frame not in proposing:
-            continue
-        hypothesis = scorer.hypothesis(frame, k)
-        cost = float(scorer.score(hypothesis, frame, k, tested).cost.sum())
-        if cost < least:
-            best, least, source = hypothesis, cost, (frame, k)
-    assert best is not None
-    scores = scorer.score(best, *source, np.arange(len(modes)))
-    return Consensus(best, scores.chosen, scores.misfit)
+    hypotheses = _Hypotheses(model, modes, offset_std)
+    candidates = [(frame, k) for frame in proposing for k in range(len(modes[frame]))]
+    best = min(candidates, key=lambda source: float(hypotheses.tested(source, tested).cost.sum()))
+    return hypotheses.tested(best, np.arange(len(modes)))
 
 
 def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
@@ -147,23 +140,8 @@ def _squared_distances(changes: Float64, covariance: Float64) -> Float64:
     return np.asarray(np.einsum("vmi,vmi->vm", changes, np.linalg.solve(covariance, changes[..., None])[..., 0]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Scores:
-    """Scores of a hypothesis on V test frames, each by the frame's most likely mode.
-
-    ``cost`` (V,) is twice the negative log-likelihood per degree of freedom, up to a constant, and at most that of an
-    outlier. It includes the determinant of the covariance, since a hypothesis from an uncertain mode has a small misfit
-    in every frame. ``misfit`` (V,) is the squared Mahalanobis distance per degree of freedom, ``chosen`` (V,) the index
-    of the mode.
-    """
-
-    cost: Float64
-    misfit: Float64
-    chosen: NDArray[np.intp]
-
-
-class _HypothesisScorer:
-    """Makes calibrations from single modes, and scores them on other frames.
+class _Hypotheses:
+    """Calibrations that are made from single modes, and what other frames say of them.
 
     ``offset_std`` (2 + J,) are the standard deviations of the offsets about zero, m and rad.
     """
@@ -179,7 +157,7 @@ class _HypothesisScorer:
         self._of_readings = model.covariance(none)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
 
-    def hypothesis(self, frame: int, k: int) -> Calibration:
+    def _calibration(self, frame: int, k: int) -> Calibration:
         """Return the calibration that predicts mode ``k`` of a frame, with zero offsets of insertion and roll.
 
         Joints without a reading have an offset of zero, too.
@@ -189,16 +167,18 @@ class _HypothesisScorer:
         offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
         return Calibration(at.pose @ self._root_from_base[frame], offsets)
 
-    def score(self, hypothesis: Calibration, frame: int, k: int, test_frames: NDArray[np.intp]) -> _Scores:
-        """Score a hypothesis that was made from mode ``k`` of a frame on test frames (V,)."""
+    def tested(self, source: tuple[int, int], test_frames: NDArray[np.intp]) -> Consensus:
+        """Test the calibration that is made from a frame and one of its modes, ``source``, on test frames (V,)."""
+        frame, k = source
+        hypothesis = self._calibration(frame, k)
         read = self._read[test_frames].seen_from(hypothesis.camera_from_base)
         expected = Posed(read.pose, read.joints + hypothesis.offsets[2:])
         dimension = 6 + expected.joints.shape[1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
-        source = self._covariance[frame, k] + self._of_readings[frame]
+        own = self._covariance[frame, k] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
         transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
-        predicted = transport @ source @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
+        predicted = transport @ own @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
         changes = self._at[test_frames].minus(_for_each_mode(expected))
         total = predicted[:, None] + self._covariance[test_frames]
         misfit = _squared_distances(changes, total) / dimension
@@ -208,4 +188,4 @@ class _HypothesisScorer:
         cost = np.minimum(misfit + log_determinant, outlier_cost)
         chosen = (misfit + log_determinant).argmin(axis=1)
         of_chosen = np.arange(len(test_frames)), chosen
-        return _Scores(cost[of_chosen], misfit[of_chosen], chosen)
+        return Consensus(hypothesis, chosen, misfit[of_chosen], cost[of_chosen])
