@@ -42,6 +42,15 @@ def test_standard_deviations_of_session_are_found() -> None:
         assert np.degrees(model.deviations.joints[joint]) == pytest.approx(off.std(), rel=0.2, abs=0.3)
 
 
+def test_frames_that_tell_nothing_change_no_standard_deviation() -> None:
+    world = make_world(40)
+    fits = world.fits(np.random.default_rng(0), 1e4)
+    fits = replace(fits, poses=world.model.predict(world.truth)[0], joints=world.model.predict(world.truth)[1])
+    model = estimate_variances(world.model, fits, world.truth, np.ones(40), CONFIG)
+    np.testing.assert_allclose(model.deviations.joints, world.model.deviations.joints, rtol=1e-3)
+    np.testing.assert_allclose(model.deviations.outer, world.model.deviations.outer, rtol=1e-3)
+
+
 def test_few_frames_change_standard_deviations_little() -> None:
     world = make_world(3, noise=0)
     model = learnt(world, world.fits(np.random.default_rng(0), 0.1))
