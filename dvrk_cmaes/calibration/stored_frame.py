@@ -97,12 +97,12 @@ class StoredFrame:
         """
         places = {} if data.rig is None else {view.name: view.view_from_camera for view in data.rig.views}
         first = next(iter(data.of_views))
-        shown = {name: one for name, one in data.of_views.items() if _shows(one)} or {first: data}
+        shown = {name: of_view for name, of_view in data.of_views.items() if _shows(of_view)} or {first: data}
         views = []
-        for name, one in shown.items():
+        for name, of_view in shown.items():
             tips = keypoints if name == first else None
             evidence = gather_evidence(
-                one.mask, one.camera, body.instrument, ignore=one.ignore, keypoints=tips, seed=config.seed
+                of_view.mask, of_view.camera, body.instrument, ignore=of_view.ignore, keypoints=tips, seed=config.seed
             )
             renderer = Renderer(body, evidence.camera, threads=1)
             views.append(FrameView(name, evidence, renderer, places.get(name, np.eye(4))))

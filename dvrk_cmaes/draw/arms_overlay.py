@@ -95,9 +95,8 @@ def _draw_arm(frame: FrameCanvas, drawing: ArmDrawing) -> None:
     assert pose is not None
     joints = np.array([drawing.result.joints[name] for name in instrument.joint_names])
     height, width = canvas.image.shape[:2]
-    silhouette = Renderer(drawing.body, frame.camera.scaled(width, height), threads=1).masks(pose[None], joints[None])[
-        0
-    ]
+    renderer = Renderer(drawing.body, frame.camera.scaled(width, height), threads=1)
+    silhouette = renderer.masks(pose[None], joints[None])[0]
     canvas.tint(silhouette, drawing.colour, _TINT)
     canvas.outline(silhouette, drawing.colour)
     line, tips = skeleton_lines(instrument, pose, joints, frame.camera)
