@@ -76,9 +76,7 @@ def test_errors_that_successive_frames_share_do_not_average_out() -> None:
     own, shared = rng.standard_normal((80, 9)), np.repeat(rng.standard_normal((8, 9)), 10, axis=0)
     spreads = []
     for off in (own, shared):
-        fits = world.fits(rng)
-        off = off * SEEN
-        fits = replace(fits, poses=moved(world.poses, off[:, :6]), joints=world.joints + off[:, 6:])
+        fits = replace(world.fits(rng), at=world.at.moved(off * SEEN))
         spreads.append(np.sqrt(np.diag(solved(world, fits).covariance)))
     of_offsets = (spreads[1] / spreads[0])[7:]  # the base follows from readings without errors
     assert of_offsets.mean() > 1.5

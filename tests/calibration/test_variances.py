@@ -9,7 +9,7 @@ import pytest
 from helpers.session_worlds import PRIOR, World, make_world
 
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, solve
+from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.config import SessionConfig
 
@@ -44,9 +44,8 @@ def test_standard_deviations_of_session_are_found() -> None:
 
 def test_frames_that_tell_nothing_change_no_standard_deviation() -> None:
     world = make_world(40)
-    fits = world.fits(np.random.default_rng(0), 1e4)
-    fits = replace(fits, poses=world.model.predict(world.truth)[0], joints=world.model.predict(world.truth)[1])
-    model = estimate_variances(world.model, fits, world.truth, np.ones(40), CONFIG)
+    fits = replace(world.fits(np.random.default_rng(0), 1e4), at=world.model.predict(world.truth))
+    model = estimate_variances(world.model, fits, solution_at(world.model, fits, world.truth, PRIOR), CONFIG)
     np.testing.assert_allclose(model.deviations.joints, world.model.deviations.joints, rtol=1e-3)
     np.testing.assert_allclose(model.deviations.outer, world.model.deviations.outer, rtol=1e-3)
 
