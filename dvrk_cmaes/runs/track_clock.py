@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.gaps import unbroken
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 
@@ -36,17 +37,14 @@ class TrackClock:
     def readings_at(self, times: NDArray[np.float64], gap: float) -> dict[str, NDArray[np.float64]]:
         """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.
 
-        ``gap`` s is the time between two readings from which on there is a gap between them.
+        ``gap`` s is the longest time between two readings without a gap between them.
         """
         found = {}
         for joint in sorted({name for _, row in self.readings for name in row}):
             known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
             stamps, values = np.array(known, dtype=np.float64).T
-            at = np.interp(times, stamps, values, left=np.nan, right=np.nan)
-            after = np.clip(np.searchsorted(stamps, times), 1, max(len(stamps) - 1, 1))
-            if len(stamps) > 1:
-                at[stamps[after] - stamps[after - 1] > gap] = np.nan
-            found[joint] = at
+            series = TimedReadings((joint,), stamps, values[:, None])
+            found[joint] = series.at(times, unbroken(gap), straight_line)[:, 0]
         return found
 
     @staticmethod
