@@ -74,7 +74,7 @@ def continued(gap: float) -> Gaps:
     """Return the rule that readings are known from the first one until ``gap`` after the last, however far apart."""
 
     def known(times: Times, earlier: Times, later: Times) -> Known:
-        return np.asarray((earlier <= times) & (times <= later + gap))
+        return (earlier <= times) & (times <= later + gap)
 
     return known
 
@@ -86,4 +86,4 @@ def _is_between(times: Times, earlier: Times, later: Times) -> Known:
 
 def _is_read(times: Times, earlier: Times, later: Times) -> Known:
     """Whether there are readings of the times themselves."""
-    return (times == earlier) | (times == later)
+    return np.asarray((times == earlier) | (times == later))

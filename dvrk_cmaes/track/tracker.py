@@ -27,7 +27,7 @@ from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.hypothesis import Follower
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel
-from dvrk_cmaes.track.readings import Readings
+from dvrk_cmaes.track.readings import LaggedReadings
 from dvrk_cmaes.track.recovery import GlobalSearch
 from dvrk_cmaes.track.rig_outline import RigOutlines
 from dvrk_cmaes.track.rig_sight import Images, Masks, RigSight
@@ -89,7 +89,7 @@ class Tracker:
         self._names = body.instrument.joint_names
         self._arm: Arm = arm if calibration is None else calibration.arm
         track = settings.track
-        self._readings = Readings(body.instrument, self._arm, track, calibration, lag)
+        self._readings = LaggedReadings(body.instrument, self._arm, track, calibration, lag)
         roll_offset, cables = body.instrument.roll_offset, self._readings.cables
         motion = MotionModel(track, len(self._names), self._arm, roll_offset, cables)
         follower = Follower(track, motion, RigOutlines(body, rig, track.points))
