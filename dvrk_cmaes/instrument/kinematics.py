@@ -9,13 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from dvrk_cmaes.geometry import adjoint
 
 Motion = Literal["fixed", "revolute", "prismatic"]
 
@@ -132,37 +129,6 @@ class Chain:
         for column, index in enumerate(selected):
             out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
         return out
-
-    @cached_property
-    def _moving(self) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64]]:
-        """The indices of the M moving joints, how each moves its child link, and which of them carry which link.
-
-        The motions (M, 6, 1) are as in `twists`, in the axes of the child link. The last is (K + 1, J, M), of the child
-        links of the K joints, then of the root link, by the independent joints that drive them: 1 or 0.
-        """
-        moving = [index for index, joint in enumerate(self.joints) if joint.moves]
-        drivers = [joint.driver for joint in self.joints if joint.driver is not None]
-        motions = np.zeros((len(moving), 6, 1))
-        carried = np.zeros((len(self.joints) + 1, max(drivers, default=-1) + 1, len(moving)))
-        for column, index in enumerate(moving):
-            joint = self.joints[index]
-            begin = 3 if joint.motion == "revolute" else 0
-            motions[column, begin : begin + 3, 0] = joint.multiplier * joint.axis
-            for link in range(len(self.joints)):
-                carried[link, joint.driver, column] = index in self.path(link)
-        return moving, motions, carried
-
-    def twists(self, joints: NDArray[np.float64], selected: Sequence[int]) -> tuple[NDArray[np.float64], ...]:
-        """Compute the poses (..., S, 4, 4) of selected links at joints (..., J), and their motions (..., S, 6, J).
-
-        ``selected`` and the poses are as in `forward`. The motion is that by a unit of each joint: the velocity, m, of
-        the link's point at the root link's origin, then the rotation, rad, both in the root link's axes.
-        """
-        moving, motions, carried = self._moving
-        poses = self.forward(joints, [*selected, *moving])
-        links, hinges = poses[..., : len(selected), :, :], poses[..., len(selected) :, :, :]
-        by_hinge = (adjoint(hinges) @ motions)[..., None, :, :, 0]  # (..., 1, M, 6)
-        return links, (carried[list(selected)] @ by_hinge).swapaxes(-1, -2)
 
     def path(self, index: int) -> list[int]:
         """List the indices of the joints from the root link to one joint, inclusive."""
