@@ -17,7 +17,7 @@ from dvrk_cmaes.joints.rows import JointFile
 Float64 = NDArray[np.float64]
 
 _NUMBER = re.compile(r"\d+$")
-_LEAST_GAP = 0.1  # s, between readings that are not interpolated
+_LEAST_GAP = 0.1  # s, of the gaps that are not interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,9 @@ class ReadingSeries:
         out = np.full((len(times), len(names)), np.nan)
         for k, name in enumerate(names):
             if name in self.times:
-                one = TimedReadings((name,), self.times[name], self.values[name][:, None])
-                gaps = usual_spacing(one.times, _LEAST_GAP if self.unit == "s" else 0.0)
-                out[:, k] = one.at(times, gaps, smooth_spline if smoothed else straight_line)[:, 0]
+                readings = TimedReadings((name,), self.times[name], self.values[name][:, None])
+                gaps = usual_spacing(readings.times, _LEAST_GAP if self.unit == "s" else 0.0)
+                out[:, k] = readings.at(times, gaps, smooth_spline if smoothed else straight_line)[:, 0]
         return out
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:

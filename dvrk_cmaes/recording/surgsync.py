@@ -176,10 +176,7 @@ def _at_images(
         )
     series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
     moments = [times[number].image for number in values]
-    at = np.array(moments, dtype=np.int64)
-    known, interpolated = (
-        series.known(at, within(_WIDEST_GAP)),
-        series.at(at, within(_WIDEST_GAP), weighted_mean).tolist(),
-    )
+    at, gaps = np.array(moments, dtype=np.int64), within(_WIDEST_GAP)
+    known, interpolated = series.known(at, gaps), series.at(at, gaps, weighted_mean).tolist()
     at_images = [new if there else own for new, own, there in zip(interpolated, values.values(), known, strict=True)]
     return TimedReadings.of(source, joints, moments, at_images)
