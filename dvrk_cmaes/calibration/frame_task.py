@@ -61,7 +61,7 @@ class DataOfCamera:
 
     def __call__(self) -> FrameData:
         """Read the data."""
-        return replace(self.data if isinstance(self.data, FrameData) else self.data(), camera=self.camera)
+        return (self.data if isinstance(self.data, FrameData) else self.data()).with_camera(self.camera)
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,7 @@ class Source:
             There is nothing at the path, or it is neither.
         """
         from dvrk_cmaes.frames.session_video import own_video
-        from dvrk_cmaes.frames.video_file import SUFFIXES
+        from dvrk_cmaes.frames.video_frames import SUFFIXES
         from dvrk_cmaes.recording.bag import SUFFIXES as BAGS
 
         if path.suffix.lower() in SUFFIXES and not path.is_dir():

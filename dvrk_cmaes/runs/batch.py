@@ -176,9 +176,7 @@ def run_batch(
     home = Path(os.path.abspath(session.folder))
     if any(files.mask is None for files in frames) and Path(os.path.abspath(out)) == home:
         raise InputError(f"{out}: expected another folder than the session's, for the masks found in its images")
-    setup = BatchSetup(
-        instrument, session.camera, settings, arm, home, segment or SegmentSettings(), calibration, session.rig
-    )
+    setup = BatchSetup(instrument, session.rig, settings, arm, home, segment or SegmentSettings(), calibration)
     started = time.monotonic()
     with locked(folder):
         refuse_occupied_places(folder)

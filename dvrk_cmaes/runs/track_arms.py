@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
 from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_while_followed
-from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
 from dvrk_cmaes.runs.exchanged_masks import ArmInSession, FoundFrame, find_exchanged_masks
@@ -52,7 +51,7 @@ def write_track_arms(
     if not (video or page):
         return
     rows = {arm: read_tracks(out / arm / TRACKS) for arm in arms}
-    rig = Rig.of(next(iter(arms.values())).session.cameras)
+    rig = next(iter(arms.values())).session.rig
     seen = {arm: seen_frames(one.session.frames[::every], rows[arm], rig, one.body) for arm, one in arms.items()}
     chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm})))
     pictures: list[FramePicture] = []

@@ -29,8 +29,7 @@ def seen_by_both(body: Body, frame: SessionFrame, truth: Truth, *, left: bool = 
     assert isinstance(frame.data, FrameData)
     there = Renderer(body, SMALL).masks((RIGHT_FROM_LEFT @ truth.camera_from_root)[None], truth.values[None])[0]
     mask = frame.data.mask if left else np.zeros_like(frame.data.mask)
-    data = replace(frame.data, mask=mask, rig=RIG, others={"right": FrameData(there, SMALL, None, None, ())})
-    return replace(frame, data=data)
+    return replace(frame, data=FrameData.of({"left": mask, "right": there}, RIG))
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +81,7 @@ def test_new_frame_is_predicted_and_fitted_in_both_eyes(
     frames, solved = both_eyes
     data = frames[0].data
     assert isinstance(data, FrameData)
-    masks = {"left": data.mask, "right": data.others["right"].mask}
+    masks = {view.name: view.mask for view in data.views}
     found = estimate(masks, RIG, frames[0].result.readings, bundled_body, session=solved.calibration, config=SETTINGS)
     assert found.source == "session"
     together = solved.results[frames[0].name].camera_from_root
