@@ -300,9 +300,11 @@ def _run(
             session = with_calibrated_lag(session, calibration)
         elif find_lag:
             with progress() as reporter:
-                found = find_batch_lag(session, out, partial(run, progress=reporter), model, settings, arm.kinematics)
-            warn(found.text)
-            session = session if found.lag is None else session.with_lag(found.lag)
+                found_lag = find_batch_lag(
+                    session, out, partial(run, progress=reporter), model, settings, arm.kinematics
+                )
+            warn(found_lag.text)
+            session = session if found_lag.lag is None else session.with_lag(found_lag.lag)
         reporter = stack.enter_context(progress())
         return run(session, out, pattern=pattern, shard=shard, retry_failed=retry_failed, progress=reporter)
 

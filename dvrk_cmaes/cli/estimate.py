@@ -160,9 +160,9 @@ def estimate(
     body = instrument.load()
     known = read_calibration_of(calibration)
     lag = None if known is None else known.applied_lag
-    found = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
-    files = replace(files, readings=found.readings)
-    data = replace(data, notes=(*camera_file.notes, *found.notes, *data.notes))
+    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
+    files = replace(files, readings=read.readings)
+    data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     run = run_frame(
         files,
         data,

@@ -201,13 +201,13 @@ def check(
     frames = [files for files in arm.session.frames if files.name in kept.frames]
     results = _tracked(estimate_all(frames, arm, config), len(frames))
     checks = list(checked(results, kept, arm.body.instrument, most, modulo_twin=tolerance.modulo_twin))
-    right = all(one.check.right for one in checks)
+    right = all(frame.check.right for frame in checks)
     not_checked = [files.name for files in arm.session.frames if files.name not in kept.frames]
     if json:
         document = {
             "right": right,
             "tolerance": asdict(most),
-            "frames": [one.to_dict() for one in checks],
+            "frames": [frame.to_dict() for frame in checks],
             "not_checked": not_checked,
         }
         print(json_text(document), end="")

@@ -123,7 +123,7 @@ def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:
 def read_calibration_of(path: Path | None, arm: str = "") -> SessionCalibration | None:
     """Read the calibration that ``--session`` names: a session.json, or the folder that `calibrate` wrote.
 
-    ``arm`` is one of a session with several: its own is in the folder's subfolder of that name. None for no option.
+    ``arm`` is one of a session with several: its own is in the folder's subfolder of that name. None without a path.
 
     Raises
     ------

@@ -34,7 +34,9 @@ def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
         overlay = overlay_path(out, frame)
         if not _is_newer(overlay, [result_path(folder.folder, frame) for folder in folders.values()]):
             shown = drawings(results, bodies, frame)
-            seen = [(frames[one.arm][frame], arms[one.arm].session.camera) for one in shown if frame in frames[one.arm]]
+            seen = [
+                (frames[tool.arm][frame], arms[tool.arm].session.camera) for tool in shown if frame in frames[tool.arm]
+            ]
             drawn = _drawn(shown, seen)
             if drawn is not None:
                 write_bytes(overlay, encoded_image(overlay, drawn))

@@ -204,7 +204,7 @@ def run_batch(
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
-    counts, files = document["counts"], {one.name: one for one in frames}
+    counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
 
 

@@ -64,9 +64,9 @@ def calibrate_folder(
     DvrkCmaesError
         A process died, or the disk is full.
     """
-    files = {one.name: _with_mask(one, alone) for one in session.frames}
+    files = {own.name: _with_mask(own, alone) for own in session.frames}
     frames = []
-    for name, one in files.items():
+    for name, own in files.items():
         check_output(out, name)
         if name not in results:
             continue
@@ -76,8 +76,8 @@ def calibrate_folder(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
         # The image is only needed for the overlay.
-        reader = functools.partial(read_frame, one.changed(image=None), session.rig)
-        frames.append(SessionFrame(name, reader, result, one.keypoints))
+        reader = functools.partial(read_frame, own.changed(image=None), session.rig)
+        frames.append(SessionFrame(name, reader, result, own.keypoints))
     with ExitStack() as stack:
         if processes is None:
             processes = stack.enter_context(instrument_processes(instrument, workers, frames))

@@ -64,9 +64,9 @@ def solve_crossing(
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [
-            replace(_by_itself(batch.results[name]), other_tools=found[arm])
-            for name, found in places.items()
-            if arm in found and batch.results[name].other_tools != found[arm]
+            replace(_by_itself(batch.results[name]), other_tools=of_arms[arm])
+            for name, of_arms in places.items()
+            if arm in of_arms and batch.results[name].other_tools != of_arms[arm]
         ]
         for arm, batch in batches.items()
     }
@@ -170,14 +170,14 @@ def _solved_again(
             done += 1
             progress.on_frame(outcome)
         timing = _timing(batch, time.monotonic() - started)
-        found = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
-    document = found.summary or {}
+        results = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
+    document = results.summary or {}
     return replace(
         batch,
         interrupted=done < len(todo),
         counts=document["counts"],
         document=document,
-        results=found.frames,
+        results=results.frames,
     )
 
 

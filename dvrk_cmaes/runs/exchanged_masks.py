@@ -46,7 +46,9 @@ def exchanged_in_results(
 ) -> list[str]:
     """Say which arms seem to be exchanged, given the results of each by frame: by their joints, else by their masks."""
     return exchanged_tools(results) or find_exchanged_masks(
-        arms, {arm: {name: _found(one) for name, one in of_arm.items()} for arm, of_arm in results.items()}, config
+        arms,
+        {arm: {name: _found(result) for name, result in of_arm.items()} for arm, of_arm in results.items()},
+        config,
     )
 
 
@@ -67,7 +69,7 @@ def find_exchanged_masks(
     """
     texts = []
     for first, second in combinations(arms, 2):
-        names = [name for name, one in found[first].items() if name in found[second] and one.readings]
+        names = [name for name, frame in found[first].items() if name in found[second] and frame.readings]
         bad = [not found[arm][name].ok for arm in (first, second) for name in names]
         if not names or np.mean(bad) < _SUSPECT:
             continue
@@ -86,14 +88,14 @@ def _losses(
     config: EstimateConfig,
 ) -> tuple[float, float] | None:
     """Return the losses of two arms together in a frame with their masks, and with each other's; None without them."""
-    files = {arm: next((one for one in arms[arm].session.frames if one.name == name), None) for arm in pair}
+    files = {arm: next((own for own in arms[arm].session.frames if own.name == name), None) for arm in pair}
     own, exchanged = 0.0, 0.0
     for arm, other in (pair, pair[::-1]):
-        mine, masks, one = files[arm], files[other], found[arm][name]
+        mine, masks, frame = files[arm], files[other], found[arm][name]
         if mine is None or masks is None:
             return None
-        mine = replace(mine, readings=one.readings)
-        known = one.loss if one.loss is not None else _loss(mine, arms[arm], config)
+        mine = replace(mine, readings=frame.readings)
+        known = frame.loss if frame.loss is not None else _loss(mine, arms[arm], config)
         tried = _loss(_with_masks(mine, masks), arms[arm], config)
         if known is None or tried is None:
             return None

@@ -73,8 +73,8 @@ class FrameCheck:
             "reasons": list(self.result.reasons),
             "right": self.check.right,
             "is_twin": self.check.is_twin,
-            "errors": {f"{one.quantity}_{one.unit}": one.error for one, _, _ in self.check.rows},
-            "off": [one.quantity for one, _, _ in self.check.rows if one.exceeds],
+            "errors": {f"{measured.quantity}_{measured.unit}": measured.error for measured, _, _ in self.check.rows},
+            "off": [measured.quantity for measured, _, _ in self.check.rows if measured.exceeds],
         }
 
 

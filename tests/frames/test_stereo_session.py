@@ -13,6 +13,7 @@ from helpers.stereo_sessions import CAMERA, RIGHT_FROM_LEFT, camera_info, make_s
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import read_frame, read_frame_image
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.silhouette import Body
 
 
@@ -33,6 +34,16 @@ def test_frames_have_the_files_of_both_views(folder: Path) -> None:
     assert left.mask.any()
     assert right.mask.any()
     assert (left.mask != right.mask).any()
+
+
+def test_session_of_one_camera_is_a_rig_of_one_view() -> None:
+    session = read_session(bundled_path("demo"))
+    assert (session.rig.names, session.view_names) == (("left",), (".",))
+    files = session.frames[0]
+    (view,) = read_frame(files, session.rig).views
+    of_camera = read_frame(files, session.camera)
+    np.testing.assert_array_equal(view.mask, of_camera.mask)
+    assert view.camera == of_camera.camera == session.camera
 
 
 def test_frame_of_one_view_has_an_empty_mask_in_the_other(folder: Path) -> None:
