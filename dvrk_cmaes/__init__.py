@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes._version import __version__
-
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
     from dvrk_cmaes.calibration.document import SessionCalibration
@@ -26,6 +24,7 @@ if TYPE_CHECKING:
         SilhouetteConfig,
         TrackConfig,
         TrustConfig,
+        __version__,
     )
     from dvrk_cmaes.errors import DvrkCmaesError, InputError
     from dvrk_cmaes.estimation import ToolInFrame, estimate, estimate_tools
@@ -94,6 +93,7 @@ _HOMES = {
     "Tracker": "track",
     "TrustConfig": "config",
     "ViewCheck": "results.result",
+    "__version__": "config",
     "calibrate_session": "calibration.calibrate",
     "estimate": "estimation",
     "estimate_tools": "estimation",

@@ -1,4 +1,4 @@
-"""Settings of `estimate`: a tree of frozen dataclasses, which is also written into every result."""
+"""The package's version, and the settings of `estimate`: a tree of frozen dataclasses. Every result has both."""
 
 from __future__ import annotations
 
@@ -6,6 +6,29 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Any
+
+__version__ = "0.1.0"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Allowed values of a number among the settings: from ``least`` to ``most``, and zero if ``zero`` is true."""
+
+    least: float = 1e-9
+    most: float = 1e6
+    zero: bool = False
+    share: bool = False
+
+    @property
+    def metadata(self) -> dict[str, Limits]:
+        """The metadata of a field with these limits; of a table of settings, they are those of all its fields."""
+        return {"limits": self}
+
+
+_SHARE, _SHARE_OR_ZERO = Limits(share=True).metadata, Limits(zero=True, share=True).metadata
+_MAY_BE_ZERO = Limits(zero=True).metadata
+_WIDTH = Limits(least=10, most=10_000).metadata
+_STEP = Limits(least=1e-7, most=1.0).metadata
 
 
 @dataclass(frozen=True)
@@ -61,10 +84,10 @@ class SearchConfig:
     starts: int = 4
     evaluations: int = 64
     spares: int = 22
-    width_px: int = 80
-    detail_m: float = 6e-4
+    width_px: int = field(default=80, metadata=_WIDTH)
+    detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
-    free_share: float = 0.15
+    free_share: float = field(default=0.15, metadata=_SHARE_OR_ZERO)
     unread_share: float = 0.25
     unread_spares: int = 5
 
@@ -163,18 +186,18 @@ class OutlineConfig:
 
     iterations: int = 20
     inner_steps: int = 6
-    blur: float = 1.2
-    lines_per_pixel: int = 2
+    blur: float = field(default=1.2, metadata=Limits(most=100).metadata)
+    lines_per_pixel: int = field(default=2, metadata=Limits(most=100).metadata)
     cauchy: float = 0.5
     small_cauchy: float = 0.25
     last_cauchy: float = 0.03
     correlation: float = 8.0
-    noise_floor: float = 0.15
+    noise_floor: float = field(default=0.15, metadata=_MAY_BE_ZERO)
     keypoint_sigma: float = 2.0
-    translation_step: float = 1e-4
-    swing_step: float = 2e-3
-    turn_step: float = 1e-2
-    joint_step: float = 1e-2
+    translation_step: float = field(default=1e-4, metadata=_STEP)
+    swing_step: float = field(default=2e-3, metadata=_STEP)
+    turn_step: float = field(default=1e-2, metadata=_STEP)
+    joint_step: float = field(default=1e-2, metadata=_STEP)
     tolerance: float = 0.05
 
 
@@ -214,14 +237,14 @@ class RefineConfig:
 
     method: str = "gauss-newton"
     evaluations: int = 400
-    width_px: int = 160
+    width_px: int = field(default=160, metadata=_WIDTH)
     first_steps: int = 3
     first_candidates: int = 12
     agreed_gap: float = 6.0
     small_modes: int = 10
     small_steps: int = 8
-    small_share: float = 0.9
-    last_share: float = 0.93
+    small_share: float = field(default=0.9, metadata=_SHARE)
+    last_share: float = field(default=0.93, metadata=_SHARE)
     first_gap: float = 150.0
     small_gap: float = 80.0
     last_gap: float = 60.0
@@ -265,11 +288,11 @@ class TrustConfig:
     """
 
     tip_mm: float = 2.0
-    least_mode_probability: float = 0.8
-    least_iou: float = 0.85
+    least_mode_probability: float = field(default=0.8, metadata=_SHARE_OR_ZERO)
+    least_iou: float = field(default=0.85, metadata=_SHARE_OR_ZERO)
     largest_distal_px: float = 2.8
     largest_bend_px: float = 3.0
-    largest_bend_share: float = 0.06
+    largest_bend_share: float = field(default=0.06, metadata=_SHARE_OR_ZERO)
     largest_outline_gap: float = 2.0
     largest_reading_sigmas: float = 2.8
     largest_reading_sum: float = 7.8
@@ -450,16 +473,16 @@ class EstimateConfig:
     silhouette: SilhouetteConfig = field(default_factory=SilhouetteConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
-    weights: LossWeights = field(default_factory=LossWeights)
+    weights: LossWeights = field(default_factory=LossWeights, metadata=_MAY_BE_ZERO)
     readings: ReadingSigmas = field(default_factory=ReadingSigmas)
     lookat: LookAtRange = field(default_factory=LookAtRange)
-    trust: TrustConfig = field(default_factory=TrustConfig)
+    trust: TrustConfig = field(default_factory=TrustConfig, metadata=_MAY_BE_ZERO)
     session: SessionConfig = field(default_factory=SessionConfig)
     track: TrackConfig = field(default_factory=TrackConfig)
     distance_field: str = "fmm"
     decay_px: float = 30.0
-    threads: int = 1
-    seed: int = 0
+    threads: int = field(default=1, metadata=Limits(most=1000).metadata)
+    seed: int = field(default=0, metadata=Limits(most=2**32 - 1, zero=True).metadata)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all settings as nested dictionaries."""

@@ -168,5 +168,5 @@ class Posed:
     @staticmethod
     def stacked(candidates: Iterable[Posed]) -> Posed:
         """Return several candidates along a new first axis; there must be at least one."""
-        all_of_them = list(candidates)
-        return Posed(np.stack([one.pose for one in all_of_them]), np.stack([one.joints for one in all_of_them]))
+        several = list(candidates)
+        return Posed(np.stack([each.pose for each in several]), np.stack([each.joints for each in several]))

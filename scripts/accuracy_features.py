@@ -104,8 +104,8 @@ def _modes(
     def residual_and_score(pose: Float64, joints: Mapping[str, float]) -> tuple[float, float, float]:
         """Return the residual of a pose, its negative log-likelihood, and the part of that by the readings."""
         at = Posed(pose, np.array(list(joints.values())))
-        residual, prior = float(coverage.cost(at[None])[0]), 0.5 * float(readings.cost(at.joints))
-        return residual, coverage.score(residual) + prior, prior
+        (drawn,), prior = coverage.draw(at[None], derivatives=False), 0.5 * float(readings.cost(at.joints))
+        return coverage.cost_of(drawn), coverage.score_of(drawn) + prior, prior
 
     best_residual, best_score, best_prior = residual_and_score(result.camera_from_root, result.joints)
     features = {

@@ -23,11 +23,11 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.evaluate.rig_check import rig_doubts
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.rig_check import rig_doubts
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 

@@ -14,9 +14,9 @@ from typing import Final
 import cv2
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.synth.files import write_camera_info
 
 SHARED: Final = Path(__file__).resolve().parents[2] / "shared" / "frames"
 

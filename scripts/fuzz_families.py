@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.images import read_image, read_mask
@@ -25,7 +26,6 @@ from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import run_batch
-from dvrk_cmaes.synth.files import write_camera_info
 
 FRAMES = 3
 QUICK = """seed = 1

@@ -17,12 +17,13 @@ import numpy as np
 from committed_data import refuse_in_ci
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
+from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.masks import MEDIUM, simulate_segmentation
 from dvrk_cmaes.synth.occluders import tissue_over_jaw

@@ -22,7 +22,7 @@ from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.cli.help import topic_pages
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.export.formats import DIRECTIONS
+from dvrk_cmaes.export.table import FORMATS
 from dvrk_cmaes.io.toml_file import leaves, updated
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Alternative, Quality, Result, ViewCheck
@@ -119,8 +119,8 @@ def test_fields_of_calibration_are_explained() -> None:
 
 def test_exports_are_explained_with_direction() -> None:
     rows = dict(re.findall(r"^\| `(\w[\w-]*)` \|.*\| (.*) \|$", REFERENCE["exports"], flags=re.MULTILINE))
-    assert set(rows) == set(DIRECTIONS)
-    assert all(rows[name].split(",")[0].split(" ")[0] in direction for name, direction in DIRECTIONS.items())
+    assert set(rows) == set(FORMATS)
+    assert all(rows[name].split(",")[0].split(" ")[0] in FORMATS[name].direction for name in rows)
 
 
 def test_example_settings_are_valid() -> None:

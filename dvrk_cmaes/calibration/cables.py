@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Correction, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, log_likelihood, run_filter
 from dvrk_cmaes.joints.cable_prior import CablePrior
 from dvrk_cmaes.joints.cables import features
@@ -99,17 +98,16 @@ def observe_errors(
     """
     count = len(model.names)
     bare = model.with_correction(Correction.none(len(model.outer), count))
-    poses, joints = bare.predict(calibration)
-    off = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)
+    off = bare.predict(calibration).minus(fits.at)
     outer = bare.outer_loadings(calibration)[:3]
     spread = np.einsum("kni,knj->nij", outer, outer)
     spread[:, :6, :6] += np.diag(model.deviations.slack**2)
     loading = np.zeros((6 + count, 1 + count))
     loading[_ROLL_AXIS, 0] = 1.0
     loading[6:, 1:] = np.eye(count)
-    widened = np.eye(6 + count) + fits.information @ spread
-    slope = fits.slope + np.einsum("nij,nj->ni", fits.information, off)
-    seen = np.linalg.solve(widened, np.concatenate([fits.information @ loading, slope[..., None]], axis=2))
+    told, slope = fits.outlines.normal_equations(off)
+    widened = np.eye(6 + count) + told @ spread
+    seen = np.linalg.solve(widened, np.concatenate([told @ loading, slope[..., None]], axis=2))
     seen = weights[:, None, None] * (loading.T @ seen)
     read = ~np.isnan(np.concatenate([model.outer[:, 3:], model.joints], axis=1))
     information = seen[:, :, :-1] * read[:, :, None] * read[:, None]
@@ -122,51 +120,47 @@ def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, Cabl
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
     fits = [_fit(session, prior, parts) for parts in _MODELS if session.lags is not None or not _ORDERED & {*parts}]
-    least = fits[0].trial.likelihood
+    least = fits[0].likelihood
 
     def most_likely(among: list[_Fit]) -> CableFit:
-        best = max(among, key=lambda one: one.trial.likelihood)
-        return (best if best.trial.likelihood > least + _MARGIN else among[0]).described(session, least)
+        best = max(among, key=lambda fit: fit.likelihood)
+        return (best if best.likelihood > least + _MARGIN else among[0]).described(session, least)
 
-    return most_likely(fits), most_likely([one for one in fits if not _ORDERED & {*one.parts}])
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """The outcome of one choice of noise and wander."""
-
-    likelihood: float
-    noise: float
-    filtered: Filtered
-    assumed: Assumed
+    return most_likely(fits), most_likely([fit for fit in fits if not _ORDERED & {*fit.parts}])
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A model with the best of its trials; ``active`` (C, 2 C + 1) marks its coefficients."""
+    """A model fitted with one choice of noise and wander; ``active`` (C, 2 C + 1) marks its coefficients."""
 
     parts: tuple[Part, ...]
     active: NDArray[np.bool_]
     given: Observations
-    trial: _Trial
+    assumed: Assumed
+    filtered: Filtered
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood of all observations."""
+        return self.filtered.log_likelihood
 
     def described(self, session: CableSession, least: float) -> CableFit:
         """Return the fit with each frame's correction; ``least`` is the log-likelihood of offsets alone."""
         count = len(session.names)
         coefficients, std = np.zeros(self.active.shape), np.zeros(self.active.shape)
-        coefficients[self.active] = self.trial.filtered.mean[count:]
-        std[self.active] = np.sqrt(np.diag(self.trial.filtered.covariance)[count:])
-        correction, noise = Correction.none(len(session.readings), count - 1), self.trial.assumed.noise
+        coefficients[self.active] = self.filtered.mean[count:]
+        std[self.active] = np.sqrt(np.diag(self.filtered.covariance)[count:])
+        correction, noise = Correction.none(len(session.readings), count - 1), self.assumed.noise
         if self.parts:
-            means, covariances = leave_one_out(self.trial.filtered)
+            means, covariances = leave_one_out(self.filtered)
             widening = _widening(self.given, means, covariances + np.diag(noise**2))
             back = np.argsort(session.order)
-            values = (means - self.trial.filtered.mean[:count])[back]
+            values = (means - self.filtered.mean[:count])[back]
             correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
             noise = noise * np.sqrt(widening)
-        wander = self.trial.assumed.wander if "wander" in self.parts else np.zeros(count)
-        gain = self.trial.likelihood - least
-        offset = session.offsets + self.trial.filtered.mean[:count]
+        wander = self.assumed.wander if "wander" in self.parts else np.zeros(count)
+        gain = self.likelihood - least
+        offset = session.offsets + self.filtered.mean[:count]
         return CableFit(self.parts, gain, _reference(session), coefficients, std, wander, noise, offset, correction)
 
 
@@ -203,15 +197,15 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
     mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
     std = np.concatenate([session.offset_std, prior.spread[active]])
 
-    def trial(noise: float, wander: float) -> _Trial:
+    def trial(noise: float, wander: float) -> _Fit:
         assumed = Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
-        filtered = run_filter(given, assumed)
-        return _Trial(filtered.log_likelihood, noise, filtered, assumed)
+        return _Fit(parts, active, given, assumed, run_filter(given, assumed))
 
     usual = 1.0 if "wander" in parts else 0.0
-    best = max((trial(noise, usual) for noise in _NOISES), key=lambda one: one.likelihood)
-    others = [trial(best.noise, wander) for wander in _WANDERS] if "wander" in parts else []
-    return _Fit(parts, active, given, max([best, *others], key=lambda one: one.likelihood))
+    trials = {noise: trial(noise, usual) for noise in _NOISES}
+    best = max(_NOISES, key=lambda noise: trials[noise].likelihood)
+    others = [trial(best, wander) for wander in _WANDERS] if "wander" in parts else []
+    return max([trials[best], *others], key=lambda fit: fit.likelihood)
 
 
 def _observations(session: CableSession, active: NDArray[np.bool_]) -> Observations:

@@ -138,14 +138,15 @@ def calibrate_with_evidence(
     alternation.check_constants()
     reports, reasons = alternation.report()
     results = {frame.name: frame.result for frame in frames}
-    results |= {frame.name: one.result for frame, one in zip(alternation.frames, reports, strict=True)}
+    reported = dict(zip((frame.name for frame in alternation.frames), reports, strict=True))
+    results |= {name: report.result for name, report in reported.items()}
     left_out |= reasons
     used = [results[frame.name].quality for frame in alternation.frames if frame.name not in left_out]
     qualities = [quality for quality in used if quality is not None]
     described = describe_solution(alternation.model, alternation.solution, alternation.of_camera, settings)
-    described["untold"] += tuple(alternation.untold)
+    described["untold"] += tuple(alternation.undetermined)
     if alternation.lag.lag is None:
-        described["untold"] += (f"lag between images and readings: {alternation.lag.untold}",)
+        described["untold"] += (f"lag between images and readings: {alternation.lag.undetermined}",)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
@@ -153,9 +154,9 @@ def calibrate_with_evidence(
         frames=tuple(frame.name for frame in alternation.frames if frame.name not in left_out),
         left_out=dict(sorted(left_out.items())),
         leave_one_out={
-            frame.name: (one.leave_one_out.iou, one.leave_one_out.contour_px)
-            for frame, one in zip(alternation.frames, reports, strict=True)
-            if frame.name not in left_out
+            name: (report.leave_one_out.iou, report.leave_one_out.contour_px)
+            for name, report in reported.items()
+            if name not in left_out
         },
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
@@ -170,7 +171,7 @@ def calibrate_with_evidence(
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
-    predicted = {frame.name: one.leave_one_out for frame, one in zip(alternation.frames, reports, strict=True)}
+    predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted), alternation.evidence
 
 
@@ -200,7 +201,7 @@ def find_lag(
     run = partial(_in_threads, body, settings)
     alternation = Alternation(usable, series, body.instrument, arm, settings, run, lambda stage, count: None)
     alternation.search_lag()
-    return alternation.lag.lag, alternation.lag.untold
+    return alternation.lag.lag, alternation.lag.undetermined
 
 
 def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:

@@ -118,13 +118,13 @@ class Clock:
 
         ``width`` (C,), rad, is that of their play; all readings of the series count.
         """
-        at, found = self.read_times(delay), []
+        at, of_joints = self.read_times(delay), []
         for name, column, band in zip(names, readings.T, width, strict=True):
             times, values = self.series.times.get(name), self.series.values.get(name)
             if times is None or values is None:
                 times, values = np.zeros(1), np.full(1, np.nan)
-            found.append(lags_between(times, values, float(band), at, column))
-        return Lags(*(np.stack(part, axis=1) for part in zip(*found, strict=True)))
+            of_joints.append(lags_between(times, values, float(band), at, column))
+        return Lags(*(np.stack(part, axis=1) for part in zip(*of_joints, strict=True)))
 
     def has_readings(self, delay: Delay) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import adjoint, change_between, inverse
+from dvrk_cmaes.geometry import Posed, adjoint, inverse
+from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
 
@@ -30,27 +31,37 @@ _OUTLIER_STD = np.array([0.02, 0.02, 0.02, _OUTLIER_ANGLE, _OUTLIER_ANGLE, 2 * _
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode of a frame's pose: camera_from_root (4, 4), joints (J,), rad, and their covariance (D, D), D = 6 + J.
+    """A mode of a frame's pose, with the covariance (D, D) of its small changes, D = 6 + J."""
 
-    The covariance is that of small changes in the root's axes, m and rad.
-    """
-
-    camera_from_root: Float64
-    joints: Float64
+    at: Posed
     covariance: Float64
+
+    @classmethod
+    def all_of(cls, result: Result, joint_names: Sequence[str]) -> list[Mode]:
+        """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
+        pose, covariance = result.camera_from_root, result.covariance
+        assert pose is not None
+        assert covariance is not None
+        poses = [(pose, result.joints), *((other.camera_from_root, other.joints) for other in result.alternatives)]
+        return [
+            cls(Posed(there, np.array([joints[name] for name in joint_names])), covariance) for there, joints in poses
+        ]
 
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """The calibration on which most frames agree.
+    """A calibration with what N frames say of it, each by its most likely mode.
 
-    ``chosen`` (N,) is the index of each frame's mode that fits it best, ``misfit`` (N,) that mode's squared Mahalanobis
-    distance from the prediction divided by D.
+    ``chosen`` (N,) is the index of that mode, ``misfit`` (N,) its squared Mahalanobis distance from the prediction
+    divided by D. ``cost`` (N,) is twice the negative log-likelihood per degree of freedom, up to a constant, and at
+    most that of an outlier. It includes the determinant of the covariance, since a hypothesis from an uncertain mode
+    has a small misfit in every frame.
     """
 
     calibration: Calibration
     chosen: NDArray[np.intp]
     misfit: Float64
+    cost: Float64
 
     @property
     def agree(self) -> NDArray[np.bool_]:
@@ -89,35 +100,24 @@ def find_consensus(
     hypothesis_frames, test_frames
         Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
     """
-    candidates = [(frame, k) for frame, of_frame in enumerate(modes) for k in range(len(of_frame))]
+    proposing = _evenly_spaced(len(modes), hypothesis_frames).tolist()
     tested = _evenly_spaced(len(modes), test_frames)
-    proposing = set(_evenly_spaced(len(modes), hypothesis_frames).tolist())
-    scorer = _HypothesisScorer(model, modes, offset_std)
-    best: Calibration | None = None
-    least = np.inf
-    for frame, k in candidates:
-        if frame not in proposing:
-            continue
-        hypothesis = scorer.hypothesis(frame, k)
-        cost = float(scorer.score(hypothesis, frame, k, tested).cost.sum())
-        if cost < least:
-            best, least, source = hypothesis, cost, (frame, k)
-    assert best is not None
-    scores = scorer.score(best, *source, np.arange(len(modes)))
-    return Consensus(best, scores.chosen, scores.misfit)
+    hypotheses = _Hypotheses(model, modes, offset_std)
+    candidates = [(frame, k) for frame in proposing for k in range(len(modes[frame]))]
+    best = min(candidates, key=lambda source: float(hypotheses.tested(source, tested).cost.sum()))
+    return hypotheses.tested(best, np.arange(len(modes)))
 
 
 def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
     """Choose the mode of each of N frames with the least Mahalanobis distance from a calibration's prediction."""
-    poses, joints = model.predict(calibration)
-    own_poses, own_joints, own_covariance = _stacked(modes)
-    changes = np.concatenate([change_between(poses[:, None], own_poses), own_joints - joints[:, None]], axis=-1)
+    at, own_covariance = _stacked(modes)
+    changes = at.minus(_for_each_mode(model.predict(calibration)))
     squares = _squared_distances(changes, model.covariance(calibration)[:, None] + own_covariance)
     return [of_frame[best] for of_frame, best in zip(modes, squares.argmin(axis=1), strict=True)]
 
 
-def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Float64, Float64, Float64]:
-    """Return the poses (N, M, 4, 4), joints (N, M, J) and covariances (N, M, D, D) of N frames' modes, at most M each.
+def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Posed, Float64]:
+    """Return the modes (N, M) of N frames, at most M each, and their covariances (N, M, D, D).
 
     The last mode of a frame with fewer is repeated, which changes neither the minimum over the frame's modes nor the
     first index at which it is reached.
@@ -125,10 +125,14 @@ def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Float64, Float64, Float64
     most = max(len(of_frame) for of_frame in modes)
     padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
     return (
-        np.array([[m.camera_from_root for m in of_frame] for of_frame in padded]),
-        np.array([[m.joints for m in of_frame] for of_frame in padded]),
-        np.array([[m.covariance for m in of_frame] for of_frame in padded]),
+        Posed.stacked(Posed.stacked(mode.at for mode in of_frame) for of_frame in padded),
+        np.array([[mode.covariance for mode in of_frame] for of_frame in padded]),
     )
+
+
+def _for_each_mode(at: Posed) -> Posed:
+    """Return N predictions with a second axis of length 1, for the modes of each frame."""
+    return Posed(at.pose[:, None], at.joints[:, None])
 
 
 def _squared_distances(changes: Float64, covariance: Float64) -> Float64:
@@ -136,23 +140,8 @@ def _squared_distances(changes: Float64, covariance: Float64) -> Float64:
     return np.asarray(np.einsum("vmi,vmi->vm", changes, np.linalg.solve(covariance, changes[..., None])[..., 0]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Scores:
-    """Scores of a hypothesis on V test frames, each by the frame's most likely mode.
-
-    ``cost`` (V,) is twice the negative log-likelihood per degree of freedom, up to a constant, and at most that of an
-    outlier. It includes the determinant of the covariance, since a hypothesis from an uncertain mode has a small misfit
-    in every frame. ``misfit`` (V,) is the squared Mahalanobis distance per degree of freedom, ``chosen`` (V,) the index
-    of the mode.
-    """
-
-    cost: Float64
-    misfit: Float64
-    chosen: NDArray[np.intp]
-
-
-class _HypothesisScorer:
-    """Makes calibrations from single modes, and scores them on other frames.
+class _Hypotheses:
+    """Calibrations that are made from single modes, and what other frames say of them.
 
     ``offset_std`` (2 + J,) are the standard deviations of the offsets about zero, m and rad.
     """
@@ -160,41 +149,37 @@ class _HypothesisScorer:
     def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> None:
         self._model = model
         self._modes = modes
-        self._poses, self._joints, self._covariance = _stacked(modes)
+        self._at, self._covariance = _stacked(modes)
         # No hypothesis has an offset of insertion or roll, so the kinematics and their errors are the same for all.
         none = Calibration(np.eye(4), np.zeros(len(offset_std)))
-        self._base_from_root, self._read = model.predict(none)
-        self._root_from_base = inverse(self._base_from_root)
+        self._read = model.predict(none)  # as seen from the base
+        self._root_from_base = inverse(self._read.pose)
         self._of_readings = model.covariance(none)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
 
-    def hypothesis(self, frame: int, k: int) -> Calibration:
+    def _calibration(self, frame: int, k: int) -> Calibration:
         """Return the calibration that predicts mode ``k`` of a frame, with zero offsets of insertion and roll.
 
         Joints without a reading have an offset of zero, too.
         """
-        mode = self._modes[frame][k]
-        offsets = np.zeros(len(mode.joints) + 2)
-        offsets[2:] = np.nan_to_num(mode.joints - self._model.joints[frame])
-        return Calibration(mode.camera_from_root @ self._root_from_base[frame], offsets)
+        at = self._modes[frame][k].at
+        offsets = np.zeros(len(at.joints) + 2)
+        offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
+        return Calibration(at.pose @ self._root_from_base[frame], offsets)
 
-    def score(self, hypothesis: Calibration, frame: int, k: int, test_frames: NDArray[np.intp]) -> _Scores:
-        """Score a hypothesis that was made from mode ``k`` of a frame on test frames (V,)."""
-        poses = hypothesis.camera_from_base @ self._base_from_root[test_frames]
-        joints = self._read[test_frames] + hypothesis.offsets[2:]
-        dimension = 6 + joints.shape[1]
+    def tested(self, source: tuple[int, int], test_frames: NDArray[np.intp]) -> Consensus:
+        """Test the calibration that is made from a frame and one of its modes, ``source``, on test frames (V,)."""
+        frame, k = source
+        hypothesis = self._calibration(frame, k)
+        read = self._read[test_frames].seen_from(hypothesis.camera_from_base)
+        expected = Posed(read.pose, read.joints + hypothesis.offsets[2:])
+        dimension = 6 + expected.joints.shape[1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
-        source = self._covariance[frame, k] + self._of_readings[frame]
+        own = self._covariance[frame, k] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
-        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._base_from_root[frame])
-        predicted = transport @ source @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
-        changes = np.concatenate(
-            [
-                change_between(poses[:, None], self._poses[test_frames]),
-                self._joints[test_frames] - joints[:, None],
-            ],
-            axis=-1,
-        )
+        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
+        predicted = transport @ own @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
+        changes = self._at[test_frames].minus(_for_each_mode(expected))
         total = predicted[:, None] + self._covariance[test_frames]
         misfit = _squared_distances(changes, total) / dimension
         log_determinant = np.linalg.slogdet(total)[1] / dimension
@@ -203,4 +188,4 @@ class _HypothesisScorer:
         cost = np.minimum(misfit + log_determinant, outlier_cost)
         chosen = (misfit + log_determinant).argmin(axis=1)
         of_chosen = np.arange(len(test_frames)), chosen
-        return _Scores(cost[of_chosen], misfit[of_chosen], chosen)
+        return Consensus(hypothesis, chosen, misfit[of_chosen], cost[of_chosen])

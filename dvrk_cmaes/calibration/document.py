@@ -11,14 +11,20 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
-from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.model import (
+    BASE_AXES,
+    OUTER_OFFSETS,
+    Calibration,
+    Deviations,
+    SessionModel,
+    offset_deviations,
+)
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.json_file import read_json_object
@@ -41,9 +47,9 @@ Float64 = NDArray[np.float64]
 
 SCHEMA = 1
 # standard deviations above which a part of the calibration is reported as not determined
-_UNTOLD_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
-_UNTOLD_ROTATION = np.deg2rad(5.0)  # of the base
-_UNTOLD_POSITION = 5e-3  # of the base, m
+_UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
+_UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base
+_UNDETERMINED_POSITION = 5e-3  # of the base, m
 
 
 class _LeftOut(Struct):
@@ -278,29 +284,26 @@ def describe_solution(
             "slack_translation": float(deviations.slack[0]),
             "slack_rotation": float(deviations.slack[3]),
         },
-        "untold": tuple(_untold(std, names, config)),
+        "untold": tuple(_undetermined(std, names, config)),
         "seed": config.seed,
     }
 
 
-def _untold(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> list[str]:
+def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> list[str]:
     """Describe the parts of the calibration whose standard deviations exceed their thresholds."""
-    session = config.session
-    found = []
-    if std[:3].max() > _UNTOLD_POSITION:
-        found.append(f"place of the base: standard deviation {std[:3].max() * 1e3:.1f} mm")
-    if std[3:6].max() > _UNTOLD_ROTATION:
-        found.append(
+    texts = []
+    if std[:3].max() > _UNDETERMINED_POSITION:
+        texts.append(f"place of the base: standard deviation {std[:3].max() * 1e3:.1f} mm")
+    if std[3:6].max() > _UNDETERMINED_ROTATION:
+        texts.append(
             f"rotation of the base: standard deviation {np.degrees(std[3:6].max()):.1f} deg; the arm hardly turns, and "
             "its rotation cannot be told from the offset of roll"
         )
-    expected = [session.insertion_offset_mm * 1e-3, np.deg2rad(session.roll_offset_deg)]
-    expected += [float(np.deg2rad(config.readings.of(name))) for name in names[2:]]
-    for name, deviation, before in zip(names, std[6:], expected, strict=True):
-        if deviation > _UNTOLD_SHARE * before:
+    for name, deviation, before in zip(names, std[6:], offset_deviations(config, names[2:]), strict=True):
+        if deviation > _UNDETERMINED_SHARE * before:
             amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
-            found.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
-    return found
+            texts.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
+    return texts
 
 
 def read_calibration(path: str | Path) -> SessionCalibration:

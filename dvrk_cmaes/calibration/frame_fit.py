@@ -24,6 +24,8 @@ from dvrk_cmaes.pose.views import FrameView
 Float64 = NDArray[np.float64]
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
+_LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
+_OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,11 @@ class FrameFit:
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0
+
+    @property
+    def explains_mask(self) -> bool:
+        """Whether the fit overlaps the mask about as well as the frame's own estimate."""
+        return self.iou > max(self.own_iou - _OVERLAP_LOSS, _LEAST_OVERLAP)
 
     def step_to(self, expected: Expected) -> float:
         """Return how far the fit would move with another prior, in standard deviations per parameter.
@@ -102,9 +109,9 @@ def fit_frame(
         Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
     shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
-    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
+        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
         coverage = _coverage(views, config, own_estimate, shrink)
         if own_estimate is not None:
             noise = own_estimate.noise if shrink == 1 else None

@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, camera_terms, fit_frame
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate
-from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
@@ -53,26 +53,13 @@ class SessionFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class DataOfCamera:
-    """Data of a frame, as in `SessionFrame`, with another camera, for images of the same size."""
-
-    data: FrameData | Callable[[], FrameData]
-    camera: Camera
-
-    def __call__(self) -> FrameData:
-        """Read the data."""
-        return (self.data if isinstance(self.data, FrameData) else self.data()).with_camera(self.camera)
-
-
-@dataclass(frozen=True, eq=False)
 class FitTask:
-    """Arguments of `fit_task`: the frame's stored evidence and readings by name; the others as in `fit_frame`.
+    """Arguments of `fit_task`: the frame's stored evidence; the others as in `fit_frame`.
 
     ``camera`` is that of the fit, where it is not that of the evidence and of the own estimate.
     """
 
     stored: StoredFrame
-    readings: Mapping[str, float]
     expected: Expected
     starts: tuple[Posed, ...]
     camera: Camera | None = None
@@ -80,12 +67,10 @@ class FitTask:
 
 @dataclass(frozen=True, eq=False)
 class CameraTask:
-    """Arguments of `camera_task`: as in `FitTask`, and pose and joints with a changed camera."""
+    """Arguments of `camera_task`: as in `FitTask`, and where the instrument is with a changed camera."""
 
-    stored: StoredEvidence
-    readings: Mapping[str, float]
-    fitted: Posed
-    own_estimate: OwnEstimate
+    stored: StoredFrame
+    at: Posed
     camera: Camera
 
 
@@ -138,11 +123,22 @@ class FrameReport:
 
 def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
     """Read a frame with a pose, gather its evidence, and measure its own estimate."""
-    data = frame.data if isinstance(frame.data, FrameData) else frame.data()
+    data = _read(frame.data)
     pose, joints = frame.result.camera_from_root, frame.result.joints
     assert pose is not None
     own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
     return StoredFrame.of(data, own, body, config, frame.keypoints)
+
+
+def with_camera(frame: SessionFrame, camera: Camera) -> SessionFrame:
+    """Return a frame with another camera, for images of the same size."""
+    return replace(frame, data=partial(_read, frame.data, camera))
+
+
+def _read(data: FrameData | Callable[[], FrameData], camera: Camera | None = None) -> FrameData:
+    """Read the data of a frame, as in `SessionFrame`; ``camera`` replaces theirs."""
+    given = data if isinstance(data, FrameData) else data()
+    return given if camera is None else given.with_camera(camera)
 
 
 def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:
@@ -164,7 +160,7 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
     return fit_frame(
         _restored(body, task.stored, task.camera),
-        _of_instrument(body, config, task.readings),
+        _of_instrument(body, config, {}),
         config,
         task.expected,
         task.starts,
@@ -176,9 +172,9 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
 
 def camera_task(body: Body, config: EstimateConfig, task: CameraTask) -> tuple[Float64, Float64]:
     """Compute the outline's information and slope about a frame's pose and about the camera, as `camera_terms`."""
-    evidence = task.stored.restored()
+    evidence = task.stored.reference.restored()
     view = FrameView("", evidence, Renderer(body, evidence.camera, threads=1), np.eye(4))
-    return camera_terms(view, config, task.fitted, task.own_estimate, task.camera)
+    return camera_terms(view, config, task.at, task.stored.own, task.camera)
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:

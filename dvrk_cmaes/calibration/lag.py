@@ -81,14 +81,14 @@ class SearchedLag:
     """Result of the search for a lag.
 
     ``lag`` is to a step of the search, in the unit of the clock, and ``calibration`` is that on which the frames agree
-    there; both are None if the search does not determine it, and ``untold`` says why. ``curve`` is None if there was
-    nothing to search.
+    there; both are None if the search does not determine it, and ``undetermined`` says why. ``curve`` is None if there
+    was nothing to search.
     """
 
     lag: float | None = None
     calibration: Calibration | None = None
     curve: LagCurve | None = None
-    untold: str = ""
+    undetermined: str = ""
 
 
 @dataclass(frozen=True)
@@ -106,33 +106,35 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     interpolated must be at regular times, and the lag must halve the mean misfit.
     """
     if len(modes) < _LEAST_FRAMES:
-        return SearchedLag(untold=f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed")
+        return SearchedLag(
+            undetermined=f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
+        )
     low, high = RANGE[clock.series.unit]
     step = clock.step
     if step is None:
         return SearchedLag(
-            untold="the readings are too far apart in time to be interpolated, and at uneven times: give all rows of "
-            "the recording, not only those of the frames"
+            undetermined="the readings are too far apart in time to be interpolated, and at uneven times: give all "
+            "rows of the recording, not only those of the frames"
         )
     lags = step * np.arange(round(low / step), round(high / step) + 1)
-    found = [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags]
-    costs = np.array([np.inf if one is None else one.mean_misfit for one in found])
+    agreed = [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags]
+    costs = np.array([np.inf if consensus is None else consensus.mean_misfit for consensus in agreed])
     known = np.isfinite(costs)
     curve = LagCurve(clock.series.unit, lags[known], costs[known])
     best = int(np.argmin(costs))
     synchronous = int(np.argmin(np.abs(lags)))
-    consensus = found[best]
+    consensus = agreed[best]
     if consensus is None:
-        return SearchedLag(curve=curve, untold="too few frames have readings at any lag")
+        return SearchedLag(curve=curve, undetermined="too few frames have readings at any lag")
     if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
         return SearchedLag(
             curve=curve,
-            untold="the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
-            "than none: give all rows of the recording",
+            undetermined="the readings are too far apart in time to be interpolated, and no lag of whole rows is much "
+            "better than none: give all rows of the recording",
         )
     if best in (0, len(lags) - 1):
         return SearchedLag(
-            curve=curve, untold=f"the frames agree best at the end of the range that was searched; {_MOVE}"
+            curve=curve, undetermined=f"the frames agree best at the end of the range that was searched; {_MOVE}"
         )
     return SearchedLag(float(lags[best]), consensus.calibration, curve)
 
@@ -186,13 +188,13 @@ class LagRefiner:
             return Refined(self.delay.value, float(self._step / np.sqrt(12)))
         for _ in range(_MOVES):
             start = self.delay.value
-            found = self._minimum(lambda value: replace(self.delay, value=value), start, self._step)
-            if found is None:
+            refined = self._minimum(lambda value: replace(self.delay, value=value), start, self._step)
+            if refined is None:
                 return None
-            self.delay = replace(self.delay, value=found.value)
-            if abs(found.value - start) < 0.49 * self._step:
+            self.delay = replace(self.delay, value=refined.value)
+            if abs(refined.value - start) < 0.49 * self._step:
                 break
-        return found
+        return refined
 
     def refine_drift(self) -> Refined | None:
         """Refine the drift; None as in `refine_value`, or if it is not significant or too small to matter."""
@@ -200,10 +202,10 @@ class LagRefiner:
         if half * _DRIFT_STD < _LEAST_LAG * self._clock.series.interval / 4:
             return None
         step, weight = _DRIFT_STEPS * self._step / half, (_SHARED_ERRORS / _DRIFT_STD) ** 2
-        found = self._minimum(lambda drift: replace(self.delay, drift=drift), self.delay.drift, step, weight=weight)
-        if found is not None and self._matters(found, half):
-            self.delay = replace(self.delay, drift=found.value)
-            return found
+        drift = self._minimum(lambda value: replace(self.delay, drift=value), self.delay.drift, step, weight=weight)
+        if drift is not None and self._matters(drift, half):
+            self.delay = replace(self.delay, drift=drift.value)
+            return drift
         self.delay = replace(self.delay, drift=0.0)
         return None
 
@@ -229,8 +231,8 @@ class LagRefiner:
         best = int(np.argmin([cost(value).sum() for value in values]))
         if best in (0, len(values) - 1):
             return None
-        found = self._minimum(at, float(values[best]), self._step, lasting=False)
-        return None if found is None or found.std > _LARGEST_STD * self._clock.series.interval else found
+        lag = self._minimum(at, float(values[best]), self._step, lasting=False)
+        return None if lag is None or lag.std > _LARGEST_STD * self._clock.series.interval else lag
 
     def _cost(
         self, at: Callable[[float], Delay], low: float, high: float, *, lasting: bool = True
@@ -294,7 +296,7 @@ def describe_lag(clock: Clock, lag: Refined, drift: Refined | None = None) -> La
     if lag.std > _LARGEST_STD * interval:
         return f"standard deviation {lag.std / interval:.1f} frames; {_MOVE}"
     significant = abs(lag.value) > max(_SIGNIFICANT * lag.std, _LEAST_LAG * interval) or drift is not None
-    found = Lag.of(lag.value, lag.std, clock.series.unit, interval, applied=significant)
+    described = Lag.of(lag.value, lag.std, clock.series.unit, interval, applied=significant)
     if drift is None:
-        return found
-    return replace(found, drift=drift.value, std_drift=drift.std, middle=clock.middle + clock.series.origin)
+        return described
+    return replace(described, drift=drift.value, std_drift=drift.std, middle=clock.middle + clock.series.origin)

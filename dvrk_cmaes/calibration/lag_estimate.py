@@ -23,7 +23,7 @@ Float64 = NDArray[np.float64]
 class LagEstimate:
     """Estimate of the lag of a session's N frames.
 
-    ``lag`` is None where it is not determined, and ``untold`` then says why; ``curve`` is the disagreement of the
+    ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
     frames as a function of the lag.
 
     Parameters
@@ -38,13 +38,13 @@ class LagEstimate:
 
     def __init__(self, series: ReadingSeries | None, names: Sequence[str], outer_std: Float64) -> None:
         self.lag: Lag | None = None
-        self.untold = ""
+        self.undetermined = ""
         self.curve: LagCurve | None = None
         self._clock: Clock | None = None
         if series is not None and all(name in series.frames for name in names):
             self._clock = Clock.of(series, names, outer_std)
         else:
-            self.untold = (
+            self.undetermined = (
                 "the frames have no order: name them by numbers, or give the times of images (images.csv) and readings"
             )
 
@@ -65,16 +65,16 @@ class LagEstimate:
         """
         if self._clock is None:
             return
-        found = search_lag(self._clock, model, modes, offset_std)
-        self.curve, self.untold = found.curve, found.untold
-        if found.lag is None or found.calibration is None:
+        searched = search_lag(self._clock, model, modes, offset_std)
+        self.curve, self.undetermined = searched.curve, searched.undetermined
+        if searched.lag is None or searched.calibration is None:
             return
-        start = Delay(found.lag)
+        start = Delay(searched.lag)
         has = np.flatnonzero(self._clock.has_readings(start))
         shifted = self._clock.model_at(model, start).subset(has)
-        chosen = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
+        chosen = choose_modes(shifted, [modes[int(i)] for i in has], searched.calibration)
         clock = self._clock.subset(has)
-        self._refine(LagRefiner(clock, shifted, FrameFits.of_modes(chosen), found.calibration, prior, start))
+        self._refine(LagRefiner(clock, shifted, FrameFits.of_modes(chosen), searched.calibration, prior, start))
 
     def refine(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
         """Refine a lag that is taken out with the frames' fits; arguments as in `solve`.
@@ -92,10 +92,10 @@ class LagEstimate:
         """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`."""
         if self.lag is None or self._clock is None:
             return
-        found = LagRefiner(self._clock, model, fits, calibration, prior, self._delay(self._clock)).estimate_joints()
-        if found is not None:
+        wrist = LagRefiner(self._clock, model, fits, calibration, prior, self._delay(self._clock)).estimate_joints()
+        if wrist is not None:
             frame = self._clock.series.interval
-            self.lag = replace(self.lag, wrist_frames=found.value / frame, std_wrist_frames=found.std / frame)
+            self.lag = replace(self.lag, wrist_frames=wrist.value / frame, std_wrist_frames=wrist.std / frame)
 
     def has_readings(self) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).
@@ -139,11 +139,11 @@ class LagEstimate:
         drift = refiner.refine_drift()
         if refiner.delay.drift != before:
             value = refiner.refine_value()
-        found: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
+        lag: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
         if value is not None:
             assert self._clock is not None
-            found = describe_lag(self._clock, value, drift)
-        if isinstance(found, Lag):
-            self.lag = replace(found, applied=found.applied or self.applied is not None)
+            lag = describe_lag(self._clock, value, drift)
+        if isinstance(lag, Lag):
+            self.lag = replace(lag, applied=lag.applied or self.applied is not None)
         elif self.lag is None:
-            self.untold = found
+            self.undetermined = lag

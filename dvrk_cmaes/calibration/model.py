@@ -8,12 +8,12 @@ the root's pose, the slack, for errors that no joint explains (lens distortion, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -50,19 +50,28 @@ class Deviations:
         return cls(np.array(outer), joints, np.array(slack))
 
 
+def offset_deviations(config: EstimateConfig, joint_names: Sequence[str]) -> Float64:
+    """Return the standard deviations (2 + J,) of the offsets about zero before the session, m and rad."""
+    angles = np.deg2rad([config.session.roll_offset_deg, *(config.readings.of(name) for name in joint_names)])
+    return np.array([config.session.insertion_offset_mm * 1e-3, *angles])
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Constants of a session: ``camera_from_base`` (4, 4) and ``offsets`` (2 + J,), m and rad.
+    """Constants of a session: ``camera_from_base`` (4, 4), m, ``offsets`` (2 + J,), m and rad, and E further ones.
 
-    The offsets are those of insertion, roll and the instrument's joints.
+    The offsets are those of insertion, roll and the instrument's joints. The ``further`` constants, as those of the
+    camera, change the outlines and not what is predicted; most often there are none.
     """
 
     camera_from_base: Float64
     offsets: Float64
+    further: Float64 = field(default_factory=lambda: np.zeros(0))
 
     def changed(self, step: Float64) -> Calibration:
-        """Return the calibration after a step (6 + 2 + J,), in the order of `SessionModel.axes`."""
-        return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:])
+        """Return the calibration after a step (8 + J + E,), in the order of `SessionModel.axes`, the further last."""
+        base, offsets, further = np.split(step, [6, 6 + len(self.offsets)])
+        return Calibration(moved(self.camera_from_base, base), self.offsets + offsets, self.further + further)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,30 +193,30 @@ class SessionModel:
             outer = self.outer.copy()
             outer[:, 2] += offsets[0]
             outer[:, 3] += offsets[1] + self.correction.values[:, 0]
-            found = base_from_root_and_jacobian(outer, self._arm, roll_offset=self._roll_offset)
-            self._last = (key, *found)
+            kinematics = base_from_root_and_jacobian(outer, self._arm, roll_offset=self._roll_offset)
+            self._last = (key, *kinematics)
         return self._last[1:]
 
-    def predict(self, calibration: Calibration) -> tuple[Float64, Float64]:
-        """Predict the root's poses in the camera (N, 4, 4) and the joints (N, J), rad.
+    def predict(self, calibration: Calibration) -> Posed:
+        """Predict the root's pose in the camera and the joints of each of the N frames.
 
         A joint without a reading is predicted at its offset.
         """
         read = np.where(self._has_reading, self.joints, 0.0)
         poses = calibration.camera_from_base @ self.base_from_root(calibration.offsets)
-        return np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:]
+        return Posed(np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:])
 
     def jacobian(self, calibration: Calibration) -> Float64:
-        """Compute the Jacobian (N, 6 + J, 8 + J) of the predictions with respect to a step of the calibration.
+        """Compute the Jacobian (N, 6 + J + E, 8 + J + E) of the predictions by a step of the calibration.
 
-        Changes of the predictions are in each root's axes, m and rad.
+        Changes of the predictions are in each root's axes, m and rad, followed by those of the further constants.
         """
-        count = len(self.names)
-        out = np.zeros((len(self.outer), 6 + count, 8 + count))
+        count, further = len(self.names), len(calibration.further)
+        out = np.zeros((len(self.outer), 6 + count + further, 8 + count + further))
         out[:, :6, :6] = adjoint(inverse(self.base_from_root(calibration.offsets)))
         out[:, 2, 6] = 1.0  # insertion translates the root along its z axis, roll rotates it about this axis
         out[:, 5, 7] = 1.0
-        out[:, 6:, 8:] = np.eye(count)
+        out[:, 6:, 8:] = np.eye(count + further)
         return out
 
     def outer_loadings(self, calibration: Calibration) -> Float64:
@@ -239,9 +248,9 @@ class SessionModel:
 
     def priors(self, calibration: Calibration, *, scale: float = 1.0) -> list[Expected]:
         """Return the prior of each frame's pose and joints; ``scale`` is a factor on its standard deviations."""
-        poses, joints = self.predict(calibration)
+        predicted = self.predict(calibration)
         information = np.linalg.inv(self.covariance(calibration) * scale**2)
-        return [Expected(Posed(p, q), i) for p, q, i in zip(poses, joints, information, strict=True)]
+        return [Expected(predicted[k], of_frame) for k, of_frame in enumerate(information)]
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> SessionModel:
         """Return the model of the frames at some indices."""

@@ -36,15 +36,15 @@ def describe_far_offsets(
         Standard deviations of the offsets' priors about zero, m and rad.
     """
     std = np.sqrt(np.diag(covariance))[6:]
-    found = []
+    texts = []
     for name, offset, own, prior in zip(
         (*OUTER_OFFSETS, *model.names), calibration.offsets, std, prior_std, strict=True
     ):
         if abs(offset) <= _FAR * np.hypot(own, prior):
             continue
         unit, factor = ("mm", 1e3) if name == "insertion" else ("deg", float(np.degrees(1)))
-        found.append(
+        texts.append(
             f"offset of {name}: {factor * offset:+.1f} {unit} (std {factor * own:.1f}), where {factor * prior:.1f} "
             f"{unit} are usual; likely causes: {_CAUSES.get(name, _CAUSES_OF_CABLES)}"
         )
-    return found
+    return texts

@@ -68,8 +68,7 @@ def fit_session_pose(
     missing = [name for name, value in zip(OUTER_JOINTS, outer[0], strict=True) if np.isnan(value)]
     if missing:
         return f"session: no reading of {', '.join(missing)}: searched without it"
-    poses, joints = model.predict(calibration)
-    start = Posed(poses[0], joints[0])
+    start = model.predict(calibration)[0]
     jacobian = model.jacobian(calibration)[0]
     covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
     expected = Expected(start, np.asarray(np.linalg.inv(covariance), dtype=np.float64))

@@ -34,10 +34,10 @@ class RelativeBase:
         The errors of both bases are taken for independent. Those that an error of the camera file causes have the same
         direction in both, so that the true covariance is rather smaller.
         """
-        found = inverse(reference.camera_from_base) @ other.camera_from_base
-        of_reference = adjoint(inverse(found))
+        reference_from_base = inverse(reference.camera_from_base) @ other.camera_from_base
+        of_reference = adjoint(inverse(reference_from_base))
         covariance = other.covariance[:6, :6] + of_reference @ reference.covariance[:6, :6] @ of_reference.T
-        return cls(np.asarray(found), np.asarray(covariance))
+        return cls(np.asarray(reference_from_base), np.asarray(covariance))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the values in the documented schema, ready for JSON."""

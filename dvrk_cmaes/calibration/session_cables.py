@@ -158,16 +158,16 @@ class SessionCables:
 
     def in_words(self) -> Iterator[str]:
         """Yield a line for each coefficient that is told, the largest first."""
-        found: list[tuple[float, str]] = []
+        texts: list[tuple[float, str]] = []
         for j, name in enumerate(self.joints):
             for k, other in enumerate(self.joints):
                 value, std = self.coupling[j][k], self.coupling_std[j][k]
                 if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING):
                     acts = f"{other} drags {name}" if j != k else f"{name} is scaled"
                     text = f"{acts} by {np.degrees(value):+.0f} deg a rad, std {np.degrees(std):.0f}"
-                    found.append((abs(value), text))
-            found += self._play_in_words(j, name)
-        yield from (text for _, text in sorted(found, reverse=True))
+                    texts.append((abs(value), text))
+            texts += self._play_in_words(j, name)
+        yield from (text for _, text in sorted(texts, reverse=True))
         if "wander" in self.parts:
             each = ", ".join(
                 f"{name} {np.degrees(std):.1f} deg over {time:.0f} s"

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines, estimate_camera
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.io.typed_document import Count, Number
 
@@ -143,12 +143,12 @@ def untested(model: SessionModel) -> str | None:
 class CameraCheck:
     """What a session's frames tell about the camera, and what errors of the camera do to the calibration.
 
-    ``camera`` is None where the session does not test it, and ``untold`` then says why. ``covariance`` (K, K) is the
-    mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
+    ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
+    the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
     """
 
     camera: SessionCamera | None
-    untold: str
+    undetermined: str
     covariance: Float64
 
 
@@ -157,7 +157,7 @@ def check_camera(
     calibration: Calibration,
     prior: Float64,
     config: SessionConfig,
-    fits: FrameFits,
+    at: Posed,
     outlines: SessionOutlines,
     *,
     applied: Float64 | None = None,
@@ -170,10 +170,10 @@ def check_camera(
     reason = untested(model)
     passes = _PASSES if reason is None and applied is None else 1
     try:
-        estimate = estimate_camera(model, calibration, prior, config, fits, outlines, start=applied, passes=passes)
+        estimate = estimate_camera(model, calibration, prior, config, at, outlines, start=applied, passes=passes)
         if passes > 1 and not estimate.plausible:
             reason = "camera: its estimate from these frames is not plausible"
-            estimate = estimate_camera(model, calibration, prior, config, fits, outlines, passes=1)
+            estimate = estimate_camera(model, calibration, prior, config, at, outlines, passes=1)
     except InputError as error:
         return CameraCheck(None, f"camera: {error}", np.zeros_like(prior))
     if applied is not None:

@@ -1,30 +1,35 @@
 """Robust Gauss-Newton estimation of a session's calibration from the outline fits of its frames.
 
-The unknowns of the N frames (D = 6 + J each, pose and joints) are eliminated. Let H be the information matrix of a
-frame's outline about its pose and joints, and W = P^-1 that of the model's prediction with covariance P. The
-information about the prediction is then the Schur complement W - W (H + W)^-1 W, so the cost is linear in the number of
-frames. Frames with large misfits are down-weighted.
+The unknowns of the N frames (D = 6 + J each, pose and joints) are eliminated, so the cost is linear in the number of
+frames. What remains are the calibration and, where the outlines are also functions of them, E further unknowns that all
+frames share, as of the camera. Frames with large misfits are down-weighted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import Mode
+from dvrk_cmaes.calibration.consensus import Mode, choose_modes
+from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
+from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
 
 _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
 
-_ITERATIONS = 30
+MOST_STEPS = 30
+"""Largest number of steps of an estimation; where weights of outliers fall, it converges slowly."""
+
+_MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
 _PARTS = 8  # of a recording, whose errors are taken for independent of each other
 
 
@@ -32,41 +37,51 @@ _PARTS = 8  # of a recording, whose errors are taken for independent of each oth
 class FrameFits:
     """Quadratic approximations of the outline terms of N frames, without the session's prior.
 
-    ``poses`` (N, 4, 4) and ``joints`` (N, J), rad, are the points of expansion. ``information`` (N, D, D) is the
-    Gauss-Newton matrix and ``slope`` (N, D) the gradient of half the sum of squares there, for changes in each root's
-    axes, m and rad; D = 6 + J. The slope is zero at an outline's own optimum.
+    ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
+    J, and for changes of E further unknowns from their values ``further`` (E,); most often there are none. The slope
+    is zero at an outline's own optimum.
     """
 
-    poses: Float64
-    joints: Float64
-    information: Float64
-    slope: Float64
+    at: Posed
+    outlines: Quadratic
+    further: Float64 = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
         """Take one mode of each frame as a fit with zero slope and the inverse of the mode's covariance."""
         information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
-        poses = np.array([mode.camera_from_root for mode in modes])
-        joints = np.array([mode.joints for mode in modes])
-        return cls(poses, joints, information, np.zeros(information.shape[:2]))
+        return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, np.zeros(information.shape[:2])))
+
+    @classmethod
+    def of(cls, fits: Sequence[FrameFit]) -> FrameFits:
+        """Stack the fits of single frames."""
+        outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
+        return cls(Posed.stacked(fit.at for fit in fits), outlines)
+
+    def optimum(self, further: Float64) -> Float64:
+        """Return the change (N, D) from the points of expansion to where the outline terms are least.
+
+        It is zero in directions that the outline does not determine. ``further`` (E,) are the further unknowns.
+        """
+        own = self._own_covariance.shape[1]
+        cross = self.outlines.information[:, :own, own:]
+        return -times(self._own_covariance, self.outlines.slope[:, :own] + cross @ (further - self.further))
 
     @cached_property
-    def optimum(self) -> Float64:
-        """Change (N, D) from the points of expansion to where the outline terms are least; zero where they say nothing.
+    def _own_covariance(self) -> Float64:
+        """Pseudo-inverse (N, D, D) of the outlines' information, without directions that it does not determine."""
+        own = self.outlines.dimension - len(self.further)
+        information = self.outlines.information[:, :own, :own]
+        return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True), dtype=np.float64)
 
-        The pseudo-inverse leaves out directions that the outline does not determine.
-        """
-        covariance = np.asarray(np.linalg.pinv(self.information, rcond=1e-9, hermitian=True), dtype=np.float64)
-        return -_times(covariance, self.slope)
-
-    def subset(self, index: NDArray[np.integer] | list[int]) -> FrameFits:
+    def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
         """Return the fits of the frames at some indices."""
-        return FrameFits(self.poses[index], self.joints[index], self.information[index], self.slope[index])
+        return FrameFits(self.at[index], self.outlines.select([int(i) for i in index]), self.further)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """An estimated calibration with its information matrix (K, K), K = 8 + J, in the order of `SessionModel.axes`.
+    """An estimated calibration with its information matrix (K, K), K = 8 + J + E, in the order of its steps.
 
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
     outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
@@ -83,7 +98,7 @@ class Solution:
 
     @cached_property
     def covariance(self) -> Float64:
-        """Covariance (K, K) of the calibration, in the order of `SessionModel.axes`.
+        """Covariance (K, K) of the calibration, in the order of its steps.
 
         Frames that follow each other share errors, of shadows and cables for example, which do not average out as those
         of independent frames do. Standard deviations are therefore at least those that follow from how much the slopes
@@ -95,48 +110,15 @@ class Solution:
         return np.asarray(factor[:, None] * independent * factor)
 
 
-@dataclass(frozen=True, eq=False)
-class Marginals:
-    """N frames after elimination of their poses and joints, at a calibration; all in each root's axes, m and rad.
-
-    ``slope`` (N, D) and ``information`` (N, D, D) are the gradient and the Hessian of half of each frame's sum of
-    squares with respect to its prediction. ``misfit`` (N,) is the squared Mahalanobis distance between outline and
-    prediction, whose expectation is D if the model holds. ``deviation`` (N, D) and ``covariance`` (N, D, D) are
-    mean and covariance of the posterior of each frame's change from its prediction; ``step`` (N, D) is its mean change
-    from the point of expansion of the outline, and ``gain`` (N, D, D) the derivative of that by the prediction.
-    """
-
-    slope: Float64
-    information: Float64
-    misfit: Float64
-    deviation: Float64
-    covariance: Float64
-    step: Float64
-    gain: Float64
-
-
-def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Marginals:
-    """Eliminate the pose and joints of each frame at a calibration."""
-    poses, joints = model.predict(calibration)
-    predicted = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)
-    prior = _inverses(model.covariance(calibration))
-    covariance = _inverses(fits.information + prior)
-    solved = _times(covariance, _times(prior, predicted) - fits.slope)
-    information = prior - prior @ covariance @ prior
-    difference = predicted - fits.optimum
-    # Without information, rounding errors can make the misfit slightly negative.
-    misfit = np.maximum((difference * _times(information, difference)).sum(axis=1), 0)
-    slope = _times(prior, predicted - solved)
-    return Marginals(slope, information, misfit, solved - predicted, covariance, solved, covariance @ prior)
+def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Eliminated:
+    """Eliminate the pose and joints of each frame at a calibration; they are changes from the points of expansion."""
+    predicted = model.predict(calibration).minus(fits.at)
+    information = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
+    return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
 def solve(
-    model: SessionModel,
-    fits: FrameFits,
-    start: Calibration,
-    prior: Float64,
-    *,
-    iterations: int = _ITERATIONS,
+    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
 ) -> Solution:
     """Estimate the calibration by iteratively reweighted Gauss-Newton steps.
 
@@ -145,35 +127,62 @@ def solve(
     model, fits
         The model and the outline fits of the same N frames.
     start
-        Calibration of the first linearisation.
+        Calibration of the first linearisation, with as many further constants as the fits have.
     prior : (K, K)
-        Information matrix of the prior, whose mean has zero offsets; its rows and columns of the base are zero.
-    iterations
+        Information matrix of the prior, whose mean has zero offsets and further constants; its rows and columns of the
+        base are zero.
+    steps
         Largest number of steps.
     """
-    calibration = start
-    dimension = 6 + len(model.names)
-
-    def linearise(at: Calibration) -> tuple[Float64, Float64, Float64, Float64]:
-        frames, jacobian = marginalise(model, fits, at), model.jacobian(at)
-        weights = robust_weights(frames.misfit, dimension)
-        weighted = np.swapaxes(jacobian, 1, 2) * weights[:, None, None]
-        frame_information = weighted @ frames.information @ jacobian
-        frame_slopes = _times(weighted, frames.slope)
-        return weights, frames.misfit, frame_information, frame_slopes
-
-    offset = np.zeros(len(prior))
-    for _ in range(iterations):
-        weights, misfit, frame_information, frame_slopes = linearise(calibration)
-        information = prior + frame_information.sum(axis=0)
-        offset[6:] = calibration.offsets
-        step = -np.linalg.solve(information, prior @ offset + frame_slopes.sum(axis=0))
-        calibration = calibration.changed(step)
+    solution = solution_at(model, fits, start, prior)
+    for _ in range(steps):
+        at = np.concatenate([np.zeros(6), solution.calibration.offsets, solution.calibration.further])
+        information = solution.information
+        step = -np.linalg.solve(information, prior @ at + solution.frame_slopes.sum(axis=0))
+        solution = solution_at(model, fits, solution.calibration.changed(step), prior)
         if step @ information @ step < 1e-6 * len(step):
             break
-    weights, misfit, frame_information, frame_slopes = linearise(calibration)
+    return solution
+
+
+def solve_with_modes(
+    model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration, prior: Float64
+) -> tuple[Solution, list[Mode]]:
+    """Alternate between choosing a mode of each frame and estimating the calibration from these.
+
+    Returns the solution and the modes that are chosen with it; arguments as in `choose_modes` and `solve`.
+    """
+    chosen = choose_modes(model, modes, start)
+    for _ in range(_MODE_ITERATIONS):
+        solution, previous = solve(model, FrameFits.of_modes(chosen), start, prior), chosen
+        start = solution.calibration
+        chosen = choose_modes(model, modes, start)
+        if all(a is b for a, b in zip(chosen, previous, strict=True)):
+            break
+    return solution, chosen
+
+
+def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solution:
+    """Return a calibration with what the frames, weighted there, tell of it; arguments as in `solve`."""
+    frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
+    misfit = _misfit(frames, fits.optimum(calibration.further))
+    weights = robust_weights(misfit, 6 + len(model.names))
+    weighted = np.swapaxes(jacobian, 1, 2) * weights[:, None, None]
+    frame_information = weighted @ frames.left.information @ jacobian
+    frame_slopes = times(weighted, frames.left.slope)
     information = prior + frame_information.sum(axis=0)
     return Solution(calibration, information, weights, misfit, frame_information, frame_slopes)
+
+
+def _misfit(frames: Eliminated, optimum: Float64) -> Float64:
+    """Return the squared Mahalanobis distances (N,) between predictions and the outlines' own optima (N, D).
+
+    Their expectation is D if the model holds.
+    """
+    difference = frames.expected - optimum
+    own = optimum.shape[1]
+    squares = (difference * times(frames.left.information[:, :own, :own], difference)).sum(axis=1)
+    return np.asarray(np.maximum(squares, 0))  # without information, rounding errors can make them slightly negative
 
 
 def robust_weights(misfit: Float64, dimension: int) -> Float64:
@@ -208,16 +217,6 @@ def leave_one_out(solution: Solution, index: int) -> Calibration:
     """
     information = solution.information - solution.frame_information[index]
     return solution.calibration.changed(np.linalg.solve(information, solution.frame_slopes[index]))
-
-
-def _inverses(matrices: Float64) -> Float64:
-    """Invert matrices (N, D, D)."""
-    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
-
-
-def _times(matrices: Float64, vectors: Float64) -> Float64:
-    """Multiply matrices (N, D, D) by vectors (N, D)."""
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 
 def frame_covariances(model: SessionModel, fits: FrameFits, solution: Solution) -> Float64:

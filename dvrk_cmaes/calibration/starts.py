@@ -32,8 +32,8 @@ def first_starts(
     squared Mahalanobis distance of the chosen mode from what is expected, divided by the number of parameters.
     """
     if misfit < INLIER_MISFIT:
-        return (Posed(chosen.camera_from_root, chosen.joints),)
-    return (*(Posed(mode.camera_from_root, mode.joints) for mode in modes), *_around(expected, turn))
+        return (chosen.at,)
+    return (*(mode.at for mode in modes), *_around(expected, turn))
 
 
 def next_starts(

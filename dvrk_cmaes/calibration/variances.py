@@ -15,20 +15,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, marginalise
+from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solution, marginalise, solve
 from dvrk_cmaes.config import SessionConfig
 
 Float64 = NDArray[np.float64]
 
+_ITERATIONS = 3  # of both estimates
 _MAX_ROLL_INFLATION, _MAX_JOINT_INFLATION = 20.0, 2.0
 """Largest factors on standard deviations in single frames; a mask determines the rotation about the shaft least."""
+
+
+def solve_with_variances(
+    model: SessionModel,
+    fits: FrameFits,
+    start: Calibration,
+    prior: Float64,
+    config: SessionConfig,
+    initial: Deviations | None = None,
+    *,
+    steps: int = MOST_STEPS,
+) -> tuple[SessionModel, Solution]:
+    """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
+    for _ in range(_ITERATIONS):
+        solution = solve(model, fits, start, prior, steps=steps)
+        start = solution.calibration
+        model = estimate_variances(model, fits, solution, config, initial)
+    return model, solution
 
 
 def estimate_variances(
     model: SessionModel,
     fits: FrameFits,
-    calibration: Calibration,
-    weights: Float64,
+    solution: Solution,
     config: SessionConfig,
     initial: Deviations | None = None,
 ) -> SessionModel:
@@ -38,16 +56,15 @@ def estimate_variances(
     ----------
     model, fits
         The current model and the outline fits of the same N frames.
-    calibration
-        The calibration, taken as known.
-    weights : (N,)
-        Robust weights of the frames.
+    solution
+        Their solution: the calibration, taken as known, and the robust weights of the frames.
     config
         Initial standard deviations and their limits.
     initial
         Initial standard deviations, where they are not those of ``config``.
     """
     start = Deviations.of(config, model.names) if initial is None else initial
+    calibration, weights = solution.calibration, solution.weights
     frames = marginalise(model, fits, calibration)
     inverse = np.linalg.inv(model.covariance(calibration))
 

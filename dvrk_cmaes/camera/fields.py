@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
+from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed, shown
 
@@ -40,6 +42,13 @@ class Intrinsics:
     model: str = "plumb_bob"
     distortion: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def camera(self, where: str | Path, size: Size) -> Camera:
+        """Return the camera for images of a size, px; an InputError begins with ``where``."""
+        try:
+            return Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
 
 
 def take_field(where: str, document: Mapping[str, Any], names: Sequence[str]) -> tuple[str, Any]:

@@ -82,30 +82,27 @@ def read_camera_file(
         A field is missing or wrong, the size is neither stated nor given, or the principal point lies outside
         images of the given size.
     """
-    found = read_intrinsics(path, rectified=rectified, side=side)
-    notes = found.notes
-    width, height = found.size or (0, 0)
-    if found.size is None:
+    intrinsics = read_intrinsics(path, rectified=rectified, side=side)
+    notes = intrinsics.notes
+    width, height = intrinsics.size or (0, 0)
+    if intrinsics.size is None:
         if size is None:
             raise InputError(f"{path}: image size: not stated in the file; expected it to be given, in pixels")
         width, height = size() if callable(size) else size
-        if not (0 <= found.cx < width and 0 <= found.cy < height):
+        if not (0 <= intrinsics.cx < width and 0 <= intrinsics.cy < height):
             raise InputError(
                 f"{path}: principal point: expected one within images of {width} x {height}, "
-                f"got {found.cx:g}, {found.cy:g}: the calibration is of another size, which the file does not state"
+                f"got {intrinsics.cx:g}, {intrinsics.cy:g}: the calibration is of another size, which the file does "
+                "not state"
             )
         notes = (*notes, f"the camera file states no image size: taken to be {width} x {height}, that of the frames")
-    try:
-        camera = Camera(width, height, found.fx, found.fy, found.cx, found.cy, found.distortion, found.model)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return CameraFile(camera, found.kind, notes)
+    return CameraFile(intrinsics.camera(path, (width, height)), intrinsics.kind, notes)
 
 
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
     """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
     where, document = str(path), read_document(path)
-    if all(isinstance(document.get(one), dict) for one in ("left", "right")):  # a mapping for each camera of a pair
+    if all(isinstance(document.get(name), dict) for name in ("left", "right")):  # a mapping for each camera of a pair
         where, document, side = f"{path}: {side}", document[side], "left"
     for is_kind, read_kind in _KINDS:
         if is_kind(document):

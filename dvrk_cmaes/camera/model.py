@@ -161,6 +161,24 @@ class Camera:
         pixels += self._principal(pixels.dtype)
         return pixels
 
+    def project_along(
+        self, points: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Project points (N, 3) in front of the camera, m, to pixels (N, 2), and compute how these move with them.
+
+        That is the gradient (N, 3), px/m, of a pixel's coordinate along a direction (N, 2), times its length.
+        """
+        depth = points[:, 2:]
+        xy = points[:, :2] / depth
+        focal = self._focal(xy.dtype)
+        pixels, along = xy, directions * focal
+        if self._lens is not None:
+            pixels, along = self._lens.distort_along(xy, along)
+        gradient = np.empty_like(points)
+        np.divide(along, depth, out=gradient[:, :2])
+        np.einsum("nk,nk->n", gradient[:, :2], -xy, out=gradient[:, 2])
+        return pixels * focal + self._principal(xy.dtype), gradient
+
     def normalise(self, pixels: ArrayLike) -> NDArray[Any]:
         """Map pixels (..., 2) to undistorted x/z, y/z, the inverse of ``project``; float32 stays float32."""
         given = _floats(pixels)

@@ -78,15 +78,15 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
     stereo = is_stereo_storage(document)
     matrices, distortions, projections = _names(side) if stereo else (_MATRIX, _DISTORTION, ("projectionmatrix", "p"))
     notes = () if stereo else one_camera(where, side)
-    found, entry = _take(where, plain, spelled, matrices)
-    _check_shape(where, found, entry)
-    focal = take_matrix(where, found, entry)
+    matrix, entry = _take(where, plain, spelled, matrices)
+    _check_shape(where, matrix, entry)
+    focal = take_matrix(where, matrix, entry)
     distortion, also, more = _distortion(where, plain, spelled, distortions)
     kind = f"OpenCV FileStorage, {f'stereo, {side} camera' if stereo else 'one camera'}"
-    used = f"{found} and {also}" if also else found
+    used = f"{matrix} and {also}" if also else matrix
     images = f"raw images ({used})"
     if rectified:
-        images = f"rectified images ({found})"
+        images = f"rectified images ({matrix})"
         if has_field(plain, projections):
             projection, entry = _take(where, plain, spelled, projections)
             focal, images = take_matrix(where, projection, entry, columns=4), f"rectified images ({projection})"

@@ -1,4 +1,4 @@
-"""Read ROS camera_info: a calibration file (``image_width``, ``camera_matrix: {data}``, ...) or a topic dump.
+"""Read and write ROS camera_info: a calibration file (``image_width``, ``camera_matrix: {data}``, ...) or a topic dump.
 
 A dump has ``width``, ``K``, ``D``, ``P`` in ROS 1 and ``k``, ``d``, ``p`` in ROS 2. The camera of raw images has the
 matrix K and the distortion D; that of rectified images has the left 3 x 3 part of P and no distortion.
@@ -7,8 +7,13 @@ matrix K and the distortion D; that of rectified images has the left 3 x 3 part 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import (
     Distortion,
     Intrinsics,
@@ -21,7 +26,9 @@ from dvrk_cmaes.camera.fields import (
     take_numbers,
 )
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.yaml_file import yaml_text
 
 _MODELS = {
     "plumb_bob": "plumb_bob",
@@ -83,3 +90,24 @@ def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: 
     for key, whole in sizes.items():
         if roi.get(key, 0) not in whole:
             raise InputError(f"{where}: roi.{key}: expected images of the whole sensor, got {shown(roi[key])}")
+
+
+def write_camera_info(path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0) -> None:
+    """Write a ROS camera_info YAML file for images that are not rectified; ``baseline``, m, is that of a right eye."""
+    K = camera.matrix
+    document = {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(K),
+        "distortion_model": camera.model,
+        "distortion_coefficients": _matrix(np.array([camera.distortion or (0.0,) * 5])),
+        "rectification_matrix": _matrix(np.eye(3)),
+        "projection_matrix": _matrix(np.c_[K, [-camera.fx * baseline, 0.0, 0.0]]),
+    }
+    write_text(path, yaml_text(document))
+
+
+def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
+    """Return a matrix as camera_info states it."""
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": values.ravel().tolist()}

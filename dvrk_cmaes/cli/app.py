@@ -10,7 +10,6 @@ from pathlib import Path
 
 from cyclopts import App, CycloptsError, MissingArgumentError
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.cli.batch import batch
 from dvrk_cmaes.cli.calibrate import calibrate
 from dvrk_cmaes.cli.compare import compare
@@ -28,6 +27,7 @@ from dvrk_cmaes.cli.segment import segment
 from dvrk_cmaes.cli.synth import synth
 from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.cli.track import track
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
 _DEBUG = "--debug"

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.worklist import Shard
 
 FOLDER = Group("Folder", sort_key=0)  # sorted before the groups shared by commands
@@ -168,7 +168,7 @@ def batch(
     from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
-    from dvrk_cmaes.runs.exchanged_masks import exchanged_in_results
+    from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))

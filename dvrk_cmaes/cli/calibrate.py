@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")

@@ -12,11 +12,17 @@ from cyclopts import Group, Parameter
 from dvrk_cmaes.cli.options import OUTPUT, Flag
 from dvrk_cmaes.cli.terminal import Line, note, show, warn
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.export.table import FORMATS
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.export.formats import Exported
+    from dvrk_cmaes.export.request import Exported
     from dvrk_cmaes.export.ros_topics import ToolTip
     from dvrk_cmaes.results.result import Result
+
+if TYPE_CHECKING:
+    Format = str
+else:
+    Format = Literal[tuple(FORMATS)]
 
 NAMES = Group.create_ordered("Names")
 DVRK = Group.create_ordered("dVRK")
@@ -75,7 +81,7 @@ def export(
     results: Path,
     /,
     *,
-    to: Literal["dvrk", "easy-handeye", "tf", "bop", "csv", "tracker", "ros1-bag", "ros2-bag", "joint-correction"],
+    to: Format,
     frame: str | None = None,
     arm: Annotated[str, Parameter(group=NAMES)] = "PSM1",
     camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera",
@@ -92,23 +98,7 @@ def export(
 
     Formats, with the transform and its units (a_from_b maps points of b into a):
 
-    - dvrk: camera_from_base, m; two JSON files, named as by dvrk_camera_registration, for the camera axes of OpenCV
-    (x right, y down) and of the dVRK (x left, y up: multiplied by diag(-1,-1,1,1) on the left). The latter is the
-    arm's base_frame in system.json. With --ecm-pose there is suj-fixed.json instead.
-    - easy-handeye: base_from_camera, m; a .calib file of easy_handeye2, type eye_on_base.
-    - tf: camera_from_base, m; a command line of ROS 2's static_transform_publisher, parent camera, child base. It is
-    printed on stdout, and with --out it is also written to a file.
-    - bop: camera_from_root, mm; results CSV of the BOP benchmark. If names of frames are not numbers, im_ids.csv has
-    the number of each frame.
-    - csv: camera_from_root and camera_from_base, mm, deg and quaternions xyzw; poses.csv, one row for each frame.
-    - tracker: camera_from_root, m and rad; FRAME/optimized_ctr.npy and optimized_joint_angles.npy, as read by
-    online_dvrk_tracking.
-    - ros1-bag, ros2-bag: camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag, or a folder ARM
-    (sqlite3), with PoseStamped, JointState and tf messages for each frame; `dvrk-cmaes help exports` lists the topics.
-    Needs the library rosbags.
-    - joint-correction: true = reading + correction of roll, wrist and jaw, of a session calibration:
-    ARM-joint-correction.csv, a table over the readings in degrees, and ARM-joint-correction.txt, a formula in radians
-    that has the play of the cables, too.
+    FORMATS
 
     camera_from_base is that of the session calibration (session.json) if there is one, otherwise that of the frame if
     there is only one, otherwise the median of the ok frames, whose scatter is printed (with fewer than three ok frames,
@@ -157,9 +147,9 @@ def export(
     if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag"):
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
-    from dvrk_cmaes.export.formats import DIRECTIONS, FormatOptions
     from dvrk_cmaes.export.formats import export as exported_files
     from dvrk_cmaes.export.frames import FrameNames
+    from dvrk_cmaes.export.request import ExportRequest, FormatOptions
     from dvrk_cmaes.export.source import read_source
     from dvrk_cmaes.io.atomic import json_text, write_bytes
     from dvrk_cmaes.results.folder import folder_of_arm
@@ -170,7 +160,7 @@ def export(
     source = read_source(results, frame)
     times = bag.read_times(source.results)
     options = FormatOptions(scene, object_id, dvrk_version, pose, times, bag.read_tip())
-    exported = exported_files(source, to, names, options)
+    exported = exported_files(ExportRequest(source, to, names, options))
     folder = _results_folder(results) / "exports" if out is None else out
     to_stdout = to == "tf" and out is None
     written = [] if to_stdout else [folder / name for name in exported.files]
@@ -179,7 +169,8 @@ def export(
     for text in _warnings(exported):
         warn(text)
     if json:
-        document: dict[str, Any] = {"to": to, "direction": DIRECTIONS[to], "written": [str(path) for path in written]}
+        direction, paths = FORMATS[to].direction, [str(path) for path in written]
+        document: dict[str, Any] = {"to": to, "direction": direction, "written": paths}
         if to == "tf":
             document["command"] = _publisher_line(exported)
         if exported.base is not None:
@@ -189,8 +180,13 @@ def export(
         note(_origin(exported))
         print(_publisher_line(exported))
     else:
-        show(_lines(exported, DIRECTIONS[to], written))
+        show(_lines(exported, FORMATS[to].direction, written))
     return 0
+
+
+export.__doc__ = (export.__doc__ or "").replace(
+    "    FORMATS\n", "".join(f"    - {row.name}: {row.content}\n" for row in FORMATS.values())
+)
 
 
 def _results_folder(results: Path) -> Path:

@@ -15,7 +15,7 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 
 def pnp(
@@ -77,9 +77,9 @@ def pnp(
 
 def _by_markers(arm: ArmInSession, solver: Literal["sqpnp", "ransac"], markers: Path | None) -> Iterator[Result]:
     """Yield a result for each frame from the markers in the session's markers.csv."""
+    from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
     from dvrk_cmaes.frames.markers import read_detections, read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
-    from dvrk_cmaes.pnp.pnp_frame import pose_from_markers
 
     table = read_marker_table(markers or bundled_path("markers", "lnd.json"))
     session, model = arm.session, arm.body.instrument
@@ -96,8 +96,8 @@ def _by_markers(arm: ArmInSession, solver: Literal["sqpnp", "ransac"], markers: 
 
 def _by_tips(arm: ArmInSession) -> Iterator[Result]:
     """Yield a result for each frame from its jaw tips and shaft edges."""
+    from dvrk_cmaes.estimation.pnp.frame import pose_from_tips
     from dvrk_cmaes.frames.frame import read_frame
-    from dvrk_cmaes.pnp.pnp_frame import pose_from_tips
 
     for files in arm.session.frames:
         data = read_frame(files, arm.session.camera)

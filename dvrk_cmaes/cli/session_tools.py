@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.runs.batch import BatchSummary
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 T = TypeVar("T")
 
@@ -61,7 +61,7 @@ class SessionTool:
 
         Arguments as in `CameraOptions.read_session`.
         """
-        from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+        from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
         body = self.options.load()
         session = camera.read_session(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions
     from dvrk_cmaes.cli.session_tools import SessionTool
     from dvrk_cmaes.frames.session_video import SessionVideo
-    from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 VIDEO = Group.create_ordered("Video")
 _IMPORTED = "session"

@@ -60,25 +60,25 @@ def draw_arms(
         The picture below a line of text for each arm. Where tools overlap, the nearer one covers the other.
     """
     frame = FrameCanvas.of(mask, camera, image)
-    found = [one for one in arms if one.result.camera_from_root is not None]
-    for one in sorted(found, key=_distance, reverse=True):
-        _draw_arm(frame, one)
+    posed = [drawing for drawing in arms if drawing.result.camera_from_root is not None]
+    for drawing in sorted(posed, key=_distance, reverse=True):
+        _draw_arm(frame, drawing)
     strip = Canvas(
         np.full((round(_LINE * len(arms) * frame.canvas.unit) or 1, frame.canvas.image.shape[1], 3), DARK, np.uint8),
         frame.canvas.unit,
     )
-    for k, one in enumerate(arms):
+    for k, drawing in enumerate(arms):
         middle = (k + 0.5) * _LINE * strip.unit
-        strip.text(one.arm, (12 * strip.unit, middle), one.colour, size=0.6)
-        left = 24 * strip.unit + strip.text_width(one.arm, 0.6)
-        strip.text(_in_words(one.result), (left, middle), WHITE, size=0.5)
+        strip.text(drawing.arm, (12 * strip.unit, middle), drawing.colour, size=0.6)
+        left = 24 * strip.unit + strip.text_width(drawing.arm, 0.6)
+        strip.text(_in_words(drawing.result), (left, middle), WHITE, size=0.5)
     return np.concatenate([strip.image, frame.canvas.image])
 
 
-def _distance(one: ArmDrawing) -> float:
+def _distance(drawing: ArmDrawing) -> float:
     """Distance of the tool's root from the camera, m."""
-    assert one.result.camera_from_root is not None
-    return float(np.linalg.norm(one.result.camera_from_root[:3, 3]))
+    assert drawing.result.camera_from_root is not None
+    return float(np.linalg.norm(drawing.result.camera_from_root[:3, 3]))
 
 
 def _in_words(result: Result) -> str:
@@ -89,21 +89,22 @@ def _in_words(result: Result) -> str:
     return ", ".join([*parts, *result.reasons[:1]])
 
 
-def _draw_arm(frame: FrameCanvas, one: ArmDrawing) -> None:
+def _draw_arm(frame: FrameCanvas, drawing: ArmDrawing) -> None:
     """Draw silhouette and skeleton of a tool, and its arm's name beside the root."""
-    canvas, instrument, pose = frame.canvas, one.body.instrument, one.result.camera_from_root
+    canvas, instrument, pose = frame.canvas, drawing.body.instrument, drawing.result.camera_from_root
     assert pose is not None
-    joints = np.array([one.result.joints[name] for name in instrument.joint_names])
+    joints = np.array([drawing.result.joints[name] for name in instrument.joint_names])
     height, width = canvas.image.shape[:2]
-    silhouette = Renderer(one.body, frame.camera.scaled(width, height), threads=1).masks(pose[None], joints[None])[0]
-    canvas.tint(silhouette, one.colour, _TINT)
-    canvas.outline(silhouette, one.colour)
+    renderer = Renderer(drawing.body, frame.camera.scaled(width, height), threads=1)
+    silhouette = renderer.masks(pose[None], joints[None])[0]
+    canvas.tint(silhouette, drawing.colour, _TINT)
+    canvas.outline(silhouette, drawing.colour)
     line, tips = skeleton_lines(instrument, pose, joints, frame.camera)
     for points in (line, *(np.stack([line[-1], tip]) for tip in tips)):
         canvas.line(frame.at(points), WHITE, width=1.2)
     u, v = frame.at(line[-1:])[0]
     if np.isfinite([u, v]).all():
-        canvas.text(one.arm, (float(u) + 10 * canvas.unit, float(v)), one.colour, size=0.7, rim=True)
+        canvas.text(drawing.arm, (float(u) + 10 * canvas.unit, float(v)), drawing.colour, size=0.7, rim=True)
 
 
 def drawings(results: Mapping[str, Mapping[str, Result]], bodies: Mapping[str, Body], frame: str) -> list[ArmDrawing]:

@@ -81,9 +81,9 @@ class Canvas:
 
     def outline(self, mask: NDArray[np.bool_], colour: Colour) -> None:
         """Draw the contours of a mask of the canvas's size, without the parts on the image's border."""
-        found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        chains, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         last = np.array([mask.shape[1] - 1, mask.shape[0] - 1])
-        for chain in found:
+        for chain in chains:
             points = np.concatenate([chain[:, 0, :], chain[:1, 0, :]]).astype(np.float64)
             points[((points <= 0) | (points >= last)).any(axis=1)] = np.nan
             self.line(points, colour, width=2.0, rim=False)

@@ -66,8 +66,8 @@ def alternative_names(alternatives: Sequence[Alternative]) -> tuple[str, ...]:
 
 def _rings(region: Bool) -> tuple[tuple[float, ...], ...]:
     """Return the outlines of a region (H, W) through the centres of its border's pixels, simplified."""
-    found, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    longest = sorted(found, key=len, reverse=True)[:_MOST_RINGS]
+    rings, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    longest = sorted(rings, key=len, reverse=True)[:_MOST_RINGS]
     simple = (cv2.approxPolyDP(ring, _TOLERANCE, closed=True) for ring in longest)
     return tuple(tuple(map(float, ring.ravel().tolist())) for ring in simple if len(ring) > 2)
 

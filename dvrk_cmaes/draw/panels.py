@@ -113,9 +113,9 @@ def _joint(result: Result, name: str) -> str:
     """Return one joint as text: estimate and standard deviation, reading, and their difference."""
     std = (result.std_joints_deg or {}).get(name)
     spread = "" if std is None else f" +- {std:.1f}"
-    found, read = np.degrees(result.joints[name]), result.readings.get(name)
-    told = "not read" if read is None else f"read {np.degrees(read):.1f}, {found - np.degrees(read):+.1f}"
-    return f"{name} {found:.1f}{spread} deg ({told})"
+    estimate, read = np.degrees(result.joints[name]), result.readings.get(name)
+    told = "not read" if read is None else f"read {np.degrees(read):.1f}, {estimate - np.degrees(read):+.1f}"
+    return f"{name} {estimate:.1f}{spread} deg ({told})"
 
 
 def _entry_width(canvas: Canvas, text: str) -> float:

@@ -54,7 +54,7 @@ def draw_track_of_arms(
     """
     colours, drawn = arm_colours(list(statuses)), []
     for view in views:
-        masks = [one.mask for one in view.values() if one.mask is not None]
+        masks = [tool.mask for tool in view.values() if tool.mask is not None]
         first = next(iter(view.values()))
         picture = _background(first.image, np.logical_or.reduce(masks) if masks else None, first.size)
         for arm in order:

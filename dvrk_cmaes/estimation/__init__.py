@@ -1,4 +1,7 @@
-"""Estimation of one frame, from arrays to results: of one instrument, or of several that may hide each other."""
+"""Estimation of one frame, from arrays to results: of one instrument, or of several that may hide each other.
+
+The package `pnp` has the baseline.
+"""
 
 from __future__ import annotations
 

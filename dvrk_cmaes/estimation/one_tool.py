@@ -9,11 +9,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
 from dvrk_cmaes.geometry import Posed, inverse

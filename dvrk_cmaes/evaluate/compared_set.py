@@ -73,7 +73,9 @@ def read_compared_set(path: Path) -> ComparedSet:
         return ComparedSet(path, "followed recording", frames)
     if os.path.lexists(path / GOLDEN) and not (path / "frames").is_dir():
         return _truth(path / GOLDEN)
-    return ComparedSet(path, "results", {name: _of_result(one) for name, one in read_results(path).frames.items()})
+    return ComparedSet(
+        path, "results", {name: _of_result(result) for name, result in read_results(path).frames.items()}
+    )
 
 
 def _truth(path: Path) -> ComparedSet:
@@ -81,7 +83,9 @@ def _truth(path: Path) -> ComparedSet:
     if not frames:
         raise InputError(f"{path}: frames: expected the pose of at least one frame, got none")
     return ComparedSet(
-        path, "truth", {name: ComparedFrame(one.camera_from_root, one.joints, one.tips) for name, one in frames.items()}
+        path,
+        "truth",
+        {name: ComparedFrame(truth.camera_from_root, truth.joints, truth.tips) for name, truth in frames.items()},
     )
 
 
@@ -90,8 +94,8 @@ def _followed(where: str, row: Mapping[str, Any]) -> ComparedFrame:
     known = {name: row.get(name) for name in _FOLLOWED}
     status = str(known["status"])
     as_status = "failed" if status == "lost" and known["camera_from_root"] is None else "doubtful"
-    one = _of_result(Result.from_dict({**known, "status": "ok" if status == "ok" else as_status}, where=where))
-    return ComparedFrame(one.camera_from_root, one.joints, one.tips, status, seconds=one.seconds)
+    frame = _of_result(Result.from_dict({**known, "status": "ok" if status == "ok" else as_status}, where=where))
+    return ComparedFrame(frame.camera_from_root, frame.joints, frame.tips, status, seconds=frame.seconds)
 
 
 def _of_result(result: Result) -> ComparedFrame:

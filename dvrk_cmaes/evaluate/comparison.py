@@ -119,20 +119,29 @@ class Comparison:
     def by_size(self) -> list[str]:
         """Frames with a difference, the largest of any set first."""
         sizes: dict[str, tuple[float, float]] = {}
-        for one in self.differences:
-            for frame, difference in one.items():
+        for differences in self.differences:
+            for frame, difference in differences.items():
                 sizes[frame] = max(difference.size, sizes.get(frame, difference.size))
         return sorted(sizes, key=lambda frame: (*(-value for value in sizes[frame]), frame))
 
     def spreads(self, index: int) -> dict[str, Spread | None]:
         """Summarise the differences of a set by quantity: those of ``QUANTITIES``, then each joint's without sign."""
-        found = self.differences[index]
-        joints = list(dict.fromkeys(name for one in found.values() for name in one.joints_deg))
+        differences = self.differences[index]
+        joints = list(dict.fromkeys(name for difference in differences.values() for name in difference.joints_deg))
         values = {
-            name: {f: v for f, one in found.items() if (v := getattr(one, name)) is not None} for name in QUANTITIES
+            name: {
+                frame: value
+                for frame, difference in differences.items()
+                if (value := getattr(difference, name)) is not None
+            }
+            for name in QUANTITIES
         }
         values |= {
-            f"{name}_deg": {f: abs(one.joints_deg[name]) for f, one in found.items() if name in one.joints_deg}
+            f"{name}_deg": {
+                frame: abs(difference.joints_deg[name])
+                for frame, difference in differences.items()
+                if name in difference.joints_deg
+            }
             for name in joints
         }
         return {name: Spread.of(by_frame) for name, by_frame in values.items()}
@@ -145,9 +154,10 @@ class Comparison:
         if self.sets[self.reference].kind != "truth":
             return None
         stated = [
-            one.farthest_tip_mm <= limit
-            for frame, one in self.differences[index].items()
-            if (limit := self.sets[index].frames[frame].tip_90_mm) is not None and one.farthest_tip_mm is not None
+            difference.farthest_tip_mm <= limit
+            for frame, difference in self.differences[index].items()
+            if (limit := self.sets[index].frames[frame].tip_90_mm) is not None
+            and difference.farthest_tip_mm is not None
         ]
         return (sum(stated), len(stated)) if stated else None
 
@@ -159,28 +169,28 @@ class Comparison:
             "frames": {
                 frame: {
                     label: {
-                        "status": one.frames[frame].status,
-                        "iou": one.frames[frame].iou,
-                        **(found[frame].to_dict() if frame in found else {}),
+                        "status": compared.frames[frame].status,
+                        "iou": compared.frames[frame].iou,
+                        **(differences[frame].to_dict() if frame in differences else {}),
                     }
-                    for label, one, found in zip(self.labels, self.sets, self.differences, strict=True)
-                    if frame in one.frames
+                    for label, compared, differences in zip(self.labels, self.sets, self.differences, strict=True)
+                    if frame in compared.frames
                 }
                 for frame in self.frames
             },
         }
 
     def _summary(self, index: int) -> dict[str, Any]:
-        one, found = self.sets[index], self.differences[index]
+        compared, differences = self.sets[index], self.differences[index]
         within = self.within_90(index)
         return {
-            "path": str(one.path),
-            "kind": one.kind,
-            "statuses": count_statuses(one),
-            "iou_median": median_of(frame.iou for frame in one.frames.values()),
-            "seconds_median": median_of(frame.seconds for frame in one.frames.values()),
-            "compared": len(found),
-            "twins": sorted(frame for frame, difference in found.items() if difference.is_twin),
+            "path": str(compared.path),
+            "kind": compared.kind,
+            "statuses": count_statuses(compared),
+            "iou_median": median_of(frame.iou for frame in compared.frames.values()),
+            "seconds_median": median_of(frame.seconds for frame in compared.frames.values()),
+            "compared": len(differences),
+            "twins": sorted(frame for frame, difference in differences.items() if difference.is_twin),
             "tips_within_90": None if within is None else {"frames": within[0], "of": within[1]},
             "differences": {
                 name: None if spread is None else spread.to_dict() for name, spread in self.spreads(index).items()
@@ -198,7 +208,7 @@ def compare_sets(sets: Sequence[ComparedSet], instrument: Instrument) -> Compari
     """
     if len(sets) < 2:
         raise InputError(f"compare: expected at least two sets of results, got {len(sets)}")
-    truths = [k for k, one in enumerate(sets) if one.kind == "truth"]
+    truths = [k for k, compared in enumerate(sets) if compared.kind == "truth"]
     if len(truths) > 1:
         raise InputError(f"{sets[truths[1]].path}: expected one truth, got {sets[truths[0]].path} too")
     reference = truths[0] if truths else 0
@@ -208,15 +218,15 @@ def compare_sets(sets: Sequence[ComparedSet], instrument: Instrument) -> Compari
         if k == reference
         else {
             name: difference
-            for name, frame in sorted(one.frames.items())
+            for name, frame in sorted(compared.frames.items())
             if name in base and (difference := compare_frames(frame, base[name], instrument)) is not None
         }
-        for k, one in enumerate(sets)
+        for k, compared in enumerate(sets)
     )
     if not any(differences):
         other = sets[1 if reference == 0 else 0]
         raise InputError(f"{other.path}: expected frames with a pose in {sets[reference].path} too, got none")
-    names = tuple(sorted({name for one in sets for name in one.frames}))
+    names = tuple(sorted({name for compared in sets for name in compared.frames}))
     return Comparison(tuple(sets), reference, names, differences)
 
 
@@ -254,9 +264,9 @@ def _tips(frame: ComparedFrame, instrument: Instrument) -> Float64 | None:
     )
 
 
-def count_statuses(one: ComparedSet) -> dict[str, int]:
+def count_statuses(compared: ComparedSet) -> dict[str, int]:
     """Count the frames of a set that have a status, by status: ok, doubtful, lost, failed."""
-    statuses = [frame.status for frame in one.frames.values()]
+    statuses = [frame.status for frame in compared.frames.values()]
     return {status: statuses.count(status) for status in ("ok", "doubtful", "lost", "failed") if status in statuses}
 
 

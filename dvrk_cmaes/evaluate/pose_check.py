@@ -65,13 +65,13 @@ def check_pose(
     if unknown:
         return PoseCheck(result.frame, (), no_pose=f"no joint {unknown[0]} in the result; is it another instrument's?")
     expected = (golden.camera_from_root, golden.joints)
-    found = (result.camera_from_root, result.joints)
-    straight = PoseCheck(result.frame, _rows(instrument, found, expected, tolerance))
+    pose_found = (result.camera_from_root, result.joints)
+    straight = PoseCheck(result.frame, _rows(instrument, pose_found, expected, tolerance))
     if straight.right or not instrument.has_twin or any(name not in golden.joints for name in names):
         return straight
     pose, joints = instrument.twin(golden.camera_from_root, [golden.joints[name] for name in names])
     twin = (pose, dict(zip(names, joints.tolist(), strict=True)))
-    turned = PoseCheck(result.frame, _rows(instrument, found, twin, tolerance), is_twin=True)
+    turned = PoseCheck(result.frame, _rows(instrument, pose_found, twin, tolerance), is_twin=True)
     if modulo_twin and _roll(turned) < _roll(straight):
         return turned
     return PoseCheck(result.frame, straight.rows, twin_within_tolerance=turned.right)
@@ -84,11 +84,11 @@ def table(check: PoseCheck) -> Iterator[str]:
         return
     yield f"{'':<18}{'found':>27}{'expected':>27}{'error':>9}{'at most':>9}"
     for row in check.rows:
-        one = row.measured
-        mark = "  <- off" if one.exceeds else ""
+        measured = row.measured
+        mark = "  <- off" if measured.exceeds else ""
         yield (
-            f"{f'{one.quantity}, {one.unit}':<18}{_numbers(row.found):>27}{_numbers(row.expected):>27}"
-            f"{one.error:>9.2f}{one.at_most:>9g}{mark}"
+            f"{f'{measured.quantity}, {measured.unit}':<18}{_numbers(row.found):>27}{_numbers(row.expected):>27}"
+            f"{measured.error:>9.2f}{measured.at_most:>9g}{mark}"
         )
     if check.is_twin:
         yield "expected is the mirror twin of the golden pose"
@@ -100,10 +100,12 @@ def _roll(check: PoseCheck) -> float:
     return next(row.measured.error for row in check.rows if row.measured.quantity == "roll")
 
 
-def _rows(instrument: Instrument, found: Pose, expected: Pose, tolerance: Tolerance) -> tuple[Row, ...]:
-    error: PoseError = compare_poses(instrument, found, expected)
-    values = [_values(instrument, pose, joints) for pose, joints in (found, expected)]
-    return tuple(Row(one, *(value.get(one.quantity, ()) for value in values)) for one in error.measured(tolerance))
+def _rows(instrument: Instrument, pose_found: Pose, expected: Pose, tolerance: Tolerance) -> tuple[Row, ...]:
+    error: PoseError = compare_poses(instrument, pose_found, expected)
+    values = [_values(instrument, pose, joints) for pose, joints in (pose_found, expected)]
+    return tuple(
+        Row(measured, *(value.get(measured.quantity, ()) for value in values)) for measured in error.measured(tolerance)
+    )
 
 
 def _values(instrument: Instrument, pose: Float64, joints: Mapping[str, float]) -> dict[str, Sequence[float]]:

@@ -66,22 +66,22 @@ class PoseError:
 
     def measured(self, tolerance: Tolerance) -> list[Measured]:
         """List each quantity's error with its tolerance; that of joints other than the jaw is ``pitch_yaw_deg``."""
-        found = [Measured("root", "mm", self.root_mm, tolerance.root_mm)]
+        errors = [Measured("root", "mm", self.root_mm, tolerance.root_mm)]
         if self.tip_mm is not None:
-            found.append(Measured("tip", "mm", self.tip_mm, tolerance.tip_mm))
-        found.append(Measured("shaft", "deg", self.shaft_deg, tolerance.shaft_deg))
-        found.append(Measured("roll", "deg", self.roll_deg, tolerance.roll_deg))
+            errors.append(Measured("tip", "mm", self.tip_mm, tolerance.tip_mm))
+        errors.append(Measured("shaft", "deg", self.shaft_deg, tolerance.shaft_deg))
+        errors.append(Measured("roll", "deg", self.roll_deg, tolerance.roll_deg))
         for name, value in self.joints_deg.items():
             most = tolerance.jaw_deg if name == "jaw" else tolerance.pitch_yaw_deg
-            found.append(Measured(name, "deg", abs(value), most))
-        return found
+            errors.append(Measured(name, "deg", abs(value), most))
+        return errors
 
     def beyond(self, tolerance: Tolerance) -> list[str]:
         """List a message for each quantity that exceeds its tolerance; empty if the pose counts as right."""
         return [
-            f"{one.quantity} {one.error:.2f} {one.unit} (at most {one.at_most:g})"
-            for one in self.measured(tolerance)
-            if one.exceeds
+            f"{measured.quantity} {measured.error:.2f} {measured.unit} (at most {measured.at_most:g})"
+            for measured in self.measured(tolerance)
+            if measured.exceeds
         ]
 
 
@@ -107,11 +107,11 @@ def compare_rotations(pose: Float64, true_pose: Float64) -> RotationError:
 
 def compare_poses(
     instrument: Instrument,
-    found: tuple[Float64, Mapping[str, float]],
+    estimate: tuple[Float64, Mapping[str, float]],
     truth: tuple[Float64, Mapping[str, float]],
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
-    (pose, joints), (true_pose, true_joints) = found, truth
+    (pose, joints), (true_pose, true_joints) = estimate, truth
     turned = compare_rotations(pose, true_pose)
     tip_mm = None
     if all(name in true_joints for name in instrument.joint_names):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from dvrk_cmaes.export.pose_table import table_text
+from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.results.result import Result
 
 RESULTS = "dvrk-cmaes_dvrk-test.csv"
@@ -52,3 +53,10 @@ def _numbered(frames: Sequence[str]) -> bool:
     if not all(frame.isascii() and frame.isdigit() and len(frame) <= 9 for frame in frames):
         return False
     return len({int(frame) for frame in frames}) == len(frames)
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export the poses of frames; InputError if there are no frames."""
+    results, options = request.source.poses(), request.options
+    texts = bop_files(results, scene=options.scene, obj=options.obj)
+    return Exported.of_texts(texts, left_out=request.source.without_pose)

@@ -15,15 +15,14 @@ All transforms are in m.
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.request import DvrkVersion, Exported, ExportRequest
 from dvrk_cmaes.io.atomic import json_text
-
-DvrkVersion = Literal["2.4", "2.3"]
 
 DVRK_FROM_OPEN_CV: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Transform from OpenCV's camera axes to the dVRK's, which have x and y reversed."""
@@ -80,3 +79,12 @@ def _rows(transform: NDArray[np.float64]) -> list[list[float]]:
     """Return the rows of a transform, with 0.0 for -0.0."""
     rows: list[list[float]] = (transform + 0.0).tolist()
     return rows
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export ``camera_from_base``; InputError if the source has none."""
+    base, options = request.source.base(), request.options
+    texts = registration_files(
+        base.camera_from_base, request.names, version=options.dvrk_version, ecm_pose=options.ecm_pose
+    )
+    return Exported.of_texts(texts, base=base)

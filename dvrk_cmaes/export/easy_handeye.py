@@ -12,6 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
+from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.geometry import inverse
 
 
@@ -36,3 +37,9 @@ def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -
         },
     }
     return {f"{name}.calib": yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export ``camera_from_base``; InputError if the source has none."""
+    base = request.source.base()
+    return Exported.of_texts(calibration_file(base.camera_from_base, request.names), base=base)

@@ -10,6 +10,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.io.typed_document import Number, convert_document, refused
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import NARROW
@@ -138,3 +139,8 @@ def _formula(model: CableModel) -> str:
             terms.append(f"{model.narrow[j]:+.5f} * (narrow_{name} - {name})")
         lines.append(f"{name}_correction = {' '.join(terms)}")
     return "\n".join(lines) + "\n"
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export the correction of a session calibration; InputError if there is none."""
+    return Exported.of_texts(correction_files(*request.source.calibration(), request.names))

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import quaternion_xyzw
+from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.results.result import POSE_AXES, Result
 
 _PRISMATIC = ("insertion",)
@@ -123,3 +124,8 @@ def _deviations(result: Result, joints: Sequence[str]) -> Iterator[tuple[str, fl
         yield f"std_{axis}_{'mm' if axis.startswith('t') else 'deg'}", value
     for name in joints:
         yield f"std_{name}_deg", round(joint[name], _DIGITS) if name in joint else None
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export a row for each frame; InputError if there are no frames."""
+    return Exported.of_texts({"poses.csv": table_text(pose_rows(request.source.poses()))})

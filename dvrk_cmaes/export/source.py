@@ -47,6 +47,11 @@ class ExportSource:
             check_frame_name(result.frame)
         return self.results
 
+    @property
+    def without_pose(self) -> tuple[str, ...]:
+        """Names of the frames that have no pose."""
+        return tuple(result.frame for result in self.results if result.camera_from_root is None)
+
     def has_base(self) -> bool:
         """Whether there is a session calibration, or a frame with a ``camera_from_base`` that did not fail."""
         known = (result.camera_from_base is not None and result.status != "failed" for result in self.results)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
+from dvrk_cmaes.export.request import Exported, ExportRequest
 
 
 def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) -> str:
@@ -29,3 +30,9 @@ def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) 
 def publisher_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
     """Return the text of a shell script with the command, by file name."""
     return {f"{names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export ``camera_from_base``; InputError if the source has none."""
+    base = request.source.base()
+    return Exported.of_texts(publisher_file(base.camera_from_base, request.names), base=base)

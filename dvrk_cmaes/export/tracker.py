@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import rotation_vector
+from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.results.result import Result
 
 POSE, JOINTS = "optimized_ctr.npy", "optimized_joint_angles.npy"
@@ -55,3 +56,8 @@ def _npy(array: NDArray[np.float32]) -> bytes:
     data = io.BytesIO()
     np.save(data, array, allow_pickle=False)
     return data.getvalue()
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export the poses of frames; InputError if there are no frames."""
+    return Exported(tracker_files(request.source.poses()), left_out=request.source.without_pose)

@@ -37,18 +37,18 @@ def read_boxes(path: str | Path) -> dict[str, FramePrompts]:
     parts = [part for part in (_BOX, _POINT) if set(part) <= set(header)]
     if _FRAME not in header or not parts or set(header) - {_FRAME, *(name for part in parts for name in part)}:
         raise InputError(f"{path}: header: expected frame,x0,y0,x1,y1 or frame,u,v or both, got {listed(header)}")
-    found: dict[str, FramePrompts] = {}
+    prompts: dict[str, FramePrompts] = {}
     for where, cells in rows:
         frame = cells[_FRAME]
-        if not frame or frame in found:
+        if not frame or frame in prompts:
             raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)}{' again' if frame else ''}")
         box, point = (_numbers(where, part, cells) if part in parts else () for part in (_BOX, _POINT))
         if box and not (box[0] < box[2] and box[1] < box[3]):
             raise InputError(f"{where}: expected a box with x0 < x1 and y0 < y1, got {listed(map(str, box))}")
-        found[frame] = FramePrompts(
+        prompts[frame] = FramePrompts(
             (box[0], box[1], box[2], box[3]) if box else None, ((point[0], point[1]),) if point else ()
         )
-    return found
+    return prompts
 
 
 def _numbers(where: str, names: tuple[str, ...], cells: dict[str, str]) -> tuple[float, ...]:

@@ -63,8 +63,8 @@ def read_mask(
         missing += "; is it a mask of labels?)" if 0 < grey.max() <= _THRESHOLD else ")"
     else:
         mask = grey == label
-        found = [str(value) for value in np.unique(grey)]
-        missing = f"expected pixels of label {label}, got only {', '.join(found[:8])}{', ...' if found[8:] else ''}"
+        values = [str(value) for value in np.unique(grey)]
+        missing = f"expected pixels of label {label}, got only {', '.join(values[:8])}{', ...' if values[8:] else ''}"
     if blank and (mask.all() or not mask.any()):
         return np.asarray(mask)
     if not mask.any():

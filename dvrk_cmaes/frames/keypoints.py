@@ -51,16 +51,16 @@ def read_keypoints(path: str | Path) -> dict[str, NDArray[np.float64]]:
     header, rows = read_csv_rows(path, expected="jaw tips (keypoints.csv)")
     if header != list(_COLUMNS):
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got {listed(header) or 'nothing'}")
-    found: dict[str, NDArray[np.float64]] = {}
+    tips: dict[str, NDArray[np.float64]] = {}
     for where, cells in rows:
         frame, *numbers = cells.values()
         if not frame:
             raise InputError(f"{where}: expected a frame and four numbers, got {listed(cells.values())}")
-        if frame in found:
+        if frame in tips:
             raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)} again")
         if any(numbers):
             try:
-                found[frame] = parse_keypoints(",".join(numbers))
+                tips[frame] = parse_keypoints(",".join(numbers))
             except InputError as error:
                 raise InputError(f"{where}: {error}") from None
-    return found
+    return tips

@@ -73,16 +73,16 @@ def read_detections(path: str | Path) -> dict[str, dict[str, Float64]]:
     header, rows = read_csv_rows(path, expected="detections of markers (markers.csv)")
     if header != list(_COLUMNS):
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got {listed(header)}")
-    found: dict[str, dict[str, Float64]] = {}
+    detections: dict[str, dict[str, Float64]] = {}
     for where, cells in rows:
         frame, marker = cells["frame"], cells["marker"]
         if not frame or not marker:
             raise InputError(f"{where}: expected a frame, a marker, u and v, got {listed(cells.values())}")
-        seen = found.setdefault(frame, {})
+        seen = detections.setdefault(frame, {})
         if marker in seen:
             raise InputError(f"{where}: expected each marker once a frame, got {shown(marker)} again")
         seen[marker] = np.array([number_in(where, name, cells, "pixels") for name in "uv"])
-    return found
+    return detections
 
 
 def place_markers(instrument: Instrument, joints: Float64, table: Mapping[str, Marker]) -> dict[str, Float64]:

@@ -46,15 +46,15 @@ def read_published_poses(path: str | Path) -> dict[str, PublishedPose]:
     missing = [name for name in _COLUMNS if name not in header]
     if missing:
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got no {listed(missing)}")
-    found: dict[str, PublishedPose] = {}
+    poses: dict[str, PublishedPose] = {}
     for where, cells in rows:
         frame = cells["frame"]
-        if not frame or frame in found:
+        if not frame or frame in poses:
             raise InputError(f"{where}: frame: expected a name, each once, got {shown(frame)}")
-        found[frame] = _pose({name: number_in(where, name, cells) for name in _COLUMNS[1:]})
-    if not found:
+        poses[frame] = _pose({name: number_in(where, name, cells) for name in _COLUMNS[1:]})
+    if not poses:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
-    return found
+    return poses
 
 
 def _pose(row: dict[str, float]) -> PublishedPose:

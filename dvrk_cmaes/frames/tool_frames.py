@@ -43,10 +43,10 @@ class _Masks:
     def of(tool: ToolEntry, session: Session) -> _Masks:
         if tool.masks is None:
             return _Masks(tool.arm, tool.label, {})
-        found = {name: image_files(tool.masks / name) for name in session.view_names}
-        if not any(found.values()):
+        files = {name: image_files(tool.masks / name) for name in session.view_names}
+        if not any(files.values()):
             raise InputError(f"{tool.masks}: expected masks (PNG or JPEG) of {tool.arm}, got none")
-        return _Masks(tool.arm, None, found)
+        return _Masks(tool.arm, None, files)
 
     def of_frame(self, files: FrameFiles, view: str) -> OtherTool | None:
         """Return the tool in a view of a frame; None if it has no mask there."""

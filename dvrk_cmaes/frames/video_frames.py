@@ -88,9 +88,9 @@ class Video:
             self._capture, self._next = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG), 0
         while self._next < number and self._capture.grab():
             self._next += 1
-        found, pixels = self._capture.read()
+        decoded, pixels = self._capture.read()
         self._next += 1
-        if not found:
+        if not decoded:
             raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
         return np.asarray(pixels, np.uint8)
 

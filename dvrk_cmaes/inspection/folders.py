@@ -34,7 +34,7 @@ def inspect_folder(path: Path, options: Options) -> Finding:
             return _without_camera(path)
         return _session(path, options)
     pictures = [
-        one for one in sorted(path.iterdir()) if one.suffix.lower() in PICTURES and not one.name.startswith(".")
+        file for file in sorted(path.iterdir()) if file.suffix.lower() in PICTURES and not file.name.startswith(".")
     ]
     if pictures:
         return _pictures(path, pictures)
@@ -50,12 +50,12 @@ def _pictures(path: Path, pictures: Sequence[Path]) -> Finding:
     problems = []
     for picture in pictures:
         try:
-            found = inspect_image(picture)
+            finding = inspect_image(picture)
         except InputError as error:
             problems.append(str(error))
             continue
-        kinds[f"{found.kind}, {found.read['width']} x {found.read['height']} px"] += 1
-    skipped = sorted({one.name for one in path.iterdir()} - {picture.name for picture in pictures})
+        kinds[f"{finding.kind}, {finding.read['width']} x {finding.read['height']} px"] += 1
+    skipped = sorted({file.name for file in path.iterdir()} - {picture.name for picture in pictures})
     lines = (
         f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
         *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),

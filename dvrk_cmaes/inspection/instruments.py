@@ -18,11 +18,12 @@ MESHES = (".stl", ".obj", ".dae", ".ply")
 
 def inspect_urdf(path: Path, options: Options) -> Finding:
     """Describe an instrument; InputError if it cannot be loaded."""
-    found = load_instrument(path, package_paths=options.package_paths)
-    faces = {link.name: len(link.faces) for link in found.links}
-    shaft = found.shaft
+    instrument = load_instrument(path, package_paths=options.package_paths)
+    faces = {link.name: len(link.faces) for link in instrument.links}
+    shaft = instrument.shaft
     limits = {
-        name: (float(low), float(high)) for name, (low, high) in zip(found.joint_names, found.limits, strict=True)
+        name: (float(low), float(high))
+        for name, (low, high) in zip(instrument.joint_names, instrument.limits, strict=True)
     }
     shaft_text = "no straight shaft found"
     if shaft is not None:
@@ -30,21 +31,21 @@ def inspect_urdf(path: Path, options: Options) -> Finding:
     return Finding(
         "instrument (URDF)",
         (
-            f"{found.name}, pose sought of {found.root_link}",
+            f"{instrument.name}, pose sought of {instrument.root_link}",
             f"links with meshes: {', '.join(f'{name} ({count} triangles)' for name, count in faces.items())}",
             *_limits(limits),
             shaft_text,
-            "a pair of jaws" if found.jaw_tips else "no pair of jaws",
-            "looks alike in its mirror twin" if found.has_twin else "does not look alike in its mirror twin",
+            "a pair of jaws" if instrument.jaw_tips else "no pair of jaws",
+            "looks alike in its mirror twin" if instrument.has_twin else "does not look alike in its mirror twin",
         ),
         {
-            "name": found.name,
-            "root_link": found.root_link,
+            "name": instrument.name,
+            "root_link": instrument.root_link,
             "triangles": faces,
             "limits": limits,
             "shaft_radius": None if shaft is None else shaft.radius,
-            "jaws": bool(found.jaw_tips),
-            "has_twin": found.has_twin,
+            "jaws": bool(instrument.jaw_tips),
+            "has_twin": instrument.has_twin,
         },
         ("limits are the URDF's unless --tool gives others",),
     )

@@ -69,9 +69,9 @@ def inspect_keypoints(path: Path) -> Finding:
 
 def inspect_detections(path: Path) -> Finding:
     """Describe a table of detected markers; InputError if it is not valid."""
-    found = read_detections(path)
-    line = f"painted markers seen in {counted(len(found), 'frame')}: {listed(found)}"
-    read = {"frames": {name: sorted(markers) for name, markers in found.items()}}
+    detections = read_detections(path)
+    line = f"painted markers seen in {counted(len(detections), 'frame')}: {listed(detections)}"
+    read = {"frames": {name: sorted(markers) for name, markers in detections.items()}}
     return Finding("marker detections", (line,), read)
 
 

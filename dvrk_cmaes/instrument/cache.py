@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes._version import __version__
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument.kinematics import Chain, Joint
 from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft

@@ -162,8 +162,8 @@ def _read(path: str | Path, names: tuple[str, ...], expected: str) -> _Descripti
     for name, row in rows.items():
         if row.qmin > row.qmax:
             raise refused(where, f"{name}.qmax", f"at least qmin, {row.qmin:g}", row.qmax)
-    found = [joint.name for joint in description.dh.joints]
-    if not set(names) <= set(found):
-        names_read = listed(found) or "none"
+    joints = [joint.name for joint in description.dh.joints]
+    if not set(names) <= set(joints):
+        names_read = listed(joints) or "none"
         raise InputError(f"{where}: DH.joints: expected {', '.join(names)} of {expected}, got {names_read}")
     return description

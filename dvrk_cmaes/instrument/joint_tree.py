@@ -48,15 +48,15 @@ def joints_below(robot: Any, root: str, path: Path) -> list[Any]:
             raise InputError(f"{path}: link {joint.child!r}: expected one joint above it, got two")
         parent_of[joint.child] = joint.parent
         children.setdefault(joint.parent, []).append(joint)
-    found: list[Any] = []
+    below: list[Any] = []
     stack = list(reversed(children.get(root, [])))
     while stack:
         joint = stack.pop()
         if joint.child == root:
             raise InputError(f"{path}: link {root!r}: expected a tree of links, got a loop through it")
-        found.append(joint)
+        below.append(joint)
         stack.extend(reversed(children.get(joint.child, [])))
-    return found
+    return below
 
 
 def build_joints(

@@ -88,5 +88,5 @@ def _package_name(manifest: Path) -> str | None:
         text = read_text(manifest, expected="the manifest of a ROS package", largest=_LARGEST_MANIFEST)
     except InputError:
         return None
-    found = re.search(r"<name>\s*([^<\s]+)\s*</name>", text)
-    return found.group(1) if found else None
+    match = re.search(r"<name>\s*([^<\s]+)\s*</name>", text)
+    return match.group(1) if match else None

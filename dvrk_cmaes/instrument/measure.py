@@ -46,17 +46,17 @@ def _shaft(instrument: Instrument, radius: float | None, axis: Axis | None) -> S
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
     for index, link in enumerate(instrument.links):
         vertices = link.vertices @ poses[index, :3, :3].T + poses[index, :3, 3]
-        found = find_cylinder(vertices, link.faces, axis)
-        if found is None or not _has_fixed_axis(instrument, index, found):
+        cylinder = find_cylinder(vertices, link.faces, axis)
+        if cylinder is None or not _has_fixed_axis(instrument, index, cylinder):
             continue
-        cylinder = _oriented_to_wrist(instrument, index, found, may_reverse=axis is None)
-        if cylinder is not None:
+        oriented = _oriented_to_wrist(instrument, index, cylinder, may_reverse=axis is None)
+        if oriented is not None:
             return Shaft(
-                point=cylinder.point,
-                direction=cylinder.direction,
-                radius=cylinder.radius if radius is None else radius,
-                distal_end=cylinder.high,
-                proximal_end=cylinder.low,
+                point=oriented.point,
+                direction=oriented.direction,
+                radius=oriented.radius if radius is None else radius,
+                distal_end=oriented.high,
+                proximal_end=oriented.low,
             )
     if axis is None and radius is None:
         return None

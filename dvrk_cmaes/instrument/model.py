@@ -149,9 +149,9 @@ class Instrument:
         return self.chain.forward(self._values(joints), self.link_joints)
 
     def twists(self, joints: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """Compute root_from_link (L, 4, 4) at joint values (J,) as `forward`, and how the joints move them, (L, 6, J).
+        """Compute root_from_link (..., L, 4, 4) at joints (..., J) as `forward`, and the links' motions (..., L, 6, J).
 
-        The motions are as in `Chain.twists`.
+        The motions by the joints are as in `Chain.twists`.
         """
         return self.chain.twists(self._values(joints), self.link_joints)
 

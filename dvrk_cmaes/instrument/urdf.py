@@ -85,8 +85,8 @@ def load_instrument(
     packages = sorted((name, str(folder)) for name, folder in package_paths.items())
     axis_values = None if axis is None else [part.tolist() for part in axis]
     cached = cache_file(path.absolute(), packages, root_link, shaft_radius, axis_values) if use_cache else None
-    if cached is not None and (found := read_cached(cached)) is not None:
-        return found
+    if cached is not None and (instrument := read_cached(cached)) is not None:
+        return instrument
     robot = read_robot(path)
     root = root_link if root_link is not None else DEFAULT_ROOT
     names = [link.name for link in robot.links]

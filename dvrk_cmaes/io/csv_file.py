@@ -1,4 +1,4 @@
-"""Read CSV files that consist of a header and rows with as many cells."""
+"""Read and write CSV files that consist of a header and rows with as many cells."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -58,6 +59,15 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: expected {expected}, got no valid CSV ({error})") from None
     return header, rows
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Format a header and rows of cells as the text of a CSV file."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def number_in(where: str, column: str, cells: dict[str, str], unit: str = "") -> float:

@@ -186,9 +186,9 @@ def _parts(value: object, kind: Any) -> list[tuple[str, object, Any]]:
     declared = getattr(type_info(kind), "fields", ())  # of dataclasses and structures
     hints = get_type_hints(kind, include_extras=True) if declared else {}
     return [
-        (f".{one.encode_name}", value.get(one.encode_name), hints[one.name])
-        for one in declared
-        if one.required or one.encode_name in value
+        (f".{field.encode_name}", value.get(field.encode_name), hints[field.name])
+        for field in declared
+        if field.required or field.encode_name in value
     ]
 
 

@@ -1,4 +1,6 @@
-"""Read small YAML files of plain data; aliases are refused, since they can expand to more than memory holds.
+"""Read and write small YAML files of plain data.
+
+Aliases are refused, since they can expand to more than memory holds.
 
 OpenCV's dialect is accepted: its first line ``%YAML:1.0`` is no valid directive of YAML, and its matrices are tagged.
 """
@@ -6,7 +8,7 @@ OpenCV's dialect is accepted: its first line ``%YAML:1.0`` is no valid directive
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -71,6 +73,12 @@ def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[s
             raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
         documents.append({str(key): value for key, value in document.items()})
     return documents
+
+
+def yaml_text(document: Mapping[str, Any]) -> str:
+    """Format a mapping as the text of a YAML file, in its order, with lists of numbers on one line."""
+    text: str = yaml.safe_dump(dict(document), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    return text
 
 
 def _documents(path: str | Path, text: str, expected: str, loader: Any, *, most: int) -> Iterator[Any]:

@@ -139,5 +139,5 @@ def leave_one_out(filtered: Filtered) -> tuple[Float64, Float64]:
         covariances.append(np.linalg.solve(without, covariance))
         slope = step.keep * slope
         curvature = step.keep[:, None] * curvature * step.keep
-    found = np.array(covariances[::-1])
-    return np.array(means[::-1]), (found + np.swapaxes(found, 1, 2)) / 2
+    stacked = np.array(covariances[::-1])
+    return np.array(means[::-1]), (stacked + np.swapaxes(stacked, 1, 2)) / 2

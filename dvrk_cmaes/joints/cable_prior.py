@@ -120,12 +120,12 @@ def _of_joints(fit: _Fit, names: tuple[str, ...]) -> CableModel:
 
     def pairs(values: list[list[float]], own: Float64) -> Float64:
         """Return values (C, C) of pairs of joints; of pairs that were not measured, the diagonal ``own`` (C,)."""
-        found = np.diag(own)
+        matrix = np.diag(own)
         for j, name in enumerate(names):
             for k, other in enumerate(names):
                 if name in rows and other in rows:
-                    found[j, k] = values[rows[name]][rows[other]]
-        return found
+                    matrix[j, k] = values[rows[name]][rows[other]]
+        return matrix
 
     own_play = each([fit.play[k][k] for k in range(len(fit.joints))])
     return CableModel(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -54,6 +54,16 @@ class Readings:
     low: Float64
     high: Float64
 
+    @staticmethod
+    def none(instrument: JointLimits) -> Readings:
+        """Return no readings, only the limits of an instrument's joints."""
+        count = len(instrument.joint_names)
+        low, high = instrument.limits.T.copy()
+        if "jaw" in instrument.joint_names:
+            # Jaws cannot pass through each other: a reading below zero presses them together, and they look closed.
+            low[instrument.joint_names.index("jaw")] = 0.0
+        return Readings(np.full(count, np.nan), np.full(count, np.inf), low, high)
+
     def cost(self, joints: Float64) -> Float64:
         """Sum the squared deviations of joints (..., J) from readings and limits, in standard deviations, (...)."""
         beyond = np.maximum(self.low - joints, 0) + np.maximum(joints - self.high, 0)
@@ -90,11 +100,7 @@ def split_readings(
         least, most = instrument.roll_limits
         if not least - 1e-6 <= roll <= most + 1e-6:
             warnings.append(_outside("roll", roll, least, most))
-    low, high = instrument.limits.T.copy()
-    if "jaw" in instrument.joint_names:
-        # Jaws cannot pass through each other: a reading below zero presses them together, and they look closed.
-        low[instrument.joint_names.index("jaw")] = 0.0
-    return Readings(values, sigma, low, high), unused, warnings
+    return replace(Readings.none(instrument), values=values, sigma=sigma), unused, warnings
 
 
 def _outside(name: str, value: float, low: float, high: float) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, Gaps, interpolated
 from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import JointFile
 
@@ -48,23 +48,13 @@ class ReadingSeries:
         out = np.full((len(times), len(names)), np.nan)
         for k, name in enumerate(names):
             if name in self.times:
-                out[:, k] = np.interp(times, self.times[name], self.values[name], left=np.nan, right=np.nan)
-                out[self._in_gap(name, times), k] = np.nan
+                stamps = self.times[name]
+                gaps = Gaps.beyond_usual(stamps, _GAP_SPACINGS, _GAP_SECONDS if self.unit == "s" else 0.0)
+                out[:, k] = interpolated(stamps, self.values[name], times, gaps)
                 if smoothed:
                     there = ~np.isnan(out[:, k])
                     out[there, k] = _smoothed(self.times[name], self.values[name], times[there])
         return out
-
-    def _in_gap(self, name: str, times: Float64) -> NDArray[np.bool_]:
-        """Whether times (N,) lie in too long a gap between two readings of a joint, (N,)."""
-        stamps = self.times[name]
-        if len(stamps) < 3:
-            return np.zeros(len(times), dtype=np.bool_)
-        gaps = np.diff(stamps)
-        longest = max(_GAP_SPACINGS * float(np.median(gaps)), _GAP_SECONDS if self.unit == "s" else 0.0)
-        after = np.searchsorted(stamps, times)  # the first reading at or after each time
-        between = (after > 0) & (after < len(stamps)) & (stamps[np.minimum(after, len(stamps) - 1)] != times)
-        return np.asarray(between & (gaps[np.clip(after - 1, 0, len(gaps) - 1)] > longest))
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
         """Return the readings at the time of a frame's image less the lag, by joint; without those that are not there.

@@ -80,7 +80,8 @@ class Outputs:
         messages = [*self._found(time, result), self._status(time, result, age, silent)]
         if overlay is not None:
             messages.append(self._overlay(time, overlay))
-        sent = [self._connection.publish(one.topic, _as_ros1(one.fields) if ros1 else one.fields) for one in messages]
+        fields = [_as_ros1(message.fields) if ros1 else message.fields for message in messages]
+        sent = [self._connection.publish(message.topic, f) for message, f in zip(messages, fields, strict=True)]
         return all(sent)
 
     def _topics(self) -> dict[str, str]:
@@ -134,7 +135,7 @@ class Outputs:
 def _as_ros1(value: Any) -> Any:
     """Return the fields of a message with times as in ROS 1."""
     if isinstance(value, list):
-        return [_as_ros1(one) for one in value]
+        return [_as_ros1(element) for element in value]
     if not isinstance(value, dict):
         return value
     if set(value) == {"sec", "nanosec"}:

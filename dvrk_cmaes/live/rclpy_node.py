@@ -104,7 +104,7 @@ def plain_fields(message: Any) -> Any:
         elif kind == "sequence<uint8>":
             fields[name] = bytes(value)
         elif "/" in kind:  # a sequence of messages
-            fields[name] = [plain_fields(one) for one in value]
+            fields[name] = [plain_fields(element) for element in value]
         elif isinstance(value, str | int | float | bool | bytes):
             fields[name] = value
         else:
@@ -126,7 +126,7 @@ def filled_message(message: Any, fields: Mapping[str, Any], type_of: Any) -> Any
             value = bytes([value])
         elif "/" in kind:
             inner = type_of(_full(kind.removeprefix("sequence<").partition(">")[0]))
-            value = [filled_message(inner(), one, type_of) for one in value]
+            value = [filled_message(inner(), element, type_of) for element in value]
         setattr(message, name, value)
     return message
 

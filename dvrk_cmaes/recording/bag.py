@@ -89,13 +89,13 @@ def _recording(
     readings = [_readings(reader, path, name, by_recording) for name in used]
     if joints is not None:
         readings += read_timed_joints(joints)
-    notes += [f"{' '.join(one.joints)}: {one.source}" for one in readings]
+    notes += [f"{' '.join(series.joints)}: {series.source}" for series in readings]
     unnamed = [name for name in used if not _first(reader, path, name).name]
     if unnamed:
         notes.append(f"{', '.join(unnamed)}: joints are not named: taken in the dVRK's order, by their number")
     if topics.joints is not None and topics.jaw is None:
         notes.append("jaw: not read")
-    total = sum(one.msgcount for one in reader.connections if one.topic == topics.image)
+    total = sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image)
     return Recording(
         path, _images(reader, path, topics.image, by_recording), total, lens, tuple(readings), tuple(notes)
     )
@@ -143,7 +143,7 @@ def _errors_as_input_errors(path: Path) -> Iterator[None]:
 
 def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic in the order of the recording, each with its recording time, ns."""
-    connections = [one for one in reader.connections if one.topic == topic]
+    connections = [connection for connection in reader.connections if connection.topic == topic]
     for connection, time, data in reader.messages(connections):
         yield time, reader.deserialize(data, connection.msgtype)
 

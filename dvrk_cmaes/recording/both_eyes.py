@@ -46,6 +46,6 @@ class Pairing:
         if self._next is None or self._next.time > time + _FARTHEST:
             self.without += 1
             return None
-        found, self._next = self._next, None
-        self.farthest = max(self.farthest, abs(found.time - time))
-        return found
+        image, self._next = self._next, None
+        self.farthest = max(self.farthest, abs(image.time - time))
+        return image

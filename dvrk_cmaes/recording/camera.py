@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.yaml_file import yaml_text
 
 _LARGEST = 1_000_000  # bytes
 
@@ -24,13 +24,7 @@ def read_camera_bytes(path: Path) -> bytes:
 
 def with_pose(right: Mapping[str, Any], right_from_left: NDArray[np.float64]) -> bytes:
     """Return the camera file of a right eye, given its content, with the pose (4, 4), m, of raw cameras added."""
-    return _yaml({**right, "right_from_left": right_from_left.tolist()})
-
-
-def _yaml(document: Mapping[str, Any]) -> bytes:
-    """Return the YAML file of a camera."""
-    text: str = yaml.safe_dump(dict(document), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
-    return text.encode("utf-8")
+    return yaml_text({**right, "right_from_left": right_from_left.tolist()}).encode()
 
 
 def camera_file(message: Any, name: str) -> bytes:
@@ -66,4 +60,4 @@ def camera_file(message: Any, name: str) -> bytes:
     document["roi"] = {key: int(getattr(region, key)) for key in ("x_offset", "y_offset", "height", "width")}
     if not any(document["roi"].values()):
         del document["roi"]
-    return _yaml(document)
+    return yaml_text(document).encode()

@@ -76,10 +76,10 @@ def open_surgsync(
     notes = [f"images: image/{side}", f"camera: {source}", "times: those of the images in time_syn"]
     if chosen is None:
         readings = () if joints is None else read_timed_joints(joints)
-        notes += [f"{' '.join(one.joints)}: {joints}" for one in readings]
+        notes += [f"{' '.join(series.joints)}: {joints}" for series in readings]
     else:
         readings = _readings(path / "kinematic" / chosen, times)
-        notes += [f"{' '.join(one.joints)}: kinematic/{chosen}" for one in readings]
+        notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
     kept = {
         f"{_REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=_LARGEST_REGISTRATION)
         for file in sorted((path / _REGISTRATIONS).glob("*.json"))
@@ -139,9 +139,11 @@ def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadi
         raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
     first = next(iter(rows.values()))
     arm, jaw = tuple(name for name in first if name != "jaw"), tuple(name for name in first if name == "jaw")
-    taken = {number: (one.arm or one.image, one.jaw or one.arm or one.image) for number, one in times.items()}
+    taken = {
+        number: (frame.arm or frame.image, frame.jaw or frame.arm or frame.image) for number, frame in times.items()
+    }
     return tuple(
-        _at_images(str(folder), joints, rows, times, {number: one[part] for number, one in taken.items()})
+        _at_images(str(folder), joints, rows, times, {number: moments[part] for number, moments in taken.items()})
         for part, joints in enumerate((arm, jaw))
         if joints
     )
@@ -171,6 +173,9 @@ def _at_images(
         )
     series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
     moments = [times[number].image for number in values]
-    found = [series.at(moment, _WIDEST_GAP) for moment in moments]
-    at_images = [own if one is None else one[0].tolist() for own, one in zip(values.values(), found, strict=True)]
+    interpolated = [series.at(moment, _WIDEST_GAP) for moment in moments]
+    at_images = [
+        own if reading is None else reading[0].tolist()
+        for own, reading in zip(values.values(), interpolated, strict=True)
+    ]
     return TimedReadings.of(source, joints, moments, at_images)

@@ -98,8 +98,8 @@ def _inner(value: Any) -> Iterator[Any]:
 
 def _position(value: Any) -> list[Any] | None:
     """Return the list of positions of a JointState, or a list as it is; None for other values."""
-    found = value.get("position") if isinstance(value, dict) else value
-    return found if isinstance(found, list) else None
+    position = value.get("position") if isinstance(value, dict) else value
+    return position if isinstance(position, list) else None
 
 
 def _time(where: str, document: Any, *names: str) -> int | None:

@@ -124,13 +124,15 @@ def _one(
         if types[name] not in kinds:
             raise InputError(f"{path}: {option}: {name}: expected {expected}, got {types[name].replace('/msg/', '/')}")
         return name
-    found = sorted(name for name, kind in types.items() if kind in kinds) if candidates is None else sorted(candidates)
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    suitable = (
+        sorted(name for name, kind in types.items() if kind in kinds) if candidates is None else sorted(candidates)
+    )
+    if len(suitable) == 1:
+        return suitable[0]
+    if not suitable:
         there = listed(sorted(types), _MOST_LISTED) or "no messages"
         raise InputError(f"{path}: {option}: expected a topic of {what} ({expected}), got {there}")
-    raise InputError(f"{path}: {option}: expected one topic of {what}, got several: {listed(found, _MOST_LISTED)}")
+    raise InputError(f"{path}: {option}: expected one topic of {what}, got several: {listed(suitable, _MOST_LISTED)}")
 
 
 def _words(name: str) -> list[str]:

@@ -49,7 +49,7 @@ def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: f
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         notes = (
             f"camera: {camera}",
-            *(f"{' '.join(one.joints)}: {joints}" for one in readings),
+            *(f"{' '.join(series.joints)}: {joints}" for series in readings),
             f"times: the video's, its first frame at {start:g} s of the readings' clock",
         )
         images = _images(path, capture, round(start * NANOSECONDS))
@@ -69,7 +69,7 @@ def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:
 
 def _decoded(path: Path, capture: Any, number: int) -> ImageFile:
     """Decode the frame last grabbed and encode it as PNG."""
-    found, pixels = capture.retrieve()
-    if not found:
+    decoded, pixels = capture.retrieve()
+    if not decoded:
         raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
     return encode_png(np.asarray(pixels, np.uint8))

@@ -8,11 +8,9 @@ joints.csv is blank if no reading was near enough in time. The folder is written
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
@@ -26,6 +24,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.io.atomic import write_bytes, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.recording.both_eyes import Pairing
@@ -98,7 +97,7 @@ class ImportSummary:
             "size": list(self.size),
             "tolerance_s": self.tolerance_s,
             "lag_s": self.lag_s,
-            "readings": [{**vars(one), "joints": list(one.joints)} for one in self.readings],
+            "readings": [{**vars(source), "joints": list(source.joints)} for source in self.readings],
             "notes": list(self.notes),
         }
 
@@ -153,9 +152,9 @@ def write_session(
         arm = _arm_of(recording.readings)
         tools = [] if arm is None else [ToolEntry(arm)]
         write_text(folder / SESSION_FILE, session_toml(cameras, tools))
-        write_text(folder / "images.csv", _csv(("frame", "time"), zip(names, time_cells, strict=True)))
+        write_text(folder / "images.csv", csv_text(("frame", "time"), zip(names, time_cells, strict=True)))
         rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
-        write_text(folder / "joints.csv", _csv(("frame", "time", *columns), rows))
+        write_text(folder / "joints.csv", csv_text(("frame", "time", *columns), rows))
         read_session(folder)  # raises InputError if the written folder is not a valid session
     seconds = 0.0 if lag is None else lag.in_unit("s")
     drift = f", drifting by {lag.drift:+.3g} s a second" if lag is not None and lag.drift else ""
@@ -179,7 +178,7 @@ def _earlier(times: Sequence[int], lag: Lag) -> list[int]:
 
 def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
     """Return the name of the arm that the sources of all readings name, such as PSM1; None if there is not one."""
-    arms = {found for source in readings for found in _ARM.findall(source.source)}
+    arms = {name for source in readings for name in _ARM.findall(source.source)}
     return arms.pop() if len(arms) == 1 else None
 
 
@@ -292,13 +291,13 @@ def _interpolate_source(
     used: list[int] = []
     missed: list[int] = []
     for time in times:
-        found = source.at(time, tolerance)
-        if found is None:
+        reading = source.at(time, tolerance)
+        if reading is None:
             cells.append([""] * len(source.joints))
             missed.append(source.distance(time))
         else:
-            cells.append(["" if np.isnan(value) else f"{value:.9f}" for value in found[0]])
-            used.append(found[1])
+            cells.append(["" if np.isnan(value) else f"{value:.9f}" for value in reading[0]])
+            used.append(reading[1])
     return cells, InterpolationSummary(
         source=source.source,
         joints=source.joints,
@@ -307,12 +306,3 @@ def _interpolate_source(
         farthest_s=max(used) / NANOSECONDS if used else None,
         nearest_s=min(missed) / NANOSECONDS if missed else None,
     )
-
-
-def _csv(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a table as CSV."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()

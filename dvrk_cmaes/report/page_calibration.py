@@ -266,7 +266,7 @@ def _corrections(
         if result.camera_from_root is None or np.isnan(outer).any():
             continue
         model, constants = calibration.model(outer, np.full((1, len(joints)), np.nan), joints)
-        change_of_root = change_between(model.predict(constants)[0][0], result.camera_from_root)
+        change_of_root = change_between(model.predict(constants).pose[0], result.camera_from_root)
         expected = constants.offsets[1] + model.correction.values[0, 0]
         found["insertion"][place] = float(constants.offsets[0] + change_of_root[2])
         found["roll"][place] = float(expected + change_of_root[5])

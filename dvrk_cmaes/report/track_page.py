@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.report.page_session import KeyFigure
 from dvrk_cmaes.report.page_template import render_template

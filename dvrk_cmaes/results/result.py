@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, rounded_values
 from dvrk_cmaes.io.typed_document import (
     Count,

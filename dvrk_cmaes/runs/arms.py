@@ -17,7 +17,7 @@ from dvrk_cmaes.io.atomic import encoded_image, write_bytes
 from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path
-from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 
 def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:

@@ -24,9 +24,9 @@ from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.runs.base_agreement import compare_bases
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
-from dvrk_cmaes.runs.fellows import compare_frames
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     check_same_frames,
@@ -223,7 +223,7 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
     results = _read(out)
     if results.frames:
         limit = manifest["config"].get("trust", {}).get("largest_base_deg", TrustConfig.largest_base_deg)
-        results = replace(results, frames=compare_frames(out, results.frames, limit))
+        results = replace(results, frames=compare_bases(out, results.frames, limit))
     document = summarize(results.frames, manifest, timing, calibration=results.session)
     if results.frames:
         write_text(out / POSES, table_text(pose_rows(results.frames.values())))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_with_evidence
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
@@ -31,7 +32,6 @@ from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes
 from dvrk_cmaes.runs.worker import BatchSetup
-from dvrk_cmaes.synth.files import write_camera_info
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own."""

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from dvrk_cmaes._version import __version__
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.runs.executor import ExternalExecutor

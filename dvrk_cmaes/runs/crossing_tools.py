@@ -16,7 +16,6 @@ from itertools import combinations
 from typing import Any, Final
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.evaluate.fellows import PREFIX
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
@@ -25,6 +24,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
+from dvrk_cmaes.runs.base_agreement import PREFIX
 from dvrk_cmaes.runs.batch import (
     TIME_LIMIT,
     BatchProgress,

@@ -15,7 +15,7 @@ from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.exchanged_masks import ArmInSession
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 from dvrk_cmaes.runs.frame import estimate_frame
 
 

@@ -14,9 +14,8 @@ from typing import Any, Final
 
 from msgspec import Struct, field
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.config import TrustConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object

@@ -9,8 +9,8 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from dvrk_cmaes.evaluate.rig_check import rig_doubts
 from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.runs.rig_check import rig_doubts
 
 _SCHEMA: Final = 1
 _DIGITS: Final = 6

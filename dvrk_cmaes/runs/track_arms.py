@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
-from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_while_followed
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
-from dvrk_cmaes.runs.exchanged_masks import ArmInSession, FoundFrame, find_exchanged_masks
+from dvrk_cmaes.runs.exchanged_tools import (
+    ArmInSession,
+    FoundAndRead,
+    FoundFrame,
+    exchanged_while_followed,
+    find_exchanged_masks,
+)
 from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 
 

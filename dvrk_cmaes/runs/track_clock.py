@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, Gaps, interpolated
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 
@@ -38,16 +38,11 @@ class TrackClock:
 
         ``gap`` s is the time between two readings from which on there is a gap between them.
         """
-        found = {}
+        by_joint = {}
         for joint in sorted({name for _, row in self.readings for name in row}):
-            known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
-            stamps, values = np.array(known, dtype=np.float64).T
-            at = np.interp(times, stamps, values, left=np.nan, right=np.nan)
-            after = np.clip(np.searchsorted(stamps, times), 1, max(len(stamps) - 1, 1))
-            if len(stamps) > 1:
-                at[stamps[after] - stamps[after - 1] > gap] = np.nan
-            found[joint] = at
-        return found
+            stamps, values = np.array([(stamp, row[joint]) for stamp, row in self.readings if joint in row]).T
+            by_joint[joint] = interpolated(stamps, values, times, Gaps.of_length(gap))
+        return by_joint
 
     @staticmethod
     def of(

@@ -108,10 +108,10 @@ def refine_outline(
     window = np.s_[top : top + height, left : left + width]
     colours, mask = measure_colours(np.ascontiguousarray(image[window])), rough[window]
     table, prompts_here = ColourTable(colours), prompts.within(window)
-    found = rough.copy()
+    refined = rough.copy()
     for _ in range(_FINE_ITERATIONS):
-        found[window] = mask
-        known = shaft_log_odds(found) if odds is None else odds
+        refined[window] = mask
+        known = shaft_log_odds(refined) if odds is None else odds
         by_colour = local_colour_log_odds(table, mask)
         total = _COLOURS_WEIGHT * by_colour + edge_log_odds(image[window], mask)
         if known is not None:
@@ -120,14 +120,14 @@ def refine_outline(
         if not mask.any() or mask.all():
             break
     score = np.zeros(rough.shape, np.float32)
-    found[window] = mask
-    found = fill_holes(instrument_region(found, _FINE_GAP * longer, prompts))
+    refined[window] = mask
+    refined = fill_holes(instrument_region(refined, _FINE_GAP * longer, prompts))
     score[window] = 1 / (1 + np.exp(-total))
-    verdict = assess_mask(found, window, by_colour, colours, prompts=prompts)
+    verdict = assess_mask(refined, window, by_colour, colours, prompts=prompts)
     notes = verdict.notes
     if verdict.confidence < GUESS:
         notes = ("a guess", *notes)
-    return Segmentation(found, score, verdict.confidence, notes)
+    return Segmentation(refined, score, verdict.confidence, notes)
 
 
 def _refine_reduced(
@@ -136,15 +136,15 @@ def _refine_reduced(
     """Refine an outline in an image reduced by ``scale``, and return the result at the original size."""
     height, width = rough.shape
     size = max(round(width * scale), 1), max(round(height * scale), 1)
-    found = refine_outline(
+    reduced = refine_outline(
         np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8),
         np.asarray(cv2.resize(rough.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5),
         prompts.resized(*size, scale),
         None if odds is None else np.asarray(cv2.resize(odds, size, interpolation=cv2.INTER_AREA), np.float32),
     )
-    mask = cv2.resize(found.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    score = None if found.score is None else np.asarray(cv2.resize(found.score, (width, height)), np.float32)
-    return replace(found, mask=np.asarray(mask), score=score)
+    mask = cv2.resize(reduced.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+    score = None if reduced.score is None else np.asarray(cv2.resize(reduced.score, (width, height)), np.float32)
+    return replace(reduced, mask=np.asarray(mask), score=score)
 
 
 def local_colour_log_odds(table: ColourTable, mask: Bool) -> Float32:

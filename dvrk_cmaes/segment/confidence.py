@@ -117,8 +117,8 @@ def _changes(away: Float32, colours: Colours, level: float, reaches: Sequence[fl
     of the line, at the same N points of the line.
     """
     height, width = away.shape
-    found, _ = cv2.findContours((away < level).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points = np.concatenate([chain[:, 0, :] for chain in found]).astype(np.float64)
+    chains, _ = cv2.findContours((away < level).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    points = np.concatenate([chain[:, 0, :] for chain in chains]).astype(np.float64)
     keep = (points > _ACROSS).all(axis=1) & (points < [width - 1 - _ACROSS, height - 1 - _ACROSS]).all(axis=1)
     points = points[keep][::3]
     soft = cv2.GaussianBlur(away, (0, 0), 2)

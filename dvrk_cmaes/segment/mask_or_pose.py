@@ -25,36 +25,40 @@ _SURE = 0.9  # confidence from which a mask that the pixels' colours support is 
 _CLEARLY = 0.65  # share of the differing pixels from which they decide for one of the two
 
 
-def attribute_doubt(image: NDArray[np.uint8], found: Segmentation, silhouette: Bool, ignore: Bool | None = None) -> str:
+def attribute_doubt(
+    image: NDArray[np.uint8], segmentation: Segmentation, silhouette: Bool, ignore: Bool | None = None
+) -> str:
     """Return a message that says whether a doubtful pose is probably due to the mask that it was fitted to.
 
     Parameters
     ----------
     image
         (H, W, 3) uint8, BGR.
-    found
+    segmentation
         The mask that was found in the image.
     silhouette
         (H, W), the silhouette of the pose.
     ignore
         (H, W), pixels that are not compared.
     """
-    if found.confidence < GUESS:
-        return f"the mask is probably to blame: it is a guess, confidence {found.confidence:.2f}"
-    mask = found.mask
+    if segmentation.confidence < GUESS:
+        return f"the mask is probably to blame: it is a guess, confidence {segmentation.confidence:.2f}"
+    mask = segmentation.mask
     differ = (mask & (distance_to(silhouette) > _TOLERANCE)) | (silhouette & (distance_to(mask) > _TOLERANCE))
     if ignore is not None:
         differ &= ~ignore
     if differ.sum() < _LEAST_SHARE * mask.sum():
-        if found.confidence < _SURE:
-            return f"whether mask or pose is to blame cannot be told: they agree, confidence {found.confidence:.2f}"
+        if segmentation.confidence < _SURE:
+            return (
+                f"whether mask or pose is to blame cannot be told: they agree, confidence {segmentation.confidence:.2f}"
+            )
         return "the mask is probably not to blame: the silhouette fits it, and the image bears it out"
     both, neither = mask & silhouette, ~(mask | silhouette) & (distance_to(mask | silhouette) < _AROUND)
     left, top, width, height = window_around(mask | silhouette, round(_AROUND))
     window = np.s_[top : top + height, left : left + width]
     odds = ColourTable(measure_colours(np.ascontiguousarray(image[window]))).log_odds(both[window], neither[window])
     sides_with_mask = float(((odds > 0) == mask[window])[differ[window]].mean())
-    if sides_with_mask > _CLEARLY and found.confidence >= _SURE:
+    if sides_with_mask > _CLEARLY and segmentation.confidence >= _SURE:
         return (
             "the mask is probably not to blame: where the silhouette differs from it, the image's colours side with "
             "the mask; instrument, camera or readings may be wrong"

@@ -20,7 +20,7 @@ _FADED = 0.45  # share of the dark colour that is mixed into the background
 
 def draw_segmentation(
     image: NDArray[np.uint8],
-    found: Segmentation,
+    segmentation: Segmentation,
     name: str,
     *,
     box: Box | None = None,
@@ -33,7 +33,7 @@ def draw_segmentation(
     ----------
     image
         (H, W, 3) uint8, BGR.
-    found
+    segmentation
         The mask, its confidence and notes.
     name
         Title of the drawing.
@@ -49,7 +49,7 @@ def draw_segmentation(
     scale = int(np.ceil(_WIDTH / width)) if width < _WIDTH else 1
     size = width * scale, height * scale
     canvas = Canvas(np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)), size[0] / 1280)
-    mask = cv2.resize(cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 0.7), size) > 0.5
+    mask = cv2.resize(cv2.GaussianBlur(segmentation.mask.astype(np.float32), (0, 0), 0.7), size) > 0.5
     canvas.tint(~mask, DARK, _FADED)
     canvas.outline(mask, YELLOW)
 
@@ -64,23 +64,23 @@ def draw_segmentation(
         canvas.ring(at(pixel), GREEN)
     for pixel in not_points:
         canvas.cross(at(pixel), VERMILLION)
-    return np.concatenate([_header(found, name, size[0], canvas.unit), canvas.image])
+    return np.concatenate([_header(segmentation, name, size[0], canvas.unit), canvas.image])
 
 
-def _header(found: Segmentation, name: str, width: int, unit: float) -> NDArray[np.uint8]:
+def _header(segmentation: Segmentation, name: str, width: int, unit: float) -> NDArray[np.uint8]:
     """Draw the strip of text: whether the mask is a guess, its confidence, and the notes."""
     margin = 14 * unit
     probe = Canvas(np.zeros((1, 1, 3), np.uint8), unit)
-    notes = [line for note in found.notes for line in probe.wrapped(f"- {note}", width - 2 * margin)]
+    notes = [line for note in segmentation.notes for line in probe.wrapped(f"- {note}", width - 2 * margin)]
     strip = np.full((round((_LINE * (1 + len(notes)) + 12) * unit), width, 3), _BACKGROUND, np.uint8)
     canvas = Canvas(strip, unit)
-    word, colour = ("A GUESS", ORANGE) if found.confidence < GUESS else ("MASK", GREEN)
+    word, colour = ("A GUESS", ORANGE) if segmentation.confidence < GUESS else ("MASK", GREEN)
     middle = (6 + _LINE / 2) * unit
     badge = canvas.text_width(word, 0.6) + 16 * unit
     canvas.box((margin, middle - 11 * unit), (badge, 22 * unit), colour)
     canvas.text(word, (margin + 8 * unit, middle), DARK, size=0.6)
-    share = f"{100 * float(found.mask.mean()):.1f} % of the image"
-    text = f"{name}   confidence {found.confidence:.2f}   {share}"
+    share = f"{100 * float(segmentation.mask.mean()):.1f} % of the image"
+    text = f"{name}   confidence {segmentation.confidence:.2f}   {share}"
     canvas.text(text, (margin + badge + 14 * unit, middle), WHITE, size=0.6)
     for k, line in enumerate(notes, start=1):
         canvas.text(line, (margin, middle + k * _LINE * unit), colour)

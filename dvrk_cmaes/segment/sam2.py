@@ -176,10 +176,10 @@ def segment_sam2(
     if not guess.mask.any():
         raise InputError("prompt: Segment Anything 2 needs a box or a point; without one, classic found no instrument")
     left, top, width, height = window_around(guess.mask, margin=0)
-    found = model.segment(image, box=(left, top, left + width - 1, top + height - 1), not_points=not_points)
+    segmentation = model.segment(image, box=(left, top, left + width - 1, top + height - 1), not_points=not_points)
     note = f"no prompt: asked for what is in the box of the classic segmentation (confidence {guess.confidence:.2f})"
-    confidence = min(found.confidence, guess.confidence)
-    return replace(found, confidence=confidence, notes=(note, *found.notes))
+    confidence = min(segmentation.confidence, guess.confidence)
+    return replace(segmentation, confidence=confidence, notes=(note, *segmentation.notes))
 
 
 def _prompt(shape: tuple[int, int], box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]) -> Prompt:

@@ -130,15 +130,15 @@ def open_export(folder: Path, threads: int) -> Export:
     pairs = [family for family in FAMILIES if family.name in encoders and family.name in decoders]
     if not pairs:
         raise InputError(_describe_missing_pair(folder, encoders, decoders, broken, foreign))
-    found = [model for family in pairs for model in encoders[family.name]]
-    wanted = [model for family in pairs for model in _with_most_masks(decoders[family.name], family)]
-    if len(found) > 1 or len(wanted) > 1:
+    usable_encoders = [model for family in pairs for model in encoders[family.name]]
+    usable_decoders = [model for family in pairs for model in _with_most_masks(decoders[family.name], family)]
+    if len(usable_encoders) > 1 or len(usable_decoders) > 1:
         raise InputError(
-            f"{folder}: expected one encoder and one decoder, got the encoders {_names(found)} "
-            f"and the decoders {_names(wanted)}; keep one pair"
+            f"{folder}: expected one encoder and one decoder, got the encoders {_names(usable_encoders)} "
+            f"and the decoders {_names(usable_decoders)}; keep one pair"
         )
     notes = tuple(f"not used: {reason}" for reason in (*broken, *foreign))
-    encoder, decoder = found[0], wanted[0]
+    encoder, decoder = usable_encoders[0], usable_decoders[0]
     _check_inputs(encoder, decoder, pairs[0])
     return Export(pairs[0], encoder, decoder, notes)
 
@@ -283,8 +283,8 @@ def _describe_missing_pair(
     if not there:
         return "; ".join(others[:2]) + instead
     missing = "no decoder: " if not decoders else "no encoder: " if not encoders else ""
-    found = ", ".join([*there, *(reason.removeprefix(f"{folder}/") for reason in others)])
-    return f"{folder}: {missing}expected encoder and decoder of one export, got {found}{instead}"
+    present = ", ".join([*there, *(reason.removeprefix(f"{folder}/") for reason in others)])
+    return f"{folder}: {missing}expected encoder and decoder of one export, got {present}{instead}"
 
 
 def _names(models: list[OnnxModel]) -> str:

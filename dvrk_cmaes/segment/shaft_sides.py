@@ -30,19 +30,19 @@ def shaft_log_odds(mask: Bool) -> Float32 | None:
     height, width = mask.shape
     focal = _FOCAL * max(height, width)
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-    found = find_shaft_edges(mask, find_contour(mask, camera), camera, _RADIUS)
-    if isinstance(found, str):
+    pairs = find_shaft_edges(mask, find_contour(mask, camera), camera, _RADIUS)
+    if isinstance(pairs, str):
         return None
-    lines = found[0].planes @ np.linalg.inv(camera.matrix)
+    lines = pairs[0].planes @ np.linalg.inv(camera.matrix)
     lines /= np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     v, u = np.mgrid[:height, :width].astype(np.float32)
     first, second = (line[0] * u + line[1] * v + line[2] for line in lines)  # px, positive outside
     outside = np.maximum(first, second)
     pull = -_STEEPNESS * np.sign(outside) * np.maximum(np.abs(outside) - _SLACK, 0)
     along = _inward(lines)
-    stretch = found[0].ends @ along
+    stretch = pairs[0].ends @ along
     ends = stretch.min(axis=1), stretch.max(axis=1)
-    if _comes_from_start(found[0].ends, along, (height, width)):
+    if _comes_from_start(pairs[0].ends, along, (height, width)):
         on_shaft = along[0] * u + along[1] * v < min(ends[1])
     else:
         on_shaft = along[0] * u + along[1] * v > max(ends[0])

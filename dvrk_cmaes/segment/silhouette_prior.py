@@ -45,7 +45,7 @@ def segment_first(
     DvrkCmaesError
         No pixel that counts was taken for the instrument.
     """
-    found = segment(
+    segmentation = segment(
         image,
         box=hints.box,
         points=hints.points,
@@ -54,9 +54,9 @@ def segment_first(
         weights=settings.weights,
         threads=threads,
     )
-    if not found.mask.any() or (ignore is not None and not (found.mask & ~ignore).any()):
+    if not segmentation.mask.any() or (ignore is not None and not (segmentation.mask & ~ignore).any()):
         raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")
-    return found
+    return segmentation
 
 
 def segment_again(
@@ -77,8 +77,8 @@ def segment_again(
     if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
         return None
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
-    found = refine_outline(image, silhouette, prompts, _log_odds(silhouette))
-    return found if found.mask.any() else None
+    segmentation = refine_outline(image, silhouette, prompts, _log_odds(silhouette))
+    return segmentation if segmentation.mask.any() else None
 
 
 def _log_odds(silhouette: Bool) -> Float32:

@@ -53,8 +53,8 @@ def _wander(count: int, model: CableModel, interval: float, rng: np.random.Gener
     """Draw Ornstein-Uhlenbeck processes (count, C), rad."""
     keep = np.exp(-interval / model.seconds)
     value = model.wander * rng.standard_normal(len(keep))
-    found = []
+    values = []
     for _ in range(count):
-        found.append(value)
+        values.append(value)
         value = keep * value + model.wander * np.sqrt(1 - keep**2) * rng.standard_normal(len(keep))
-    return np.array(found)
+    return np.array(values)

@@ -164,7 +164,7 @@ def read_moving(
     """
     frames = len(truths)
     offsets = {} if cables is None else dict(zip(cables.names, cables.offset.tolist(), strict=True))
-    found = {}
+    readings = {}
     for name in (*truths[0].outer, *truths[0].joints):
         path = np.array([{**truth.outer, **truth.joints}[name] for truth in truths]) if paths is None else paths[name]
         path = np.interp(np.arange(frames) + level.lag, np.arange(frames), path)
@@ -177,8 +177,8 @@ def read_moving(
             drift = np.cumsum(rng.standard_normal(frames)) / FRAMES_A_SECOND
             read += size * (level.offset_deg * rng.standard_normal() + level.play_deg * _side(path))
             read += size * level.drift_deg * drift
-        found[name] = read
-    return found
+        readings[name] = read
+    return readings
 
 
 def _waves(rng: np.random.Generator, frames: int, amplitude: float, speed: float) -> Float64:

@@ -93,14 +93,14 @@ def arm_session(
     """
     while attempts > 0:
         camera_from_base = _random_base(body.instrument, arm, rng, view)
-        found: list[Truth] = []
+        truths: list[Truth] = []
         for _ in range(60 * frames):
             attempts -= 1
             truth = _arm_truth(body.instrument, arm, camera_from_base, rng)
             if is_sensible(body, camera, truth, view):
-                found.append(truth)
-            if len(found) == frames:
-                return camera_from_base, found
+                truths.append(truth)
+            if len(truths) == frames:
+                return camera_from_base, truths
     raise DvrkCmaesError(f"no arm was found whose frames of {body.instrument.name} are sensible pictures")
 
 
@@ -114,10 +114,10 @@ def free_poses(
     attempts: int = 20_000,
 ) -> list[Truth]:
     """Draw independent poses of an instrument; DvrkCmaesError if too few were accepted in ``attempts``."""
-    found: list[Truth] = []
+    truths: list[Truth] = []
     for _ in range(attempts):
-        if len(found) == frames:
-            return found
+        if len(truths) == frames:
+            return truths
         pose = pose_from_view(
             camera,
             wrist=(rng.uniform(0.2, 0.8) * camera.width, rng.uniform(0.2, 0.8) * camera.height),
@@ -128,7 +128,7 @@ def free_poses(
         )
         truth = Truth(body.instrument, pose, _wrist(body.instrument, rng))
         if is_sensible(body, camera, truth, view):
-            found.append(truth)
+            truths.append(truth)
     raise DvrkCmaesError(f"no poses of {body.instrument.name} were found that are sensible pictures")
 
 

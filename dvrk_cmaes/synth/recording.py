@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.files import rounded, rounded_truth
@@ -104,13 +105,13 @@ def write_recorded_arm(
     ``suffix`` is added to the names of the files.
     """
     columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
-    rows, golden = [",".join(["frame", "time", *columns])], {}
+    rows, golden = [], {}
     for k, (truth, share) in enumerate(zip(arm.truths, visible, strict=True)):
         name = frame_name(plan, k)
         cells = [f"{arm.readings[joint][k]:.6f}" for joint in columns]
-        rows.append(",".join([name, f"{k / FRAMES_A_SECOND:.6f}", *cells]))
+        rows.append([name, f"{k / FRAMES_A_SECOND:.6f}", *cells])
         golden[name] = rounded_truth(truth, "T_camera_roll_link", "tips_camera_m") | {"visible": round(share, 3)}
-    write_text(folder / f"joints{suffix}.csv", "\n".join(rows) + "\n")
+    write_text(folder / f"joints{suffix}.csv", csv_text(("frame", "time", *columns), rows))
     write_json(folder / f"golden{suffix}.json", {"camera_from_base": rounded(arm.base), "frames": golden})
 
 

@@ -15,8 +15,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import write_camera_info
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
@@ -24,8 +25,9 @@ from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import rounded, rounded_truth, write_camera_info, write_joints
+from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.levels import LEVELS, Level
 from dvrk_cmaes.synth.masks import simulate_segmentation
@@ -204,16 +206,16 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
                 _write_view(folder, plan, view, seen, images=images)
             readings[frame.name] = frame.readings
             pixels = ["", "", "", ""] if frame.tips is None else [f"{value:.2f}" for value in frame.tips.ravel()]
-            tips.append(",".join([frame.name, *pixels]))
-            markers += [f"{frame.name},{name},{u:.2f},{v:.2f}" for name, (u, v) in frame.markers.items()]
+            tips.append([frame.name, *pixels])
+            markers += [[frame.name, name, f"{u:.2f}", f"{v:.2f}"] for name, (u, v) in frame.markers.items()]
             golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
         write_cameras(folder, plan, plan.tools)
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
         write_joints(folder / "joints.csv", readings, columns)
         if plan.body.instrument.jaw_tips:
-            write_text(folder / "keypoints.csv", _csv("frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v", tips))
+            write_text(folder / "keypoints.csv", csv_text(("frame", "tip_1_u", "tip_1_v", "tip_2_u", "tip_2_v"), tips))
         if plan.markers:
-            write_text(folder / "markers.csv", _csv("frame,marker,u,v", markers))
+            write_text(folder / "markers.csv", csv_text(("frame", "marker", "u", "v"), markers))
         base = None if camera_from_base is None else rounded(camera_from_base)
         write_json(folder / "golden.json", {"camera_from_base": base, "frames": golden})
         write_json(folder / PLAN_FILE, plan.describe())
@@ -247,10 +249,6 @@ def draw_frame(plan: SessionPlan, frame: SyntheticFrame) -> NDArray[np.uint8]:
     return draw_image(
         plan.camera, frame.truth, rng, holes=frame.holes, occluder=frame.occluder, outside_lens=frame.outside_lens
     )
-
-
-def _csv(header: str, rows: list[str]) -> str:
-    return "\n".join([header, *rows]) + "\n"
 
 
 def _generator(plan: SessionPlan, *stream: int) -> np.random.Generator:
@@ -324,13 +322,13 @@ def _seen_tips(
     if not truth.instrument.jaw_tips:
         return None
     tips = camera.project(truth.tips)
-    found = np.asarray((tips + level.tip_px * rng.standard_normal(tips.shape))[rng.permutation(2)])
-    return found if all(_seen(hidden, tip) for tip in tips) else None
+    detected = np.asarray((tips + level.tip_px * rng.standard_normal(tips.shape))[rng.permutation(2)])
+    return detected if all(_seen(hidden, tip) for tip in tips) else None
 
 
 def _seen_markers(plan: SessionPlan, truth: Truth, hidden: Bool | None, rng: np.random.Generator) -> dict[str, Float64]:
     """Simulate the detection of markers, pixels (2,) by name; markers on the far side are not excluded."""
-    level, found = plan.level, {}
+    level, pixels = plan.level, {}
     for name, place in place_markers(truth.instrument, truth.values, plan.markers).items():
         point = truth.camera_from_root[:3, :3] @ place + truth.camera_from_root[:3, 3]
         detected, noise = rng.random() < level.marker_share, level.marker_px * rng.standard_normal(2)
@@ -339,5 +337,5 @@ def _seen_markers(plan: SessionPlan, truth: Truth, hidden: Bool | None, rng: np.
         pixel = plan.camera.project(point)
         inside = bool(((pixel > 0) & (pixel < [plan.camera.width - 1, plan.camera.height - 1])).all())
         if inside and _seen(hidden, pixel):
-            found[name] = np.asarray(pixel + noise)
-    return found
+            pixels[name] = np.asarray(pixel + noise)
+    return pixels

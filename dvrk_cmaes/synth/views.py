@@ -90,12 +90,12 @@ def _traced(
     traced = np.ascontiguousarray(rays[inside])
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
-    found = scene.run(np.ascontiguousarray(NEAR * traced), traced, output=True)
+    hits = scene.run(np.ascontiguousarray(NEAR * traced), traced, output=True)
 
     face = np.full(inside.shape, NOTHING, dtype=np.int64)
-    face[inside] = found["primID"]
+    face[inside] = hits["primID"]
     depth = np.zeros(inside.shape, dtype=np.float32)
-    depth[inside] = found["tfar"] + NEAR
+    depth[inside] = hits["tfar"] + NEAR
     seen = face != NOTHING
     return LinkView(
         link=np.where(seen, owner[face], NOTHING).astype(np.int32),

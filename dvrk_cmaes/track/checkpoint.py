@@ -10,18 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.track.hypothesis import Hypothesis
 from dvrk_cmaes.track.motion import Anchor
-from dvrk_cmaes.track.rig_outline import RigOutlines
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.state import FilterState, Layout
 
 Float64 = NDArray[np.float64]
 
 
-def plain_hypothesis(one: Hypothesis) -> dict[str, Any]:
+def plain_hypothesis(hypothesis: Hypothesis) -> dict[str, Any]:
     """Return a hypothesis as plain values; their text in JSON has all digits."""
-    drawn = None if one.rim is None else [one.rim.pose.tolist(), one.rim.joints.tolist(), list(one.rim.views)]
-    return {**_plain(one), "state": _plain(one.state), "anchor": _plain(one.anchor), "rim": drawn}
+    outline, drawn = hypothesis.outline, None
+    if outline is not None:
+        drawn = [outline.at.pose.tolist(), outline.at.joints.tolist(), list(outline.views)]
+    return {
+        "state": _plain(hypothesis.state),
+        "anchor": _plain(hypothesis.anchor),
+        "sigma": hypothesis.sigma,
+        "score": hypothesis.score,
+        "relation": hypothesis.relation,
+        "rim": drawn,
+    }
 
 
 def _plain(part: object) -> dict[str, Any]:
@@ -30,7 +40,7 @@ def _plain(part: object) -> dict[str, Any]:
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
-def read_hypothesis(values: Mapping[str, Any], model: RigOutlines) -> Hypothesis:
+def read_hypothesis(values: Mapping[str, Any], model: OutlineModel) -> Hypothesis:
     """Return the hypothesis of plain values, its outline drawn again; InputError if they are not those of one."""
     joints_read = len(model.instrument.joint_names)
     size = Layout(joints_read).size
@@ -52,11 +62,11 @@ def read_hypothesis(values: Mapping[str, Any], model: RigOutlines) -> Hypothesis
             anchor = replace(anchor, expected=_array(plain["expected"], (1 + joints_read,)))
         sigma, score = (float(_array(values[name], ())) for name in ("sigma", "score"))
         drawn = values["rim"]
-        rim = None
+        outline = None
         if drawn is not None:
             views = tuple(range(len(model.rig.views))[number] for number in drawn[2])
-            rim = model.draw(_array(drawn[0], (4, 4)), _array(drawn[1], (joints_read,)), views)
-        return Hypothesis(state, anchor, sigma, score, str(values["relation"]), rim)
+            outline = model.draw(Posed(_array(drawn[0], (4, 4)), _array(drawn[1], (joints_read,))), views)
+        return Hypothesis(state, anchor, sigma, score, str(values["relation"]), outline)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         raise InputError("checkpoint: expected the state of a tracker, got something else") from None
 

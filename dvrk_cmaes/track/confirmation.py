@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 
@@ -69,7 +70,7 @@ def agree(follower: Follower, followed: Hypothesis, result: Result) -> bool:
     if result.camera_from_root is None or result.covariance is None:
         return False
     joints = np.array([result.joints[name] for name in follower.instrument.joint_names])
-    _, deviation = follower.fused(followed, result.camera_from_root, joints, result.covariance)
+    _, deviation = follower.fused(followed, Posed(result.camera_from_root, joints), result.covariance)
     tips, ends = follower.located(followed).tips, np.array(result.tips).reshape(-1, 3)
     apart = np.linalg.norm(tips - ends, axis=1) if len(tips) == len(ends) else np.zeros(1)
     return deviation < _SAME_POSE and bool(apart.max() < _SAME_TIPS)

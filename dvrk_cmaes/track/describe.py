@@ -8,20 +8,22 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
 
 
-def described(follower: Follower, one: Hypothesis, result: TrackResult, located: Located | None = None) -> TrackResult:
+def described(
+    follower: Follower, hypothesis: Hypothesis, result: TrackResult, located: Located | None = None
+) -> TrackResult:
     """Return a result with the pose of a hypothesis, which is ``located`` if that is given."""
-    at = follower.located(one) if located is None else located
-    names = follower.instrument.joint_names
-    read = dict(zip(("roll", *names), [one.anchor.outer_read, *one.anchor.joint_read.tolist()], strict=True))
-    offsets = dict(zip(("roll", *names), one.state.offsets.tolist(), strict=True))
+    located = follower.located(hypothesis) if located is None else located
+    state, anchor, names = hypothesis.state, hypothesis.anchor, follower.instrument.joint_names
+    read = dict(zip(("roll", *names), [anchor.outer_read, *anchor.joint_read.tolist()], strict=True))
+    offsets = dict(zip(("roll", *names), state.offsets.tolist(), strict=True))
     return replace(
         result,
-        camera_from_root=at.camera_from_root,
-        joints=dict(zip(names, at.joints.tolist(), strict=True)),
-        covariance=at.covariance,
-        tips=at.tips,
-        tip_std_mm=at.tip_std * 1e3 if len(at.tips) else None,
-        camera_from_base=one.state.camera_from_base if one.anchor.outer_read else None,
+        camera_from_root=located.at.pose,
+        joints=dict(zip(names, located.at.joints.tolist(), strict=True)),
+        covariance=located.covariance,
+        tips=located.tips,
+        tip_std_mm=located.tip_std * 1e3 if len(located.tips) else None,
+        camera_from_base=state.camera_from_base if anchor.outer_read else None,
         offsets={name: value for name, value in offsets.items() if read[name]},
     )
 

@@ -39,11 +39,11 @@ def calibration_of(
     outer = dict(zip(("yaw", "pitch", "insertion", "roll"), spread.outer.tolist(), strict=True))
     joints = dict(zip(instrument.joint_names, spread.joints.tolist(), strict=True))
     slack = {"slack_translation": float(spread.slack[0]), "slack_rotation": float(spread.slack[3])}
-    found = None
+    applied = None
     if lag is not None:
         factor = 1.0 if unit == "s" else 1.0 / interval
         step = interval if unit == "s" else 1.0
-        found = Lag.of(lag.seconds * factor, lag.std * factor, unit, step, applied=True)
+        applied = Lag.of(lag.seconds * factor, lag.std * factor, unit, step, applied=True)
     return SessionCalibration(
         instrument=instrument.name,
         camera_from_base=state.camera_from_base,
@@ -52,7 +52,7 @@ def calibration_of(
         covariance=covariance,
         covariance_given_camera=covariance,
         spreads={**outer, **joints, **slack},
-        lag=found,
+        lag=applied,
         arm=arm,
         roll_offset=instrument.roll_offset,
         seed=config.seed,

@@ -14,15 +14,15 @@ from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.checkpoint import plain_hypothesis, read_hypothesis
 from dvrk_cmaes.track.confirmation import CHANGED, UNCONFIRMED, Confirmation
 from dvrk_cmaes.track.describe import described, without_pose
+from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
 from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_supported
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.readings import Readings
 from dvrk_cmaes.track.recovery import GlobalSearch, explains, has_jumped, is_certain, same_base, search_around
-from dvrk_cmaes.track.rig_outline import RigEvidence
-from dvrk_cmaes.track.rig_sight import RigSeen, RigSight
 from dvrk_cmaes.track.searching import WORSE, Searching, is_better
+from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.smoother import FilterStep
 from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -38,7 +38,7 @@ class Following:
 
     follower: Follower
     rig: Rig
-    sight: RigSight
+    sight: Sight
     solve: GlobalSearch
     readings: Readings
     config: EstimateConfig
@@ -56,14 +56,14 @@ class Following:
     def checkpoint(self) -> dict[str, Any]:
         """Return the state as plain values."""
         return {
-            "hypotheses": [plain_hypothesis(one) for one in self.hypotheses],
+            "hypotheses": [plain_hypothesis(hypothesis) for hypothesis in self.hypotheses],
             "search": [self._search.unsupported, self._search.wait, self._search.usual, self._search.astray],
             "confirmation": [self._confirmation.credit, self._confirmation.left, self._confirmation.wait],
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
-        self.hypotheses = [read_hypothesis(one, self.follower.model) for one in saved["hypotheses"]]
+        self.hypotheses = [read_hypothesis(values, self.follower.model) for values in saved["hypotheses"]]
         unsupported, wait, usual, astray = saved["search"]
         usual = None if usual is None else float(usual)
         self._search = Searching(float(unsupported), float(wait), usual, int(astray))
@@ -74,7 +74,7 @@ class Following:
         """Return the readings at the time of an image, based on those of the image before."""
         return self.readings.anchor(time, None if self.best is None else self.best.anchor)
 
-    def first(self, time: float, seen: RigSeen) -> TrackResult:
+    def first(self, time: float, seen: Seen) -> TrackResult:
         """Solve the first image by itself."""
         anchor = self.anchor(time)
         if seen.problem is not None:
@@ -101,36 +101,36 @@ class Following:
         self.readings.forget_poses()
         self.last_step = None
 
-    def _begin_anew(self, seen: RigSeen, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
+    def _begin_anew(self, seen: Seen, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
         """Start from the result of images in the place of what was followed until then; arguments as of `begin`."""
         self.begin(result, starts, changed=changed)
         self._expect(seen)
         self.learn(seen, anew=True)
 
-    def learn(self, seen: RigSeen, *, anew: bool = False) -> None:
+    def learn(self, seen: Seen, *, anew: bool = False) -> None:
         """Learn the colours of the images along the outlines of the best hypothesis; ``anew`` forgets those before."""
-        views = tuple(view for view, one in seen.clear.items() if one.image is not None)
-        if views:
-            self.sight.learn(seen, self.follower.outlines(self.hypotheses[0], views), anew=anew)
+        views = tuple(view for view in seen.clear if seen.images[view] is not None)
+        drawn = self.follower.outline(self.hypotheses[0], views) if views else None
+        if drawn is not None:
+            self.sight.learn(seen, *drawn, anew=anew)
 
-    def _expect(self, seen: RigSeen) -> None:
+    def _expect(self, seen: Seen) -> None:
         """Take the agreement of a mask with the pose that was found in it for the usual one."""
         evidence = self.sight.evidence(seen) if seen.source == "mask" else None
-        found = None if evidence is None else self.follower.corrected(self.hypotheses[0], evidence)
-        if found is not None:
-            self._search.settle(found[1])
+        corrected = None if evidence is None else self.follower.corrected(self.hypotheses[0], evidence)
+        if corrected is not None:
+            self._search.settle(corrected[1])
 
-    def follow(self, time: float, elapsed: float, seen: RigSeen) -> TrackResult:
+    def follow(self, time: float, elapsed: float, seen: Seen) -> TrackResult:
         """Predict all hypotheses for an image ``elapsed`` s after the last, and correct them by it."""
         anchor = self.anchor(time)
-        before = [
-            based_on_arm(self.follower, self.config, one, anchor, self.readings.lag.std) for one in self.hypotheses
-        ]
-        predictions = [self.follower.predicted(one, anchor, elapsed, self.readings.lag.std) for one in before]
-        self.hypotheses = [one for one, _ in predictions]
+        std = self.readings.lag.std
+        before = [based_on_arm(self.follower, self.config, mode, anchor, std) for mode in self.hypotheses]
+        predictions = [self.follower.predicted(mode, anchor, elapsed, std) for mode in before]
+        self.hypotheses = [mode for mode, _ in predictions]
         first, transition = predictions[0]
         self.last_step = FilterStep(first.state, transition, first.state, anchor)
-        if seen.problem is not None and seen.main.mask is not None:
+        if seen.problem is not None and seen.masks[seen.main] is not None:
             return self._unsupported(time, seen.problem)
         if seen.any_same and self.follower.has_moved(before[0], self.hypotheses[0]):
             seen = seen.without_frozen()
@@ -139,20 +139,20 @@ class Following:
         evidence = self.sight.evidence(seen)
         if evidence is None:
             return self._unsupported(time, "lost: no instrument was found in the image")
-        fits = [self.follower.corrected(one, evidence) for one in self.hypotheses]
+        fits = [self.follower.corrected(mode, evidence) for mode in self.hypotheses]
         fits[0], away = self._found_around(before[0], fits[0], anchor, evidence, seen.source)
         main, track = fits[0], self.config.track
         fit = None if main is None else main[1]
         supported, searched = fit is not None and is_supported(fit, track), False
         if self._search.is_weak(fit, seen.source, track):
-            in_view = main is not None or self.follower.outlines(self.hypotheses[0], tuple(seen.clear))
+            in_view = main is not None or self.follower.outline(self.hypotheses[0], seen.clear) is not None
             gone = seen.source == "image" and not in_view
             searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
-            found = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
-            if found is not None:
-                return found
+            result = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
+            if result is not None:
+                return result
         if supported:
-            result = self._supported(time, seen, [one for one in fits if one is not None], away=away)
+            result = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
             if self._confirmation.needed and result.status == "ok":
                 result = self._confirmed(time, anchor, seen, result)
         else:
@@ -164,7 +164,7 @@ class Following:
         before: Hypothesis,
         main: tuple[Hypothesis, Fit] | None,
         anchor: Anchor,
-        evidence: RigEvidence,
+        evidence: Evidence,
         source: str,
     ) -> tuple[tuple[Hypothesis, Fit] | None, bool]:
         """Return what the image corrected the prediction to, ``main``, or a better pose from a search around it.
@@ -174,19 +174,19 @@ class Following:
         """
         away = False
         if self._search.is_weak(main and main[1], source, self.config.track):
-            found = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
-            certain = found is not None and is_certain(found[1], source)
-            if found is not None and certain and (main is None or is_better(found[1], main[1])):
-                main, away = found, anchor.moves_from(before.anchor)
+            nearby = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
+            certain = nearby is not None and is_certain(nearby[1], source)
+            if nearby is not None and certain and (main is None or is_better(nearby[1], main[1])):
+                main, away = nearby, anchor.moves_from(before.anchor)
                 self.last_step = None
-                if has_jumped(self.follower, before, found[0]):
+                if has_jumped(self.follower, before, nearby[0]):
                     self._confirmation.doubt()
         if self._search.is_led_astray(away=away) and main is not None:
             main = rebased(self.follower, self.config, main[0], anchor, self.readings.lag.std), main[1]
             self.readings.forget_poses()
         return main, away
 
-    def _confirmed(self, time: float, anchor: Anchor, seen: RigSeen, result: TrackResult) -> TrackResult:
+    def _confirmed(self, time: float, anchor: Anchor, seen: Seen, result: TrackResult) -> TrackResult:
         """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
         doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
         if not self._confirmation.due():
@@ -199,7 +199,7 @@ class Following:
                 doubtful = self._result(time, "doubtful", (CHANGED,))
         return replace(doubtful if self._confirmation.needed else result, searched=True)
 
-    def _supported(self, time: float, seen: RigSeen, fits: list[tuple[Hypothesis, Fit]], *, away: bool) -> TrackResult:
+    def _supported(self, time: float, seen: Seen, fits: list[tuple[Hypothesis, Fit]], *, away: bool) -> TrackResult:
         """Keep the corrected hypotheses, decide between them, and judge the best one.
 
         ``away`` tells that its pose was found away from where the readings say.
@@ -232,12 +232,12 @@ class Following:
 
     def _unseen(self, time: float, reason: str) -> TrackResult:
         """Return the prediction of an image in which nothing can be seen; doubtful as long as it is certain."""
-        found = self._result(time, "doubtful", (reason,))
-        certain = found.tip_std_mm is None or found.tip_std_mm <= self.config.track.largest_tip_mm
-        return found if certain else replace(found, status="lost")
+        result = self._result(time, "doubtful", (reason,))
+        certain = result.tip_std_mm is None or result.tip_std_mm <= self.config.track.largest_tip_mm
+        return result if certain else replace(result, status="lost")
 
     def _searched(
-        self, time: float, anchor: Anchor, seen: RigSeen, evidence: RigEvidence, fit: Fit | None
+        self, time: float, anchor: Anchor, seen: Seen, evidence: Evidence, fit: Fit | None
     ) -> TrackResult | None:
         """Search an image globally, and go on from what is found; None if that does not explain the image.
 
@@ -248,15 +248,15 @@ class Following:
         reason = "found again by a global search"
         if result is None or not explains(result, self.config.trust):
             return None
-        found = same_base(self.follower, self.hypotheses[0], result, evidence)
-        starts = [] if found is not None else self.starts(anchor, result)
+        on_same_base = same_base(self.follower, self.hypotheses[0], result, evidence)
+        starts = [] if on_same_base is not None else self.starts(anchor, result)
         if fit is not None:
-            other = self.follower.corrected(starts[0], evidence) if found is None else found
+            other = self.follower.corrected(starts[0], evidence) if on_same_base is None else on_same_base
             if other is None or not is_better(other[1], fit) or not self._is_known(result):
                 self._search.settle(fit)
                 return None
-        if found is not None:
-            self.hypotheses = [found[0]]
+        if on_same_base is not None:
+            self.hypotheses = [on_same_base[0]]
             self.last_step = None
         else:
             self._begin_anew(seen, result, starts)
@@ -278,5 +278,5 @@ class Following:
         doubts = tuple(doubts_of_pose(located, self.rig, self.config.track))
         if status == "ok" and doubts:
             status = "doubtful"
-        found = TrackResult(time, status, (*reasons, *doubts) if status != "ok" else (), None, {}, None, None, None)
-        return described(self.follower, best, found, located)
+        result = TrackResult(time, status, (*reasons, *doubts) if status != "ok" else (), None, {}, None, None, None)
+        return described(self.follower, best, result, located)

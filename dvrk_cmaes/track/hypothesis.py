@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.geometry import apply, change_between
+from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import Rim
-from dvrk_cmaes.track.rig_outline import RigEvidence, RigOutlines, RigRim
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit, OutlineUpdate
 
@@ -29,7 +30,7 @@ class Hypothesis:
 
     ``sigma`` px is the running standard deviation of the evidence's edges. ``score`` is the negative log-likelihood of
     all images so far, up to a constant that is the same for all hypotheses. ``relation`` is that to the first one.
-    ``rim`` is the outline that was drawn last; None before the first image.
+    ``outline`` is the one that was drawn last; None before the first image.
     """
 
     state: FilterState
@@ -37,18 +38,17 @@ class Hypothesis:
     sigma: float
     score: float = 0.0
     relation: str = ""
-    rim: RigRim | None = None
+    outline: DrawnOutline | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Pose (4, 4) and joints (J,) of a hypothesis with their covariance (6 + J, 6 + J), and the jaw tips (K, 3) m.
+    """Where a hypothesis has the instrument, with the covariance (6 + J, 6 + J), and the jaw tips (K, 3) m.
 
     ``tip_std`` m is the mean over the tips of the norm of their standard deviations; 0 without tips.
     """
 
-    camera_from_root: Float64
-    joints: Float64
+    at: Posed
     covariance: Float64
     tips: Float64
     tip_std: float
@@ -57,7 +57,7 @@ class Located:
 class Follower:
     """Carries hypotheses from one image to the next."""
 
-    def __init__(self, config: TrackConfig, motion: MotionModel, model: RigOutlines) -> None:
+    def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
         self.config = config
         self.motion = motion
         self.model = model
@@ -68,40 +68,48 @@ class Follower:
         """The instrument that is followed."""
         return self.model.instrument
 
-    def predicted(self, one: Hypothesis, anchor: Anchor, elapsed: float, lag_std: float) -> tuple[Hypothesis, Float64]:
-        """Predict a hypothesis for later readings; returns the transition of its state's error, (D, D), too."""
-        state, transition = self.motion.predict(one.state, one.anchor, anchor, elapsed, lag_std)
-        return replace(one, state=state, anchor=anchor), transition
+    def posed(self, hypothesis: Hypothesis) -> Posed:
+        """Return pose and joints of a hypothesis."""
+        return self.motion.posed(hypothesis.state, hypothesis.anchor)
 
-    def corrected(self, one: Hypothesis, evidence: RigEvidence) -> tuple[Hypothesis, Fit] | None:
+    def predicted(
+        self, hypothesis: Hypothesis, anchor: Anchor, elapsed: float, lag_std: float
+    ) -> tuple[Hypothesis, Float64]:
+        """Predict a hypothesis for later readings; returns the transition of its state's error, (D, D), too."""
+        state, transition = self.motion.predict(hypothesis.state, hypothesis.anchor, anchor, elapsed, lag_std)
+        return replace(hypothesis, state=state, anchor=anchor), transition
+
+    def corrected(self, hypothesis: Hypothesis, evidence: Evidence) -> tuple[Hypothesis, Fit] | None:
         """Correct a predicted hypothesis by an image; None if that is impossible, as in `OutlineUpdate`."""
-        pose, joints = self.motion.pose(one.state, one.anchor)
-        rim = self.model.draw_anew(one.rim, pose, joints, _KEPT_FROM_LAST, evidence.views)
-        if rim is None:
+        outline = self._outline(hypothesis, self.posed(hypothesis), evidence.views)
+        if outline is None:
             return None
-        updated = self._update(one.state, one.anchor, evidence, one.sigma, rim)
+        updated = self._update(hypothesis.state, hypothesis.anchor, evidence, hypothesis.sigma, outline)
         if updated is None:
             return None
         fit = updated.fit
         latest = min(max(fit.sigma, self.config.sigma_px), self.config.support_px)
-        sigma = (1 - _SIGMA_SHARE) * one.sigma + _SIGMA_SHARE * latest
-        return replace(one, state=updated.state, sigma=sigma, score=one.score + fit.cost, rim=updated.rim), fit
+        sigma = (1 - _SIGMA_SHARE) * hypothesis.sigma + _SIGMA_SHARE * latest
+        score = hypothesis.score + fit.cost
+        return replace(hypothesis, state=updated.state, sigma=sigma, score=score, outline=updated.outline), fit
 
-    def outlines(self, one: Hypothesis, views: tuple[int, ...]) -> dict[int, tuple[Rim, Float64]]:
-        """Return the outline of a hypothesis and its points (N, 2) in those views that show enough of it."""
-        pose, joints = self.motion.pose(one.state, one.anchor)
-        rim = self.model.draw_anew(one.rim, pose, joints, _KEPT_FROM_LAST, views)
-        pixels = None if rim is None else self.model.place(rim, pose, joints)
-        if rim is None or pixels is None:
-            return {}
-        return {view: (rim.parts[view], at) for view, at in rim.split(pixels).items()}
+    def outline(self, hypothesis: Hypothesis, views: tuple[int, ...]) -> tuple[DrawnOutline, Float64] | None:
+        """Return the outline of a hypothesis and its points (N, 2) in those views that show enough of it, if any."""
+        at = self.posed(hypothesis)
+        outline = self._outline(hypothesis, at, views)
+        pixels = None if outline is None else self.model.place(outline, at)
+        return None if outline is None or pixels is None else (outline, pixels)
 
-    def located(self, one: Hypothesis) -> Located:
+    def _outline(self, hypothesis: Hypothesis, at: Posed, views: tuple[int, ...]) -> DrawnOutline | None:
+        """Return the last outline of a hypothesis, now at a pose, or draw another one if it has turned since."""
+        return self.model.draw_anew(hypothesis.outline, at, _KEPT_FROM_LAST, views)
+
+    def located(self, hypothesis: Hypothesis) -> Located:
         """Return pose, joints and tips of a hypothesis."""
-        pose, joints, loadings = self.motion.linearised(one.state, one.anchor)
-        covariance = loadings @ one.state.covariance @ loadings.T
-        step = 1e-5
-        tips, *bent = self.instrument.ends(joints + step * np.eye(1 + len(joints), len(joints), -1))
+        at, loadings = self.motion.linearised(hypothesis.state, hypothesis.anchor)
+        covariance = loadings @ hypothesis.state.covariance @ loadings.T
+        step, count = 1e-5, len(at.joints)
+        tips, *bent = self.instrument.ends(at.joints + step * np.eye(1 + count, count, -1))
         deviations = [
             float(np.sqrt(max(np.trace(jacobian @ covariance @ jacobian.T), 0.0)))
             for jacobian in (
@@ -109,32 +117,29 @@ class Follower:
                 for tip, moved in zip(tips, np.stack(bent, axis=1), strict=True)
             )
         ]
-        return Located(pose, joints, covariance, apply(pose, tips), float(np.mean(deviations)) if deviations else 0.0)
+        return Located(at, covariance, apply(at.pose, tips), float(np.mean(deviations)) if deviations else 0.0)
 
     def has_moved(self, before: Hypothesis, predicted: Hypothesis) -> bool:
         """Whether the readings moved the instrument so far between two images that their masks must differ."""
         if not predicted.anchor.outer_read:
             return False
-        pose, joints = self.motion.pose(before.state, before.anchor)
-        moved, bent = self.motion.pose(predicted.state, predicted.anchor)
-        change = np.abs(change_between(pose, moved))
-        parts = (change[:3], change[3:5], np.abs(bent - joints))
+        change = np.abs(self.posed(predicted).minus(self.posed(before)))
+        parts = (change[:3], change[3:5], change[6:])
         return any(bool((part > most).any()) for part, most in zip(parts, _SEEN_MOTION, strict=True))
 
-    def fused(self, one: Hypothesis, pose: Float64, joints: Float64, covariance: Float64) -> tuple[Hypothesis, float]:
-        """Correct a predicted hypothesis by a pose that was found otherwise.
+    def fused(self, hypothesis: Hypothesis, measured: Posed, covariance: Float64) -> tuple[Hypothesis, float]:
+        """Correct a predicted hypothesis by a pose that was found otherwise, with its covariance (6 + J, 6 + J).
 
         Returns the squared deviation, in standard deviations, of that pose from the prediction, too.
         """
-        before, bent = self.motion.pose(one.state, one.anchor)
-        off = np.concatenate([change_between(before, pose), joints - bent])
-        loadings = self.motion.loadings(one.state, one.anchor)
-        prior = one.state.covariance
+        off = measured.minus(self.posed(hypothesis))
+        loadings = self.motion.loadings(hypothesis.state, hypothesis.anchor)
+        prior = hypothesis.state.covariance
         spread = loadings @ prior @ loadings.T + covariance
         gain = np.linalg.solve(spread, loadings @ prior).T
         after = prior - gain @ loadings @ prior
-        state = replace(one.state.changed(gain @ off), covariance=(after + after.T) / 2)
-        return replace(one, state=state), float(off @ np.linalg.solve(spread, off))
+        state = replace(hypothesis.state.changed(gain @ off), covariance=(after + after.T) / 2)
+        return replace(hypothesis, state=state), float(off @ np.linalg.solve(spread, off))
 
 
 def _cross_matrix(v: Float64) -> Float64:

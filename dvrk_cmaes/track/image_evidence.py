@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
-from dvrk_cmaes.track.evidence import EdgeDistances, Pass
+from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.edges import EdgeDistances, Pass
 from dvrk_cmaes.track.image_lines import pixels_along
-from dvrk_cmaes.track.outline_model import Rim
-from dvrk_cmaes.track.outline_room import MOST_ROOM
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -32,7 +32,7 @@ _PASSES = ((1.0, 2), (0.5, 1))  # for each drawing, farthest distance as a share
 _WIDER = ((4.0, 2), (4.0, 2), (2.0, 2), (2.0, 2))  # the same before these, in a search around the prediction
 _FARTHEST = 12.0  # pixels of the image as it is sampled; to look farther, the image is reduced
 _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
-_LEAST_ROOM = 3.0  # px within the instrument and beside it
+_LEAST_CLEARANCE = 3.0  # px within the instrument and beside it
 _LEAST_ODDS = 0.4  # mean log-odds of the pixels on either side of an edge
 _LARGEST_STD = 3.0  # px
 _REFINEMENTS = 2  # of the exact place of an edge
@@ -43,9 +43,9 @@ _BLUR = 1.2  # px from the outline, within which pixels have colours of both sid
 _BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
 
 
-def _parts_of(rim: Rim) -> NDArray[np.intp]:
+def _parts_of(outline: DrawnOutline) -> NDArray[np.intp]:
     """Return the part of the instrument of each point (N,)."""
-    return np.minimum(rim.link, PARTS - 1)
+    return np.minimum(outline.link, PARTS - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,27 +95,27 @@ class ImageEvidence:
             self._levels[scale] = _Level.of(self._image, self._ignore, scale)
         return self._levels[scale]
 
-    def distances(self, pixels: Float64, rim: Rim, reach: float) -> EdgeDistances:
-        """Measure how far a rim's points, now at ``pixels`` (N, 2), lie outside the edge."""
+    def distances(self, pixels: Float64, outline: DrawnOutline, reach: float) -> EdgeDistances:
+        """Measure how far an outline's points, now at ``pixels`` (N, 2), lie outside the edge."""
         scale = 1
         while reach > _FARTHEST * scale:
             scale *= 2
         if scale == 1:
-            return self._measured(pixels, rim, reach, scale)
-        found = self._measured((pixels + 0.5) / scale - 0.5, rim, reach / scale, scale)
-        return EdgeDistances(found.distance * scale, found.found, found.variance * scale**2)
+            return self._measured(pixels, outline, reach, scale)
+        small = self._measured((pixels + 0.5) / scale - 0.5, outline, reach / scale, scale)
+        return EdgeDistances(small.distance * scale, small.found, small.variance * scale**2)
 
-    def _measured(self, pixels: Float64, rim: Rim, reach: float, scale: int) -> EdgeDistances:
+    def _measured(self, pixels: Float64, outline: DrawnOutline, reach: float, scale: int) -> EdgeDistances:
         """Measure the distances in the image reduced by a scale, in its pixels."""
-        count, room, level = int(np.ceil(reach)), rim.room.at_scale(scale), self._level(scale)
-        along = np.arange(-count - MOST_ROOM, count + MOST_ROOM + 1, dtype=np.float32)
-        odds, _ = self._odds(level, pixels, rim, along)
+        count, clearance, level = int(np.ceil(reach)), outline.clearance.at_scale(scale), self._level(scale)
+        along = np.arange(-count - MOST_CLEARANCE, count + MOST_CLEARANCE + 1, dtype=np.float32)
+        odds, _ = self._odds(level, pixels, outline, along)
         total = np.zeros((len(pixels), odds.shape[1] + 1), np.float32)
         np.cumsum(odds, axis=1, out=total[:, 1:])
         # an edge at place k lies between samples k - 1 and k
-        rows, place = np.arange(len(pixels))[:, None], np.arange(MOST_ROOM, MOST_ROOM + 2 * count + 1)
-        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in (room.inside, room.outside))
-        at_edge = total[:, MOST_ROOM : MOST_ROOM + 2 * count + 1]
+        rows, place = np.arange(len(pixels))[:, None], np.arange(MOST_CLEARANCE, MOST_CLEARANCE + 2 * count + 1)
+        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in (clearance.inside, clearance.outside))
+        at_edge = total[:, MOST_CLEARANCE : MOST_CLEARANCE + 2 * count + 1]
         within = at_edge - total[rows, place - inside]
         beside = total[rows, place + outside] - at_edge
         score = within - beside
@@ -128,27 +128,27 @@ class ImageEvidence:
         told = (np.take_along_axis(within, best, axis=1) > _LEAST_ODDS * inside) & (
             np.take_along_axis(beside, best, axis=1) < -_LEAST_ODDS * outside
         )
-        told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_ROOM)
+        told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_CLEARANCE)
         found = told[:, 0] & (variance < _LARGEST_STD**2)
-        mean, fine = _refined(level.image, pixels, rim.normals, mean)
+        mean, fine = _refined(level.image, pixels, outline.normals, mean)
         variance = np.where(fine, _FINE_STD**2, variance + _COARSE_STD**2)
         return EdgeDistances(np.where(found, -mean, 0.0).astype(np.float64), found, variance.astype(np.float64))
 
-    def unexplained(self, pixels: Float64, rim: Rim, reach: int) -> float:
+    def unexplained(self, pixels: Float64, outline: DrawnOutline, reach: int) -> float:
         """Return the share of the outline beside which there are the instrument's colours."""
-        along = np.arange(_BESIDE, MOST_ROOM + 1, dtype=np.float32)
-        odds, valid = self._odds(self._level(1), pixels, rim, along)
-        valid &= along <= rim.room.outside[:, None] - 1
+        along = np.arange(_BESIDE, MOST_CLEARANCE + 1, dtype=np.float32)
+        odds, valid = self._odds(self._level(1), pixels, outline, along)
+        valid &= along <= outline.clearance.outside[:, None] - 1
         count = valid.sum(axis=1)
-        told = count >= _LEAST_ROOM
+        told = count >= _LEAST_CLEARANCE
         like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
-        return float(rim.lengths[like].sum() / rim.lengths[told].sum()) if told.any() else 1.0
+        return float(outline.lengths[like].sum() / outline.lengths[told].sum()) if told.any() else 1.0
 
-    def _odds(self, level: _Level, pixels: Float64, rim: Rim, along: Float32) -> tuple[Float32, Bool]:
+    def _odds(self, level: _Level, pixels: Float64, outline: DrawnOutline, along: Float32) -> tuple[Float32, Bool]:
         """Return the log-odds of instrument (N, K) at distances along lines, and where there are any, (N, K)."""
-        colours, valid = pixels_along(level.image, pixels, rim.normals, along, level.seen)
+        colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
         bins = bins_of(colours)
-        bins += (_parts_of(rim) * self._model.bins).astype(np.int32)[:, None]
+        bins += (_parts_of(outline) * self._model.bins).astype(np.int32)[:, None]
         odds = self._model.log_odds.ravel().take(bins)
         odds *= valid
         return odds, valid
@@ -175,12 +175,14 @@ def _refined(image: NDArray[np.uint8], pixels: Float64, normals: Float64, place:
     return place, fine
 
 
-def learned(image: NDArray[np.uint8], pixels: Float64, rim: Rim, ignore: Bool | None = None) -> ColourModel:
+def learned(
+    image: NDArray[np.uint8], pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None
+) -> ColourModel:
     """Return the model of the colours along the lines of an outline whose points are at ``pixels`` (N, 2)."""
-    along = np.arange(-MOST_ROOM, MOST_ROOM + 1, dtype=np.float32)
+    along = np.arange(-MOST_CLEARANCE, MOST_CLEARANCE + 1, dtype=np.float32)
     seen = None if ignore is None else ~ignore
-    colours, valid = pixels_along(np.ascontiguousarray(image), pixels, rim.normals, along, seen)
-    bins, parts = bins_of(colours), _parts_of(rim)
-    inside = valid & (along < -_BLUR) & (along > _BLUR - rim.room.inside[:, None])
-    outside = valid & (along > _BLUR) & (along < rim.room.outside[:, None] - _BLUR)
+    colours, valid = pixels_along(np.ascontiguousarray(image), pixels, outline.normals, along, seen)
+    bins, parts = bins_of(colours), _parts_of(outline)
+    inside = valid & (along < -_BLUR) & (along > _BLUR - outline.clearance.inside[:, None])
+    outside = valid & (along > _BLUR) & (along < outline.clearance.outside[:, None] - _BLUR)
     return ColourModel.learned([bins[inside & (parts == part)[:, None]] for part in range(PARTS)], bins[outside])

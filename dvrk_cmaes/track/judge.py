@@ -33,37 +33,37 @@ def doubts_of_fit(fit: Fit, config: TrackConfig, source: str, views: Sequence[st
 
     ``views`` are the names of the rig's views; a pose has to fit in each of those that were compared.
     """
-    found = []
+    doubts = []
     for view, (supported, unexplained) in fit.of_views.items():
         name = f"view {views[view]}: " if len(views) > 1 else ""
-        found += [f"{name}{text}" for text in _doubts_of_view(supported, unexplained, config, source)]
-    return found
+        doubts += [f"{name}{text}" for text in _doubts_of_view(supported, unexplained, config, source)]
+    return doubts
 
 
 def _doubts_of_view(supported: float, unexplained: float, config: TrackConfig, source: str) -> list[str]:
     """List the reasons of one view, given its shares as in `Fit`."""
-    found = []
+    doubts = []
     if supported < config.good_support:
         share = 100 * (1 - supported)
-        found.append(f"outline without edge: {share:.0f} % of it has no edge of the {source} near it")
+        doubts.append(f"outline without edge: {share:.0f} % of it has no edge of the {source} near it")
     if unexplained > config.good_unexplained:
         share = 100 * unexplained
-        found.append(
+        doubts.append(
             f"edge without outline: {share:.0f} % of the mask's edge has no outline near it"
             if source == "mask"
             else f"colours without outline: the instrument's go on beside {share:.0f} % of it"
         )
-    return found
+    return doubts
 
 
 def doubts_of_pose(located: Located, rig: Rig, config: TrackConfig) -> list[str]:
     """List the reasons, in words, for which a pose is not known well enough."""
-    found = []
+    doubts = []
     if located.tip_std * 1e3 > config.largest_tip_mm:
-        found.append(f"uncertain: the standard deviation of the jaw tips is {located.tip_std * 1e3:.1f} mm")
+        doubts.append(f"uncertain: the standard deviation of the jaw tips is {located.tip_std * 1e3:.1f} mm")
     if tips_out_of_view(located.tips, rig):
-        found.append("tip out of view: the jaw tips lie outside the image")
-    return found
+        doubts.append("tip out of view: the jaw tips lie outside the image")
+    return doubts
 
 
 def tips_out_of_view(tips: Float64, rig: Rig) -> bool:

@@ -29,14 +29,14 @@ class Decision:
 
 def pruned(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Drop improbable modes; the scores of the others become differences from the best."""
-    best = min(one.score for one in hypotheses)
-    return [replace(one, score=one.score - best) for one in hypotheses if one.score - best < _LEAST_GAP]
+    best = min(mode.score for mode in hypotheses)
+    return [replace(mode, score=mode.score - best) for mode in hypotheses if mode.score - best < _LEAST_GAP]
 
 
 def decide(fits: Sequence[tuple[Hypothesis, Fit]]) -> Decision:
     """Decide which mode to believe; the first one is left only if another is much more probable, or it was dropped."""
-    kept = pruned([one for one, _ in fits])
-    chances = np.exp(-np.array([one.score for one in kept]))
+    kept = pruned([mode for mode, _ in fits])
+    chances = np.exp(-np.array([mode.score for mode in kept]))
     chances /= chances.sum()
     best, reasons = int(np.argmax(chances)), []
     dropped = kept[0].relation != fits[0][0].relation
@@ -48,10 +48,10 @@ def decide(fits: Sequence[tuple[Hypothesis, Fit]]) -> Decision:
         reasons.append(f"switched to {_name(kept[0])}: it explains the images better")
     if len(kept) > 1 and chances[0] < _LEAST_PROBABILITY:
         reasons.append(f"mode undecided: {_name(kept[1])} explains the images nearly as well")
-    fit = next(fit for one, fit in fits if one.relation == kept[0].relation)
+    fit = next(fit for mode, fit in fits if mode.relation == kept[0].relation)
     return Decision(kept, fit, tuple(reasons), switched)
 
 
-def _name(one: Hypothesis) -> str:
+def _name(mode: Hypothesis) -> str:
     """Return the name of a mode in sentences."""
-    return f"the {one.relation}" if one.relation else "the mode of the first image"
+    return f"the {mode.relation}" if mode.relation else "the mode of the first image"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.geometry import adjoint, change_between, inverse, moved
+from dvrk_cmaes.geometry import Posed, adjoint, change_between, inverse, moved
 from dvrk_cmaes.instrument.arm import Arm, base_from_root
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.track.reading_buffer import ReadingAt
@@ -102,25 +102,26 @@ class MotionModel:
         turn[0, 1] = -turn[1, 0]
         return np.asarray(_without_roll(yaw, pitch, insertion, self._arm, self._roll_offset) @ turn)
 
-    def pose(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64]:
-        """Return the root's pose in the camera (4, 4) and the joints (J,) of a state."""
+    def posed(self, state: FilterState, anchor: Anchor) -> Posed:
+        """Return the root's pose in the camera and the joints of a state."""
         root = self._root(state, anchor)
-        return state.camera_from_base @ root @ state.slack, anchor.joints + state.offsets[1:]
+        return Posed(state.camera_from_base @ root @ state.slack, anchor.joints + state.offsets[1:])
 
     def loadings(self, state: FilterState, anchor: Anchor) -> Float64:
         """Return the derivative (6 + J, D) of the small changes of pose and joints by the errors of the state."""
-        return self.linearised(state, anchor)[2]
+        return self.linearised(state, anchor)[1]
 
-    def linearised(self, state: FilterState, anchor: Anchor) -> tuple[Float64, Float64, Float64]:
-        """Return pose and joints of a state as `pose` does, and their `loadings`."""
+    def linearised(self, state: FilterState, anchor: Anchor) -> tuple[Posed, Float64]:
+        """Return pose and joints of a state, and their `loadings`."""
         at, count = self._at, self._at.joints
         moved_root = self._root(state, anchor) @ state.slack
         out = np.zeros((6 + count, at.size))
-        out[:6, at.base] = adjoint(inverse(moved_root))
-        out[:6, at.roll] = adjoint(inverse(state.slack))[:, 5]
+        from_base, from_root = adjoint(inverse(np.array([moved_root, state.slack])))
+        out[:6, at.base] = from_base
+        out[:6, at.roll] = from_root[:, 5]
         out[:6, at.slack] = np.eye(6)
         out[6:, at.offsets] = np.eye(count)
-        return state.camera_from_base @ moved_root, anchor.joints + state.offsets[1:], out
+        return Posed(state.camera_from_base @ moved_root, anchor.joints + state.offsets[1:]), out
 
     def slack_covariance(self, state: FilterState, anchor: Anchor, lag_std: float) -> Float64:
         """Return the covariance (6, 6) of what readings of the outer joints do not explain of the root's pose.

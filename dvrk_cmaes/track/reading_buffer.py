@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.interpolation import Gaps, interpolated
 from dvrk_cmaes.joints.names import joint_reading
 
 Float64 = NDArray[np.float64]
@@ -93,20 +94,14 @@ class ReadingBuffer:
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
-        row = np.full(len(self._names), np.nan)
         after = bisect_left(self._times, time)
         rate, outer = self._rate(time, after), len(OUTER_JOINTS)
-        if 0 < after < len(self._times):
-            begin, end = self._times[after - 1], self._times[after]
-            if end == time:
-                row = self._rows[after]
-            elif end - begin <= self._gap:
-                share = (time - begin) / (end - begin)
-                row = (1 - share) * self._rows[after - 1] + share * self._rows[after]
-        elif self._times:
-            near = min(after, len(self._times) - 1)
-            if abs(self._times[near] - time) <= self._gap:
-                row = self._rows[near] + rate * (time - self._times[near])
+        near = slice(max(after - 1, 0), after + 1)
+        stamps, rows = np.array(self._times[near]), np.array(self._rows[near]).reshape(-1, len(self._names))
+        row = interpolated(stamps, rows, np.array([time]), Gaps.of_length(self._gap))[0]
+        if len(stamps) and not stamps[0] <= time <= stamps[-1] and np.abs(stamps - time).min() <= self._gap:
+            nearest = int(np.abs(stamps - time).argmin())
+            row = rows[nearest] + rate * (time - stamps[nearest])
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], self._is_still(after))
 
     def outer_at(self, times: Float64) -> Float64:
@@ -118,10 +113,10 @@ class ReadingBuffer:
             return np.full((len(times), len(OUTER_JOINTS)), np.nan)
         values = np.array(rows)[:, : len(OUTER_JOINTS)]
         slope = (values[-1] - values[-2]) / (at[-1] - at[-2])
-        found = np.stack([np.interp(times, at, column) for column in values.T], axis=1)
-        found += np.maximum(times - at[-1], 0.0)[:, None] * slope
-        found[(times < at[0]) | (times > at[-1] + self._gap)] = np.nan
-        return np.asarray(found)
+        outer = interpolated(at, values, np.minimum(times, at[-1]), Gaps())
+        outer += np.maximum(times - at[-1], 0.0)[:, None] * slope
+        outer[times > at[-1] + self._gap] = np.nan
+        return np.asarray(outer)
 
     def _rate(self, time: float, after: int) -> Float64:
         """Return the rates around a time by a straight line through the readings near it, (4 + J,); 0 where unknown.

@@ -62,7 +62,7 @@ class Readings:
         """Add a pose, which is ``located``, to those from which the lag is found."""
         if self._given or not one.anchor.outer_read:
             return
-        self._lags.add(located.camera_from_root, located.covariance, self.buffer.outer_at(time - LAGS))
+        self._lags.add(located.at.pose, located.covariance, self.buffer.outer_at(time - LAGS))
         if self._lags.due:
             self.lag = self._lags.search(one.state.camera_from_base) or self.lag
 

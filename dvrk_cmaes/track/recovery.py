@@ -11,16 +11,16 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.geometry import change_between, inverse, moved
+from dvrk_cmaes.geometry import Posed, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.judge import is_supported
 from dvrk_cmaes.track.motion import Anchor
-from dvrk_cmaes.track.rig_outline import RigEvidence
-from dvrk_cmaes.track.rig_sight import RigSeen, RigSight
+from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.start import expected_pose
 from dvrk_cmaes.track.state import FilterState
 from dvrk_cmaes.track.update import Fit
@@ -60,7 +60,7 @@ def search_around(
     before: Hypothesis,
     predicted: Hypothesis,
     corrected: Hypothesis | None,
-    evidence: RigEvidence,
+    evidence: Evidence,
 ) -> tuple[Hypothesis, Fit] | None:
     """Search for a pose around a prediction that an image does not support well, and return the best supported.
 
@@ -69,30 +69,30 @@ def search_around(
     the instrument is also turned about its shaft. Of poses that are supported alike, the one whose joints change less
     is returned.
     """
-    motion = follower.motion
-    pose, joints = motion.pose(before.state, before.anchor)
-    ahead, bent = motion.pose(predicted.state, predicted.anchor)
+    last, ahead = follower.posed(before), follower.posed(predicted)
     moves = predicted.anchor.moves_from(before.anchor)
-    known = predicted.anchor.joint_read & moves & (np.abs(bent - joints) < _JUMP)
-    slack = predicted.state.slack @ inverse(ahead) @ pose
-    offsets = np.concatenate([predicted.state.offsets[:1], predicted.state.offsets[1:] + joints - bent])
+    known = predicted.anchor.joint_read & moves & (np.abs(ahead.joints - last.joints) < _JUMP)
+    slack = predicted.state.slack @ inverse(ahead.pose) @ last.pose
+    offsets = np.concatenate([predicted.state.offsets[:1], predicted.state.offsets[1:] + last.joints - ahead.joints])
     held = replace(predicted, state=_widened(replace(predicted.state, slack=slack, offsets=offsets), _HELD, known))
     starts = [replace(predicted, state=_widened(predicted.state, _WIDENED, known))]
-    if np.abs(change_between(ahead, pose)).max() > 1e-4 or np.abs(joints - bent).max() > 1e-3:
+    change = np.abs(last.minus(ahead))
+    if change[:6].max() > 1e-4 or change[6:].max() > 1e-3:
         starts.append(held)
     if corrected is not None:
         starts.append(replace(corrected, state=_widened(corrected.state, _WIDENED, known)))
     if not moves:
         turned = (starts[0],) if corrected is None else (starts[0], corrected)
-        starts += [replace(one, state=_rolled(one.state, angle)) for one in turned for angle in _ROLLS]
+        starts += [replace(start, state=_rolled(start.state, angle)) for start in turned for angle in _ROLLS]
 
-    def merit(one: tuple[Hypothesis, Fit]) -> float:
-        found = motion.pose(one[0].state, one[0].anchor)[1]
-        return one[1].agreement - _JOINT_PENALTY * float(np.linalg.norm(found - joints))
+    def merit(pair: tuple[Hypothesis, Fit]) -> float:
+        hypothesis, fit = pair
+        change = follower.posed(hypothesis).joints - last.joints
+        return fit.agreement - _JOINT_PENALTY * float(np.linalg.norm(change))
 
     wider = evidence.wider()
-    all_found = [one for start in starts if (one := follower.corrected(start, wider)) is not None]
-    best = max(all_found, key=merit, default=None)
+    all_corrected = [pair for start in starts if (pair := follower.corrected(start, wider)) is not None]
+    best = max(all_corrected, key=merit, default=None)
     for _ in range(_PASSES):
         if best is None:
             break
@@ -103,10 +103,10 @@ def search_around(
     return best
 
 
-def has_jumped(follower: Follower, before: Hypothesis, found: Hypothesis) -> bool:
+def has_jumped(follower: Follower, before: Hypothesis, after: Hypothesis) -> bool:
     """Whether the joints of a found pose differ so much from those before that it may be of another mode."""
-    joints = [follower.motion.pose(one.state, one.anchor)[1] for one in (before, found)]
-    return float(np.linalg.norm(joints[1] - joints[0])) > _JUMP
+    change = follower.posed(after).joints - follower.posed(before).joints
+    return float(np.linalg.norm(change)) > _JUMP
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +114,12 @@ class GlobalSearch:
     """Solves an image by itself, with the settings of a single frame."""
 
     follower: Follower
-    sight: RigSight
+    sight: Sight
     body: Body
     config: EstimateConfig
     calibration: SessionCalibration | None
 
-    def __call__(self, seen: RigSeen, anchor: Anchor, *, first: bool = False) -> Result | None:
+    def __call__(self, seen: Seen, anchor: Anchor, *, first: bool = False) -> Result | None:
         """Solve an image; None if its mask has no instrument, or nothing but instrument, or no mask is found in it.
 
         ``first`` tells that it is the first image, for which the hints are.
@@ -136,23 +136,23 @@ class GlobalSearch:
 
     def _readings(self, anchor: Anchor) -> dict[str, float]:
         """Return readings by name."""
-        found = dict(zip(OUTER_JOINTS, anchor.outer.tolist(), strict=True)) if anchor.outer_read else {}
+        outer = dict(zip(OUTER_JOINTS, anchor.outer.tolist(), strict=True)) if anchor.outer_read else {}
         names = self.follower.instrument.joint_names
         read = zip(names, anchor.joints.tolist(), anchor.joint_read, strict=True)
-        return found | {name: value for name, value, known in read if known}
+        return outer | {name: value for name, value, known in read if known}
 
     def _around(self, anchor: Anchor) -> dict[int, Box]:
         """Return boxes, by view, around the instrument where readings and calibration make expect it."""
         if self.calibration is None or not anchor.outer_read:
             return {}
         model = self.follower.model
-        pose, joints = expected_pose(self.follower, self.config, self.calibration, anchor)
-        rim = model.draw(pose, joints, tuple(range(len(model.rig.views))))
-        return {} if rim is None else self.sight.boxes_of(rim)
+        at = expected_pose(self.follower, self.config, self.calibration, anchor)
+        outline = model.draw(at, tuple(range(len(model.rig.views))))
+        return {} if outline is None else self.sight.boxes_of(outline)
 
 
 def same_base(
-    follower: Follower, main: Hypothesis, result: Result, evidence: RigEvidence
+    follower: Follower, main: Hypothesis, result: Result, evidence: Evidence
 ) -> tuple[Hypothesis, Fit] | None:
     """Return the predicted hypothesis corrected by the nearest mode of a single frame's result, and by the image.
 
@@ -162,12 +162,12 @@ def same_base(
         return None
     names = follower.instrument.joint_names
     modes = [(result.camera_from_root, result.joints)]
-    modes += [(one.camera_from_root, one.joints) for one in result.alternatives]
+    modes += [(mode.camera_from_root, mode.joints) for mode in result.alternatives]
     fused = [
-        follower.fused(main, pose, np.array([joints[name] for name in names]), result.covariance)
+        follower.fused(main, Posed(pose, np.array([joints[name] for name in names])), result.covariance)
         for pose, joints in modes
     ]
-    nearest, deviation = min(fused, key=lambda one: one[1])
+    nearest, deviation = min(fused, key=lambda pair: pair[1])
     corrected = follower.corrected(nearest, evidence) if deviation < _SAME_BASE else None
     return None if corrected is None or not is_supported(corrected[1], follower.config) else corrected
 

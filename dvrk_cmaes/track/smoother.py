@@ -36,20 +36,20 @@ class FilterStep:
 
 def smoothed_states(steps: Sequence[FilterStep]) -> list[FilterState]:
     """Return the states of all images given all images; each start begins a part that is smoothed by itself."""
-    found: list[FilterState] = []
+    smoothed: list[FilterState] = []
     for step, later in zip(reversed(steps), [None, *reversed(steps[1:])], strict=True):
         if later is None or later.prior is None or later.transition is None:
-            found.append(step.posterior)
+            smoothed.append(step.posterior)
             continue
-        before, after = step.posterior, found[-1]
+        before, after = step.posterior, smoothed[-1]
         predicted = later.prior.covariance
         scale = np.sqrt(np.diag(predicted)) + 1e-12
         scaled = predicted / np.outer(scale, scale) + _REGULAR * np.eye(len(scale))
         gain = (np.linalg.solve(scaled, (later.transition @ before.covariance) / scale[:, None]) / scale[:, None]).T
         covariance = before.covariance + gain @ (after.covariance - predicted) @ gain.T
         changed = before.changed(gain @ later.prior.difference(after))
-        found.append(replace(changed, covariance=(covariance + covariance.T) / 2))
-    return found[::-1]
+        smoothed.append(replace(changed, covariance=(covariance + covariance.T) / 2))
+    return smoothed[::-1]
 
 
 class Recorder:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.joints.prior import reading_loss
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
@@ -43,18 +43,14 @@ def unknown_state(
     return FilterState(state.camera_from_base, state.offsets, state.slack, state.rate, covariance)
 
 
-def placed(
-    state: FilterState, motion: MotionModel, anchor: Anchor, pose: Float64, joints: Float64, covariance: Float64
-) -> FilterState:
-    """Return the state whose pose (4, 4) and joints (J,) are given, with their covariance (6 + J, 6 + J).
+def placed(state: FilterState, motion: MotionModel, anchor: Anchor, at: Posed, covariance: Float64) -> FilterState:
+    """Return the state whose pose and joints are given, with their covariance (6 + J, 6 + J).
 
     The base and the offsets of the joints take up the difference; slack and rates become zero.
     """
-    anchored, _ = motion.pose(
-        FilterState(np.eye(4), state.offsets, np.eye(4), state.rate * 0, state.covariance), anchor
-    )
-    offsets = np.concatenate([state.offsets[:1], joints - anchor.joints])
-    base = np.asarray(pose @ inverse(anchored))
+    anchored = motion.posed(FilterState(np.eye(4), state.offsets, np.eye(4), state.rate * 0, state.covariance), anchor)
+    offsets = np.concatenate([state.offsets[:1], at.joints - anchor.joints])
+    base = np.asarray(at.pose @ inverse(anchored.pose))
     mean = FilterState(base, offsets, np.eye(4), state.rate * 0, state.covariance)
     loadings = motion.loadings(mean, anchor)
     prior = state.covariance
@@ -83,12 +79,10 @@ def calibrated_state(calibration: SessionCalibration, blank: FilterState) -> Fil
     return replace(blank, camera_from_base=calibration.camera_from_base, offsets=offsets, covariance=covariance)
 
 
-def expected_pose(
-    follower: Follower, config: EstimateConfig, calibration: SessionCalibration, anchor: Anchor
-) -> tuple[Float64, Float64]:
-    """Return the pose (4, 4) and the joints (J,) that readings of a calibrated session make expect."""
+def expected_pose(follower: Follower, config: EstimateConfig, calibration: SessionCalibration, anchor: Anchor) -> Posed:
+    """Return the pose and the joints that readings of a calibrated session make expect."""
     blank = unknown_state(config, follower.motion, anchor, follower.instrument.joint_names, 0.0)
-    return follower.motion.pose(calibrated_state(calibration, blank), anchor)
+    return follower.motion.posed(calibrated_state(calibration, blank), anchor)
 
 
 def starting_hypotheses(
@@ -112,32 +106,35 @@ def starting_hypotheses(
     sigma = np.deg2rad([config.readings.of(name) for name in names])
     read = np.where(anchor.joint_read, anchor.joints, np.nan)
     first = (result.camera_from_root, result.joints, "")
-    modes = [first, *((one.camera_from_root, one.joints, one.relation) for one in result.alternatives)]
-    found = []
+    modes = [first, *((mode.camera_from_root, mode.joints, mode.relation) for mode in result.alternatives)]
+    hypotheses = []
     for pose, joints, relation in modes[: config.track.modes]:
-        values = np.array([joints[name] for name in names])
-        score = 0.5 * float(reading_loss(values, read, sigma))
-        one = Hypothesis(blank, anchor, config.track.sigma_px, score, relation)
+        at = Posed(pose, np.array([joints[name] for name in names]))
+        score = 0.5 * float(reading_loss(at.joints, read, sigma))
+        hypothesis = Hypothesis(blank, anchor, config.track.sigma_px, score, relation)
         if calibration is not None and anchor.outer_read:
-            one, _ = follower.fused(one, pose, values, result.covariance)
+            hypothesis, _ = follower.fused(hypothesis, at, result.covariance)
         else:
-            one = replace(one, state=placed(blank, follower.motion, anchor, pose, values, result.covariance))
-        found.append(one)
-    return pruned(found)
+            state = placed(blank, follower.motion, anchor, at, result.covariance)
+            hypothesis = replace(hypothesis, state=state)
+        hypotheses.append(hypothesis)
+    return pruned(hypotheses)
 
 
 def based_on_arm(
-    follower: Follower, config: EstimateConfig, one: Hypothesis, anchor: Anchor, lag_std: float
+    follower: Follower, config: EstimateConfig, hypothesis: Hypothesis, anchor: Anchor, lag_std: float
 ) -> Hypothesis:
     """Return a hypothesis with the arm's base where the outer joints are read for the first time, else as it is."""
-    if one.anchor.based or not anchor.outer_read:
-        return one
-    return rebased(follower, config, one, anchor, lag_std)
+    if hypothesis.anchor.based or not anchor.outer_read:
+        return hypothesis
+    return rebased(follower, config, hypothesis, anchor, lag_std)
 
 
-def rebased(follower: Follower, config: EstimateConfig, one: Hypothesis, anchor: Anchor, lag_std: float) -> Hypothesis:
+def rebased(
+    follower: Follower, config: EstimateConfig, hypothesis: Hypothesis, anchor: Anchor, lag_std: float
+) -> Hypothesis:
     """Return a hypothesis with its pose and joints, and the arm's base and the offsets that readings then give it."""
-    located, motion = follower.located(one), follower.motion
+    located, motion = follower.located(hypothesis), follower.motion
     blank = unknown_state(config, motion, anchor, follower.instrument.joint_names, lag_std)
-    state = placed(blank, motion, anchor, located.camera_from_root, located.joints, located.covariance)
-    return replace(one, state=state, anchor=anchor)
+    state = placed(blank, motion, anchor, located.at, located.covariance)
+    return replace(hypothesis, state=state, anchor=anchor)

@@ -70,11 +70,12 @@ class FilterState:
     def changed(self, step: Float64) -> FilterState:
         """Return the state after an error (D,) is added to the mean."""
         at = self.layout
+        base, slack = moved(np.array([self.camera_from_base, self.slack]), np.array([step[at.base], step[at.slack]]))
         return replace(
             self,
-            camera_from_base=moved(self.camera_from_base, step[at.base]),
+            camera_from_base=base,
             offsets=self.offsets + step[at.roll : at.offsets.stop],
-            slack=moved(self.slack, step[at.slack]),
+            slack=slack,
             rate=self.rate + step[at.rate],
         )
 

@@ -27,11 +27,10 @@ from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.hypothesis import Follower
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.readings import Readings
 from dvrk_cmaes.track.recovery import GlobalSearch
-from dvrk_cmaes.track.rig_outline import RigOutlines
-from dvrk_cmaes.track.rig_sight import Images, Masks, RigSight
-from dvrk_cmaes.track.sight import EvidenceKind
+from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Sight
 from dvrk_cmaes.track.smoother import Recorder
 
 Float64 = NDArray[np.float64]
@@ -92,8 +91,8 @@ class Tracker:
         self._readings = Readings(body.instrument, self._arm, track, calibration, lag)
         roll_offset, cables = body.instrument.roll_offset, self._readings.cables
         motion = MotionModel(track, len(self._names), self._arm, roll_offset, cables)
-        follower = Follower(track, motion, RigOutlines(body, rig, track.points))
-        self._sight = RigSight(rig, track, evidence, hints)
+        follower = Follower(track, motion, OutlineModel(body, rig, track.points))
+        self._sight = Sight(rig, track, evidence, hints)
         solve = GlobalSearch(follower, self._sight, body, settings, calibration)
         self._following = Following(follower, rig, self._sight, solve, self._readings, settings, calibration)
         self._time: float | None = None

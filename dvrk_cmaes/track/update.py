@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.joints.prior import LIMIT_SIGMA
-from dvrk_cmaes.track.evidence import EdgeDistances
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
+from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.edges import EdgeDistances
+from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import Projected
-from dvrk_cmaes.track.rig_outline import RigEvidence, RigOutlines, RigRim
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.state import FilterState
 
 Float64 = NDArray[np.float64]
@@ -54,7 +57,7 @@ class Updated:
 
     state: FilterState
     fit: Fit
-    rim: RigRim
+    outline: DrawnOutline
 
 
 class OutlineUpdate:
@@ -64,26 +67,23 @@ class OutlineUpdate:
     two drawings its points move with the instrument. Steps end where they hardly move the outline any more.
     """
 
-    def __init__(self, config: TrackConfig, motion: MotionModel, model: RigOutlines) -> None:
+    def __init__(self, config: TrackConfig, motion: MotionModel, model: OutlineModel) -> None:
         self._config = config
         self._motion = motion
         self._model = model
-        limits = model.instrument.limits
-        self._low, self._high = limits[:, 0].copy(), limits[:, 1].copy()
-        if "jaw" in model.instrument.joint_names:
-            self._low[model.instrument.joint_index("jaw")] = 0.0  # jaws do not pass through each other
+        self._limits = ReadingsTerm(Readings.none(model.instrument))
 
     def __call__(
         self,
         prior: FilterState,
         anchor: Anchor,
-        evidence: RigEvidence,
+        evidence: Evidence,
         sigma: float,
-        rim: RigRim,
+        outline: DrawnOutline,
     ) -> Updated | None:
         """Correct a predicted state.
 
-        ``anchor`` has the readings, ``sigma`` px is the standard deviation of the evidence, ``rim`` the outline of the
+        ``anchor`` has the readings, ``sigma`` px is the standard deviation of the evidence, ``outline`` that of the
         predicted pose. Returns None if the corrected pose has no outline in the image, or its joints are far beyond
         their limits.
         """
@@ -95,56 +95,56 @@ class OutlineUpdate:
             if solved is not None:
                 if solved.moved < _STILL_PX and each.reach == reach:
                     break
-                drawn = self._model.draw_anew(rim, *self._motion.pose(state, anchor), _KEPT_WITHIN_IMAGE, rim.views)
+                at = self._motion.posed(state, anchor)
+                drawn = self._model.draw_anew(outline, at, _KEPT_WITHIN_IMAGE, outline.views)
                 if drawn is None:
                     return None
-                rim, spread = drawn, solved.spread
+                outline, spread = drawn, solved.spread
             reach = each.reach
             for _ in range(each.steps):
-                pose, joints, loadings = self._motion.linearised(state, anchor)
-                seen = self._model.project(rim, pose, joints)
+                at, loadings = self._motion.linearised(state, anchor)
+                seen = self._model.move(outline, at)
                 if seen is None:
                     return None
-                edges = evidence.distances(seen.pixels, rim, reach)
-                here = _Linearised(seen, edges, rim.lengths, joints, loadings, prior.covariance @ loadings.T)
-                solved = self._solve(here, off, sigma, spread, reach)
+                edges = evidence.distances(seen.pixels, outline, reach)
+                towards = prior.covariance @ loadings.T
+                own = loadings @ towards
+                of_pose = own if spread is None else spread
+                expected = np.einsum("nd,nd->n", seen.jacobian @ of_pose, seen.jacobian)
+                weighted = seen.jacobian.T * self._weights(edges, outline.lengths, sigma, expected, reach)
+                limits = self._limits.local(Posed(at.pose[None], at.joints[None]))
+                information = weighted @ seen.jacobian + limits.information[0]
+                slope = weighted @ edges.distance + limits.slope[0]
+                solved = _Solved.of(information, slope, towards, own, loadings @ off, seen.jacobian)
                 state, off = state.changed(solved.state_change - off), solved.state_change
                 if solved.moved < _STILL_PX:
                     break
         assert solved is not None
-        pose, joints = self._motion.pose(state, anchor)
-        if max((self._low - joints).max(), (joints - self._high).max()) > _FARTHEST_BEYOND * LIMIT_SIGMA:
-            return None
-        pixels = self._model.place(rim, pose, joints)
+        at = self._motion.posed(state, anchor)
+        low, high = self._limits.readings.low, self._limits.readings.high
+        beyond = np.maximum(low - at.joints, at.joints - high).max()
+        pixels = self._model.place(outline, at) if beyond <= _FARTHEST_BEYOND * LIMIT_SIGMA else None
         if pixels is None:
             return None
-        edges = evidence.distances(pixels, rim, reach)
-        cost = 0.5 * (solved.deviation + self._deviation_of_edges(edges, sigma, rim.lengths))
-        fit = self._fit(edges, rim, evidence.unexplained(pixels, rim, int(2 * self._config.support_px)), cost)
-        return Updated(replace(state, covariance=solved.posterior(prior.covariance)), fit, rim)
+        edges = evidence.distances(pixels, outline, reach)
+        cost = 0.5 * (solved.deviation + self._deviation_of_edges(edges, sigma, outline.lengths))
+        unexplained = evidence.unexplained(pixels, outline, int(2 * self._config.support_px))
+        fit = self._fit(edges, outline, unexplained, cost)
+        return Updated(replace(state, covariance=solved.posterior(prior.covariance)), fit, outline)
 
-    def _solve(self, here: _Linearised, before: Float64, sigma: float, spread: Float64 | None, reach: float) -> _Solved:
-        """Correct the state that is ``before`` (D,) from the prediction.
+    def _weights(
+        self, edges: EdgeDistances, lengths: Float64, sigma: float, expected: Float64, reach: float
+    ) -> Float64:
+        """Return the weights (N,), 1/px^2, of the distances from edges, less for those that are unexpectedly long.
 
-        ``spread`` (6 + J, 6 + J) is the covariance of pose and joints so far, None for that of the prediction.
+        ``lengths`` (N,) px is the outline that each represents, ``expected`` (N,) px^2 the variance of its distance by
+        that of the pose.
         """
-        c, jacobian, count = self._config, here.seen.jacobian, len(here.loadings)
-        own = here.loadings @ here.towards
-        expected = np.einsum("nd,nd->n", jacobian @ (own if spread is None else spread), jacobian)
+        c = self._config
         width = c.outlier_sigmas**2 * (sigma**2 + np.minimum(expected, reach**2))
-        weight = here.lengths * here.edges.found / (sigma**2 + here.edges.variance)
-        weight /= c.correlation_px * c.frame_correlation * (1 + here.edges.distance**2 / width) ** 2
-        weighted = jacobian.T * weight
-        information, slope = weighted @ jacobian, weighted @ here.edges.distance
-        below, above = np.minimum(here.joints - self._low, 0), np.maximum(here.joints - self._high, 0)
-        information[range(6, count), range(6, count)] += ((below < 0) | (above > 0)) / LIMIT_SIGMA**2
-        slope[6:] += (below + above) / LIMIT_SIGMA**2
-        system = np.eye(count) + own @ information
-        start = here.loadings @ before
-        change = np.linalg.solve(system, own @ (information @ start - slope))
-        force = information @ (start - change) - slope
-        moved = float(np.abs(jacobian @ (change - start)).max())
-        return _Solved(here.towards, own, information, system, force, moved)
+        weights = lengths * edges.found / (sigma**2 + edges.variance)
+        weights /= c.correlation_px * c.frame_correlation * (1 + edges.distance**2 / width) ** 2
+        return np.asarray(weights)
 
     def _deviation_of_edges(self, edges: EdgeDistances, sigma: float, lengths: Float64) -> float:
         """Return the sum of the squared deviations of edges from the outline, each bounded, with their correlation."""
@@ -154,35 +154,19 @@ class OutlineUpdate:
         bounded = c.outlier_sigmas**2 * np.where(edges.found, trust * ratio / (1 + ratio), 1.0)
         return float(bounded @ lengths) / (c.correlation_px * c.frame_correlation)
 
-    def _fit(self, edges: EdgeDistances, rim: RigRim, unexplained: Mapping[int, float], cost: float) -> Fit:
+    def _fit(self, edges: EdgeDistances, outline: DrawnOutline, unexplained: Mapping[int, float], cost: float) -> Fit:
         """Summarise the distances at the corrected pose."""
         near = edges.found & (np.abs(edges.distance) < self._config.support_px)
-        total = float(rim.lengths.sum())
-        supported = float(rim.lengths[near].sum()) / total
+        total = float(outline.lengths.sum())
+        supported = float(outline.lengths[near].sum()) / total
         typical = float(np.median(np.abs(edges.distance[near]))) if near.any() else self._config.support_px
-        sigma = _NORMAL_MEDIAN * typical
-        lengths, within = rim.split(rim.lengths), rim.split(near)
+        lengths, within = outline.split(outline.lengths), outline.split(near)
         of_views = {
             view: (float(length[within[view]].sum()) / float(length.sum()), unexplained[view])
             for view, length in lengths.items()
         }
-        return Fit(supported, float(np.mean(list(unexplained.values()))), total, sigma, cost, of_views)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """The outline at one state, and the edges near it.
-
-    ``joints`` (J,) and ``loadings`` (6 + J, D) are those of the state, ``lengths`` (N,) px of outline. ``towards``
-    (D, 6 + J) is the prediction's covariance of the state with pose and joints.
-    """
-
-    seen: Projected
-    edges: EdgeDistances
-    lengths: Float64
-    joints: Float64
-    loadings: Float64
-    towards: Float64
+        missing = float(np.mean(list(unexplained.values())))
+        return Fit(supported, missing, total, _NORMAL_MEDIAN * typical, cost, of_views)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +185,21 @@ class _Solved:
     force: Float64
     moved: float
 
+    @staticmethod
+    def of(
+        information: Float64, slope: Float64, towards: Float64, own: Float64, before: Float64, jacobian: Float64
+    ) -> _Solved:
+        """Solve for the change of pose and joints from the prediction, given the one ``before`` (M,).
+
+        ``information`` (M, M) and ``slope`` (M,) are those of half the sum of squares of the evidence there,
+        ``jacobian`` (N, M) that of the points.
+        """
+        system = np.eye(len(slope)) + own @ information
+        change = np.linalg.solve(system, own @ (information @ before - slope))
+        force = information @ (before - change) - slope
+        moved = float(np.abs(jacobian @ (change - before)).max())
+        return _Solved(towards, own, information, system, force, moved)
+
     @property
     def state_change(self) -> Float64:
         """Change of the state from the prediction, (D,)."""
@@ -218,5 +217,5 @@ class _Solved:
 
     def posterior(self, prior: Float64) -> Float64:
         """Return the covariance (D, D) of the state given the edges."""
-        found = prior - self.towards @ self.information @ np.linalg.solve(self.system, self.towards.T)
-        return np.asarray((found + found.T) / 2)
+        covariance = prior - self.towards @ self.information @ np.linalg.solve(self.system, self.towards.T)
+        return np.asarray((covariance + covariance.T) / 2)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dvrk_cmaes._version import __version__
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.draw.figure import write_figure
 from dvrk_cmaes.io.atomic import write_json, write_text
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.estimation.pnp.frame import pose_from_markers, pose_from_tips
 from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
 from dvrk_cmaes.evaluate.result_set import ResultSet
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import read_marker_table
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.pnp.pnp_frame import pose_from_markers, pose_from_tips
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS, LevelName

@@ -7,16 +7,16 @@ import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, make_world
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
-from dvrk_cmaes.geometry import exp_rotation, moved, rotation_angle
+from dvrk_cmaes.geometry import Posed, exp_rotation, moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.search.modes import twin_of
 from dvrk_cmaes.silhouette import Body
 
 COVARIANCE = np.diag(SEEN**2)
 
 
 def with_twin(instrument: Instrument, mode: Mode) -> list[Mode]:
-    pose, joints = instrument.twin(mode.camera_from_root, mode.joints)
-    return [mode, Mode(pose, joints, COVARIANCE)]
+    return [mode, Mode(twin_of(instrument, mode.at), COVARIANCE)]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -38,7 +38,7 @@ def test_frames_on_another_base_disagree(wrong: str) -> None:
     modes = world.modes(rng)
     bad = [2, 5, 6, 11]
     for k, i in enumerate(bad):
-        pose = modes[i][0].camera_from_root
+        pose = modes[i][0].at.pose
         if wrong == "anywhere":
             change = np.concatenate([rng.uniform(0.02, 0.05, 3), rng.uniform(0.5, 2, 3)])
             pose = moved(pose, change)
@@ -48,7 +48,7 @@ def test_frames_on_another_base_disagree(wrong: str) -> None:
             pose = shift @ pose
         else:
             pose = moved(pose, np.array([0, 0, 0, 0, 0, (2.4, -2.5, 2.8, -3.0)[k]]))
-        modes[i] = [Mode(pose, modes[i][0].joints, COVARIANCE)]
+        modes[i] = [Mode(Posed(pose, modes[i][0].at.joints), COVARIANCE)]
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
     assert np.flatnonzero(~found.agree).tolist() == bad
 

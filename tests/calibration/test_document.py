@@ -18,7 +18,6 @@ from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
 
@@ -214,12 +213,10 @@ def test_other_json_is_refused(tmp_path: Path) -> None:
 def test_read_calibration_predicts_other_frames() -> None:
     model, found = calibration().model(WORLD.model.outer, WORLD.model.joints, WORLD.model.names)
     np.testing.assert_allclose(found.offsets, WORLD.truth.offsets)
-    poses, joints = model.predict(found)
-    np.testing.assert_allclose(joints, WORLD.model.joints + WORLD.truth.offsets[2:])
+    at = model.predict(found)
+    np.testing.assert_allclose(at.joints, WORLD.model.joints + WORLD.truth.offsets[2:])
     # the si arm's poses are shifted by 51 mm along the same shafts
-    np.testing.assert_allclose(
-        change_between(WORLD.model.predict(WORLD.truth)[0], poses)[:, [0, 1, 3, 4, 5]], 0, atol=1e-9
-    )
+    np.testing.assert_allclose(at.minus(WORLD.model.predict(WORLD.truth))[:, [0, 1, 3, 4, 5]], 0, atol=1e-9)
     np.testing.assert_allclose(model.deviations.joints, [0.06, 0.05, 0.09])
     np.testing.assert_allclose(model.deviations.slack, [2e-4] * 3 + [0.002] * 3)
 
@@ -247,7 +244,7 @@ def test_cables_survive_the_document_and_correct_frames_by_their_readings_alone(
     assert after.cables == before.cables
     readings = np.array([[0.0, 0.0, 0.12, 0.5]]), np.array([[0.1, 0.4, 0.0]])
     model, constants = after.model(*readings, ("wrist_pitch", "wrist_yaw", "jaw"))
-    joints = model.predict(constants)[1][0]
+    joints = model.predict(constants).joints[0]
     np.testing.assert_allclose(joints[0], 0.1 + PAGE_OFFSETS["wrist_pitch"] + 0.25 * 0.4)
     np.testing.assert_allclose(model.deviations.joints, 0.05)
 

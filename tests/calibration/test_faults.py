@@ -19,7 +19,7 @@ def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:
 
 def on_another_base(modes: list[list[Mode]], *, turned: float = 0.2, by: float = 0.02) -> list[list[Mode]]:
     shift = transform(exp_rotation([turned, -turned / 2, turned / 3]), [by, -by, by / 2])
-    return [[Mode(shift @ mode.camera_from_root, mode.joints, np.diag(SEEN**2)) for mode in own] for own in modes]
+    return [[Mode(mode.at.seen_from(shift), np.diag(SEEN**2)) for mode in own] for own in modes]
 
 
 # a base or camera that moved

@@ -14,9 +14,11 @@ from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument, LagRefiner, R
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.pose.terms.term import Quadratic
 
 ROWS, FPS = 240, 30.0
 
@@ -59,10 +61,10 @@ def moving_world(
     read_at = frames - lag - drift * (frames - (frames[0] + frames[-1]) / 2)
     shown = true_readings(read_at)
     shown[:, 4:] = true_readings(read_at - wrist)[:, 4:]
-    poses, joints = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
+    at = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
     clock = Clock.of(series, list(series.frames), blank.model.deviations.outer)
     read = series.at((*OUTER_JOINTS, *NAMES), frames)
-    world = World(SessionModel(read[:, :4], read[:, 4:], NAMES, blank.model.deviations), blank.truth, poses, joints)
+    world = World(SessionModel(read[:, :4], read[:, 4:], NAMES, blank.model.deviations), blank.truth, at)
     return world, clock, world.modes(rng)
 
 
@@ -82,10 +84,8 @@ def found_lag(lag: float, world: World, clock: Clock, modes: list[list[Mode]]) -
 
 
 def fits_of(modes: list[list[Mode]]) -> FrameFits:
-    poses = np.array([own[0].camera_from_root for own in modes])
-    joints = np.array([own[0].joints for own in modes])
     information = np.tile(np.diag(SEEN**-2.0), (len(modes), 1, 1))
-    return FrameFits(poses, joints, information, np.zeros((*joints.shape[:1], 6 + joints.shape[1])))
+    return FrameFits(Posed.stacked(own[0].at for own in modes), Quadratic(information, np.zeros((len(modes), 9))))
 
 
 @pytest.mark.parametrize("lag", [-3.0, 0.0, 0.4, 2.6, 4.0, 11.5])
@@ -136,12 +136,11 @@ def test_arm_that_hardly_moves_determines_no_lag() -> None:
     slow = {name: values.mean() + 1e-3 * (values - values.mean()) for name, values in clock.series.values.items()}
     still = Clock.of(replace(clock.series, values=slow), list(clock.series.frames), world.model.deviations.outer)
     model = still.model_at(world.model, Delay())
-    poses, joints = model.predict(world.truth)
-    held = replace(world, model=model, poses=poses, joints=joints)
+    held = replace(world, model=model, at=model.predict(world.truth))
     own = held.modes(np.random.default_rng(0))
     found = search_lag(still, held.model, own, EXPECTED_OFFSETS)
     if found.lag is None or found.calibration is None:
-        assert "quickly" in found.untold
+        assert "quickly" in found.undetermined
         return
     start = Delay(found.lag)
     refiner = LagRefiner(still, still.model_at(model, start), fits_of(own), found.calibration, PRIOR, start)
@@ -161,8 +160,10 @@ def test_lag_is_applied_only_if_it_differs_from_zero() -> None:
     assert not described(clock, 0.5, 0.3).applied
     assert described(clock, 0.5, 0.1).applied
     assert described(clock, -1.0, 0.2).applied
-    untold = describe_lag(clock, Refined(4.0, 1.5))
-    assert untold == ("standard deviation 1.5 frames; a recording in which the arm moves quickly would determine it")
+    undetermined = describe_lag(clock, Refined(4.0, 1.5))
+    assert undetermined == (
+        "standard deviation 1.5 frames; a recording in which the arm moves quickly would determine it"
+    )
 
 
 def test_few_frames_are_not_searched() -> None:
@@ -171,7 +172,7 @@ def test_few_frames_are_not_searched() -> None:
     model, chosen = world.model.subset(few), [modes[i] for i in few]
     found = search_lag(clock.subset(few), model, chosen, EXPECTED_OFFSETS)
     assert found.lag is None
-    assert found.untold == "5 frames have a pose and readings, at least 6 are needed"
+    assert found.undetermined == "5 frames have a pose and readings, at least 6 are needed"
 
 
 def test_disagreement_is_least_at_the_lag() -> None:

@@ -17,30 +17,29 @@ from dvrk_cmaes.instrument.arm import base_from_root
 def test_prediction_follows_from_base_readings_and_offsets() -> None:
     world = make_world(1)
     yaw, pitch, insertion, roll = world.model.outer[0]
-    poses, joints = world.model.predict(world.truth)
+    at = world.model.predict(world.truth)
     true = {"yaw": yaw, "pitch": pitch, "insertion": insertion + 0.3e-3, "roll": roll + np.deg2rad(6)}
-    np.testing.assert_allclose(poses[0], BASE @ base_from_root(true), atol=1e-12)
-    np.testing.assert_allclose(joints[0], world.model.joints[0] + OFFSETS[2:])
+    np.testing.assert_allclose(at.pose[0], BASE @ base_from_root(true), atol=1e-12)
+    np.testing.assert_allclose(at.joints[0], world.model.joints[0] + OFFSETS[2:])
 
 
 def test_exact_readings_predict_truth() -> None:
     world = make_world(noise=0)
-    poses, joints = world.model.predict(world.truth)
-    np.testing.assert_allclose(poses, world.poses, atol=1e-12)
-    np.testing.assert_allclose(joints, world.joints, atol=1e-12)
+    at = world.model.predict(world.truth)
+    np.testing.assert_allclose(at.pose, world.at.pose, atol=1e-12)
+    np.testing.assert_allclose(at.joints, world.at.joints, atol=1e-12)
 
 
 @given(st.integers(0, 10_000))
 def test_jacobian_agrees_with_finite_differences(seed: int) -> None:
     world = make_world(3, seed)
     rate, step = world.model.jacobian(world.truth), 1e-6
-    poses, joints = world.model.predict(world.truth)
+    at = world.model.predict(world.truth)
     assert rate.shape == (3, 9, len(world.model.axes))
     for k in range(len(world.model.axes)):
         change = np.zeros(len(world.model.axes))
         change[k] = step
-        there, bent = world.model.predict(world.truth.changed(change))
-        moved_by = np.concatenate([change_between(poses, there), bent - joints], axis=1) / step
+        moved_by = world.model.predict(world.truth.changed(change)).minus(at) / step
         np.testing.assert_allclose(rate[:, :, k], moved_by, atol=1e-5)
 
 
@@ -51,9 +50,7 @@ def test_covariance_agrees_with_simulation() -> None:
     spreads = one.model.deviations
     outer = one.model.outer + rng.standard_normal((count, 4)) * spreads.outer
     joints = one.model.joints + rng.standard_normal((count, 3)) * spreads.joints
-    poses, bent = one.model.of_readings(outer, joints).predict(one.truth)
-    expected, straight = one.model.predict(one.truth)
-    off = np.concatenate([change_between(expected, poses), bent - straight], axis=1)
+    off = one.model.of_readings(outer, joints).predict(one.truth).minus(one.model.predict(one.truth))
     stated = one.model.covariance(one.truth)[0]
     slack = np.diag([*spreads.slack**2, 0, 0, 0])
     scale = np.sqrt(np.diag(stated))
@@ -66,8 +63,7 @@ def test_joint_without_reading_has_wide_variance() -> None:
     joints = world.model.joints.copy()
     joints[1, 2] = np.nan
     model = world.model.of_readings(world.model.outer, joints)
-    _, expected = model.predict(world.truth)
-    assert expected[1, 2] == pytest.approx(OFFSETS[4])
+    assert model.predict(world.truth).joints[1, 2] == pytest.approx(OFFSETS[4])
     spread = np.sqrt(model.covariance(world.truth)[:, 8, 8])
     assert spread[0] == pytest.approx(np.deg2rad(SessionConfig().jaw_deg))
     assert spread[1] > 3
@@ -76,8 +72,8 @@ def test_joint_without_reading_has_wide_variance() -> None:
 def test_roll_offset_rotates_about_shaft_only() -> None:
     world = make_world(4)
     turned = Calibration(BASE, OFFSETS + np.array([0, 0.1, 0, 0, 0]))
-    change = change_between(world.model.predict(world.truth)[0], world.model.predict(turned)[0])
-    np.testing.assert_allclose(change, np.tile([0, 0, 0, 0, 0, 0.1], (4, 1)), atol=1e-9)
+    change = world.model.predict(turned).minus(world.model.predict(world.truth))
+    np.testing.assert_allclose(change[:, :6], np.tile([0, 0, 0, 0, 0, 0.1], (4, 1)), atol=1e-9)
 
 
 def test_roll_offset_and_base_are_confounded_without_rotation() -> None:
@@ -112,7 +108,7 @@ def test_inflation_widens_covariance_of_its_frame_only() -> None:
 def test_subset_predicts_same_poses() -> None:
     world = make_world(5)
     some = world.model.with_inflation(np.full((5, 4), 1.5)).subset([1, 3])
-    np.testing.assert_array_equal(some.predict(world.truth)[0], world.model.predict(world.truth)[0][[1, 3]])
+    np.testing.assert_array_equal(some.predict(world.truth).pose, world.model.predict(world.truth).pose[[1, 3]])
     np.testing.assert_array_equal(some.inflation, np.full((2, 4), 1.5))
 
 

@@ -11,18 +11,16 @@ from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_i
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera
-from dvrk_cmaes.calibration.solve import Solution, solve
-from dvrk_cmaes.calibration.stored_frame import StoredEvidence
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, solve
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.io.typed_document import convert_document
-from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 10
@@ -49,17 +47,12 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
     poses = np.array([one.camera_from_root for one in truths])
     poses[:, 2, 3] /= focal_scale
     joints = np.array([one.values for one in truths])
-    stored, own = [], []
-    for one, pose, joint in zip(frames, poses, joints, strict=True):
+    at, stored = Posed(poses, joints), []
+    for k, one in enumerate(frames):
         assert isinstance(one.data, FrameData)
-        evidence = gather_evidence(one.data.mask, wrong, body.instrument)
-        stored.append(StoredEvidence.of(evidence))
-        view = FrameView("", evidence, Renderer(body, wrong, threads=1), np.eye(4))
-        own.append(OwnEstimate.of([view], Posed(pose, joint)))
+        stored.append(StoredFrame.of(replace(one.data, camera=wrong), at[k], body, EstimateConfig()))
     outlines = SessionOutlines(
-        tuple(stored),
-        readings,
-        tuple(own),
+        stored,
         np.ones(len(frames), np.bool_),
         lambda function, tasks: [function(body, EstimateConfig(), task) for task in tasks],
     )
@@ -67,16 +60,17 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
     outer[:, 2] = outer[:, 2].mean() + insertion * (outer[:, 2] - outer[:, 2].mean())
     read = np.array([[one[name] for name in names] for one in readings])
     model = SessionModel(outer, read, names, Deviations.of(CONFIG, names), roll_offset=body.instrument.roll_offset)
-    fits = outlines.terms(np.zeros(3), poses, joints).fits
+    of_camera = outlines.near(at, np.zeros(3)).outlines
+    fits = FrameFits(at, Quadratic(of_camera.information[:, :-3, :-3], of_camera.slope[:, :-3]))
     solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
-    return check_camera(model, solution.calibration, PRIOR, CONFIG, fits, outlines), solution
+    return check_camera(model, solution.calibration, PRIOR, CONFIG, at, outlines), solution
 
 
 def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:
-    nothing = np.zeros((0, 4, 4))
+    nowhere = Posed(np.zeros((0, 4, 4)), np.zeros((0, 3)))
     calibration = Calibration(np.eye(4), np.zeros(5))
     covariance = np.diag(np.array(std) ** 2)
-    return CameraEstimate(np.array(change), covariance, np.zeros((11, 3)), calibration, nothing, np.zeros((0, 3)))
+    return CameraEstimate(np.array(change), covariance, np.zeros((11, 3)), calibration, nowhere)
 
 
 # the change that frames fit
@@ -111,11 +105,11 @@ def test_few_frames_and_still_insertion_do_not_test_the_camera(bundled_body: Bod
     base, truths, frames = made
     few, _ = check(bundled_body, (base, truths[:9], frames[:9]), 1.0)
     assert few.camera is None
-    assert few.untold == "camera: 9 frames; at least 10 are needed to test its focal length"
+    assert few.undetermined == "camera: 9 frames; at least 10 are needed to test its focal length"
     assert np.linalg.matrix_rank(few.covariance) == 3  # the errors of the file are expected all the same
     still, _ = check(bundled_body, made, 1.0, insertion=0.01)
     assert still.camera is None
-    assert still.untold.endswith(" mm; at least 5 mm are needed to test its focal length")
+    assert still.undetermined.endswith(" mm; at least 5 mm are needed to test its focal length")
 
 
 @pytest.mark.parametrize("focal_scale", [0.98, 1.1])
@@ -187,5 +181,5 @@ def test_estimate_far_away_says_nothing_about_the_camera(
     monkeypatch.setattr("dvrk_cmaes.calibration.camera_change._PLAUSIBLE", 1.0)  # 0.3 in the logarithm of the factor
     found, _ = check(bundled_body, made, 0.6)
     assert found.camera is None
-    assert found.untold == "camera: its estimate from these frames is not plausible"
+    assert found.undetermined == "camera: its estimate from these frames is not plausible"
     assert (np.diag(found.covariance)[:6] > 0).all()

@@ -10,8 +10,17 @@ from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
 from scipy.stats import chi2
 
 from dvrk_cmaes.calibration.model import Calibration
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, frame_covariances, leave_one_out, marginalise, solve
-from dvrk_cmaes.geometry import change_between, moved, rotation_angle
+from dvrk_cmaes.calibration.solve import (
+    FrameFits,
+    Solution,
+    frame_covariances,
+    leave_one_out,
+    marginalise,
+    solution_at,
+    solve,
+)
+from dvrk_cmaes.geometry import Posed, change_between, moved, rotation_angle
+from dvrk_cmaes.pose.terms.term import Quadratic
 
 
 def a_start(world: World) -> Calibration:
@@ -65,11 +74,14 @@ def test_more_frames_reduce_standard_deviations() -> None:
 def test_third_of_frames_may_be_outliers() -> None:
     world = make_world(12, seed=4)
     right = world.fits(np.random.default_rng(5))
-    poses = right.poses.copy()
+    poses = right.at.pose.copy()
     wild = np.random.default_rng(6).uniform(-1, 1, (4, 6)) * [0.02, 0.02, 0.02, 1.5, 1.5, 1.5]
     wild[:, :3] += 0.01
     poses[[1, 4, 7, 10]] = moved(poses[[1, 4, 7, 10]], wild)
-    good, found = solved(world, right), solve(world.model, replace(right, poses=poses), world.truth, PRIOR)
+    good, found = (
+        solved(world, right),
+        solve(world.model, replace(right, at=Posed(poses, right.at.joints)), world.truth, PRIOR),
+    )
     apart = change_between(good.calibration.camera_from_base, found.calibration.camera_from_base)
     assert (np.abs(apart) < 2 * np.sqrt(np.diag(found.covariance)[:6])).all()
     assert set(np.flatnonzero(found.weights < 0.05)) == {1, 4, 7, 10}
@@ -96,21 +108,22 @@ def test_marginalised_information_is_exact() -> None:
     fits = world.fits(np.random.default_rng(0))
     frame = marginalise(world.model, fits, world.truth)
     expected = world.model.covariance(world.truth)[0]
-    np.testing.assert_allclose(frame.information[0] @ (expected + np.diag(SEEN**2)), np.eye(9), atol=1e-6)
-    poses, joints = world.model.predict(world.truth)
-    off = np.concatenate([change_between(fits.poses, poses), joints - fits.joints], axis=1)[0]
-    assert frame.misfit[0] == pytest.approx(off @ np.linalg.solve(expected + np.diag(SEEN**2), off))
+    np.testing.assert_allclose(frame.left.information[0] @ (expected + np.diag(SEEN**2)), np.eye(9), atol=1e-6)
+    off = world.model.predict(world.truth).minus(fits.at)[0]
+    misfit = solution_at(world.model, fits, world.truth, PRIOR).misfit[0]
+    assert misfit == pytest.approx(off @ np.linalg.solve(expected + np.diag(SEEN**2), off))
 
 
 def test_frame_without_outline_information_stays_as_predicted() -> None:
     world = make_world(6)
     fits = world.fits(np.random.default_rng(0))
-    blind = fits.information.copy()
+    blind = fits.outlines.information.copy()
     blind[2] *= 1e-12
-    frames = marginalise(world.model, replace(fits, information=blind), world.truth)
+    fits = replace(fits, outlines=Quadratic(blind, fits.outlines.slope))
+    frames = marginalise(world.model, fits, world.truth)
     np.testing.assert_allclose(frames.deviation[2], 0, atol=1e-6)
     np.testing.assert_allclose(frames.covariance[2], world.model.covariance(world.truth)[2], rtol=1e-6, atol=1e-12)
-    assert frames.misfit[2] == pytest.approx(0, abs=1e-6)
+    assert solution_at(world.model, fits, world.truth, PRIOR).misfit[2] == pytest.approx(0, abs=1e-6)
 
 
 def test_session_reduces_standard_deviations_of_frames() -> None:
@@ -132,3 +145,66 @@ def test_undetermined_offsets_keep_prior_standard_deviation() -> None:
     assert np.isfinite(found.calibration.offsets).all()
     assert abs(np.degrees(found.calibration.offsets[1])) < 20
     assert len(spread) == 8 + len(NAMES)
+
+
+# further unknowns that all frames share
+
+
+def with_further(world: World, fits: FrameFits, columns: np.ndarray, values: np.ndarray) -> FrameFits:
+    """Let the outlines of ``fits`` shift by columns (N, D, E) times the differences of E unknowns from ``values``."""
+    both = np.concatenate([np.tile(np.eye(9), (len(fits.at), 1, 1)), -columns], axis=2)
+    information = np.swapaxes(both, 1, 2) @ fits.outlines.information @ both
+    at = information @ np.concatenate([np.zeros(9), -values])
+    return FrameFits(fits.at, Quadratic(information, at), np.zeros(len(values)))
+
+
+@pytest.mark.parametrize("further", [0, 3])
+def test_information_and_slope_are_the_derivatives_of_the_frames_cost(further: int) -> None:
+    rng = np.random.default_rng(0)
+    world = make_world(6, noise=0.1)
+    columns = SEEN[:, None] * rng.standard_normal((6, 9, further))
+    fits = with_further(world, world.fits(rng, 0.3), columns, np.zeros(further))
+    scale = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-4] + [1e-2] * 4 + [0.1] * further)
+    prior = np.zeros((len(scale),) * 2)
+    start = replace(world.truth, further=np.zeros(further))
+
+    def half(step: np.ndarray) -> float:
+        """Give half the sum of the frames' costs, whose weights are 1."""
+        found = solution_at(world.model, fits, start.changed(step), prior)
+        np.testing.assert_array_equal(found.weights, 1)
+        return float(found.misfit.sum() / 2)
+
+    found = solution_at(world.model, fits, start, prior)
+    steps = np.diag(scale)
+    slope = [(half(step) - half(-step)) / 2 for step in steps]
+    curvature = [half(step) - 2 * half(0 * step) + half(-step) for step in steps]
+    np.testing.assert_allclose(scale * found.frame_slopes.sum(axis=0), slope, rtol=0.01, atol=0.01)
+    np.testing.assert_allclose(scale**2 * np.diag(found.information), curvature, rtol=0.01)
+
+
+def test_further_unknowns_that_do_not_act_change_nothing() -> None:
+    world = make_world(8)
+    fits = world.fits(np.random.default_rng(0))
+    alone = solved(world, fits)
+    padded = replace(fits, outlines=fits.outlines.padded(12), further=np.ones(3))
+    start = replace(a_start(world), further=np.ones(3))
+    beside = solve(world.model, padded, start, np.pad(PRIOR, (0, 3)) + np.diag([*np.zeros(11), 1, 1, 1]))
+    np.testing.assert_allclose(beside.calibration.camera_from_base, alone.calibration.camera_from_base, atol=1e-12)
+    np.testing.assert_allclose(beside.calibration.offsets, alone.calibration.offsets, atol=1e-12)
+    np.testing.assert_allclose(beside.calibration.further, 0, atol=1e-12)
+    np.testing.assert_allclose(beside.information[:11, :11], alone.information, rtol=1e-9, atol=1e-3)
+    np.testing.assert_allclose(beside.weights, alone.weights, atol=1e-9)
+
+
+def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
+    rng = np.random.default_rng(3)
+    world = make_world(20, seed=3)
+    values = np.array([1.0, -2.0, 0.5])
+    fits = with_further(world, world.fits(rng), SEEN[:, None] * rng.standard_normal((20, 9, 3)), values)
+    start = replace(a_start(world), further=np.zeros(3))
+    found = solve(world.model, fits, start, np.pad(PRIOR, (0, 3)) + 1e-4 * np.diag([*np.zeros(11), 1, 1, 1]))
+    std = np.sqrt(np.diag(found.covariance))
+    assert (np.abs(found.calibration.further - values) < 3 * std[11:]).all()
+    assert (std[11:] < 1).all()
+    off = change_between(found.calibration.camera_from_base, world.truth.camera_from_base)
+    assert (np.abs(off) < 3 * std[:6]).all()

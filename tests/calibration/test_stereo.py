@@ -90,6 +90,27 @@ def test_new_frame_is_predicted_and_fitted_in_both_eyes(
     assert 1e3 * np.linalg.norm(found.camera_from_root[:3, 3] - together[:3, 3]) < 0.3
 
 
+def test_prior_of_a_frame_without_the_left_eye_is_seen_by_the_right_one(
+    bundled_body: Body,
+    both_eyes: tuple[list[SessionFrame], SolvedSession],
+    one_eye: tuple[np.ndarray, list[Truth], list[SessionFrame]],
+) -> None:
+    """Of the frame without a left mask, the right eye sees the shaft only: where along it the tool is, is expected."""
+    made, truth = list(both_eyes[0]), one_eye[1][2]
+    data = made[2].data
+    assert isinstance(data, FrameData)
+    wrist = SMALL.project((RIGHT_FROM_LEFT @ truth.camera_from_root)[None, :3, 3])[0]
+    columns, rows = np.meshgrid(np.arange(SMALL.width), np.arange(SMALL.height))
+    hidden = np.hypot(columns - wrist[0], rows - wrist[1]) < 60
+    others = {"right": replace(data.others["right"], ignore=hidden)}
+    made[2] = replace(made[2], data=replace(data, others=others))
+    result = calibrate_session(made, bundled_body, config=SETTINGS).results[made[2].name]
+    assert result.source == "session"
+    assert result.camera_from_root is not None
+    off = np.linalg.inv(truth.camera_from_root) @ result.camera_from_root
+    assert 1e3 * abs(off[2, 3]) < 1.0  # of the baseline of 5.3 mm
+
+
 def test_camera_of_a_stereo_pair_is_not_refined(
     bundled_body: Body,
 ) -> None:

@@ -22,7 +22,7 @@ def learnt(world: World, fits: FrameFits, turns: int = 6) -> SessionModel:
     for _ in range(turns):
         solution = solve(model, fits, calibration, PRIOR)
         calibration = solution.calibration
-        model = estimate_variances(model, fits, calibration, solution.weights, CONFIG)
+        model = estimate_variances(model, fits, solution, CONFIG)
     return model
 
 

@@ -144,6 +144,19 @@ def test_distortion_preserves_orientation(camera: Camera, seed: int) -> None:
     assert (dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0] > 0).all()
 
 
+@given(cameras(), st.integers(0, 2**32 - 1))
+def test_motion_along_directions_is_derivative_of_projection(camera: Camera, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-2, 2, (100, 2)) * reach(camera)
+    xy = xy[np.abs(np.linalg.norm(xy, axis=1) / min(camera.lens_radius, 1e9) - 1) > 1e-3]  # not differentiable there
+    points, directions = on_plane(xy) * rng.uniform(0.05, 0.2, (len(xy), 1)), rng.standard_normal((len(xy), 2))
+    pixels, gradient = camera.project_along(points, directions)
+    assert np.allclose(pixels, camera.project(points), rtol=0, atol=1e-9 * max(camera.width, np.abs(pixels).max()))
+    for axis, step in enumerate(1e-6 * np.eye(3)):
+        change = (camera.project(points + step) - camera.project(points - step)) / 2e-6
+        assert np.allclose((change * directions).sum(axis=1), gradient[:, axis], atol=1e-5 * np.abs(gradient).max())
+
+
 def test_far_points_do_not_fold_back_into_image() -> None:
     camera = REAL_LENSES[1]
     far = np.array([[2.0, 1.0]])

@@ -17,12 +17,12 @@ from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.runs import processes
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.synth.files import write_camera_info
 
 Command = Callable[..., Ran]
 

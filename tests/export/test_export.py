@@ -13,7 +13,7 @@ from helpers.canned_results import BASE, canned, failed, write_results
 from helpers.commands import Ran, run_command
 
 from dvrk_cmaes.export.base_choice import median_pose
-from dvrk_cmaes.export.formats import DIRECTIONS
+from dvrk_cmaes.export.table import FORMATS
 from dvrk_cmaes.geometry import moved, rotation_angle
 from dvrk_cmaes.io.atomic import write_json
 
@@ -44,11 +44,11 @@ def results(tmp_path: Path) -> Path:
     return write_results(tmp_path / "out", *(canned(f"000{k}", k) for k in range(3)), wrong, failed("0004"))
 
 
-@pytest.mark.parametrize("to", sorted({*DIRECTIONS} - {"joint-correction"}))  # this one has no frames
+@pytest.mark.parametrize("to", sorted({*FORMATS} - {"joint-correction"}))  # this one has no frames
 def test_every_format_is_written(to: str, results: Path, run: Run) -> None:
     ran = run(results, "--to", to, "--json", *(["--out", results / "exports"] if to == "tf" else []))
     assert ran.code == 0
-    assert ran.result["direction"] == DIRECTIONS[to]  # type: ignore[index]
+    assert ran.result["direction"] == FORMATS[to].direction
     assert ran.result["written"]
     for path in map(Path, ran.result["written"]):
         assert path.stat().st_size > 0

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import write_camera_info
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.two_arms import tool_depth
 

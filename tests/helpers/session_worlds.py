@@ -16,15 +16,16 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import write_camera_info
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
 from dvrk_cmaes.synth.truth import Truth
@@ -52,25 +53,24 @@ SMALL = Camera(320, 240, 513, 513, 161, 119)
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A session without images: readings, true poses (N, 4, 4) and joints (N, J), and constants."""
+    """A session without images: readings, constants, and where the instrument truly is in each of N frames."""
 
     model: SessionModel
     truth: Calibration
-    poses: np.ndarray
-    joints: np.ndarray
+    at: Posed
 
     def fits(self, rng: np.random.Generator, scale: float = 1.0) -> FrameFits:
         """Sample fits of outlines about the truth, with ``scale`` times the usual standard deviations."""
-        count, size = len(self.poses), 6 + len(NAMES)
+        count, size = len(self.at), 6 + len(NAMES)
         off = rng.standard_normal((count, size)) * SEEN * scale
         information = np.tile(np.diag((SEEN * scale) ** -2.0), (count, 1, 1))
-        return FrameFits(moved(self.poses, off[:, :6]), self.joints + off[:, 6:], information, np.zeros((count, size)))
+        return FrameFits(self.at.moved(off), Quadratic(information, np.zeros((count, size))))
 
     def modes(self, rng: np.random.Generator) -> list[list[Mode]]:
         """Sample one mode for each frame about the truth, with its stated covariance."""
         fits = self.fits(rng)
         covariance = np.diag(SEEN**2)
-        return [[Mode(pose, joints, covariance)] for pose, joints in zip(fits.poses, fits.joints, strict=True)]
+        return [[Mode(fits.at[k], covariance)] for k in range(len(fits.at))]
 
 
 def make_world(
@@ -87,8 +87,7 @@ def make_world(
     moving = outer + noise * rng.standard_normal(outer.shape) * spreads.outer
     bending = joints + noise * rng.standard_normal(joints.shape) * spreads.joints
     model = SessionModel(outer, joints, NAMES, spreads)
-    poses, values = SessionModel(moving, bending, NAMES, spreads).predict(truth)
-    return World(model, truth, poses, values)
+    return World(model, truth, SessionModel(moving, bending, NAMES, spreads).predict(truth))
 
 
 def make_frames_in_memory(
@@ -162,7 +161,7 @@ def with_result(frame: SessionFrame, **changes: Any) -> SessionFrame:
 def own_base(world: World, index: int) -> np.ndarray:
     """Return the base that follows from one frame's true pose and readings with zero offsets."""
     outer = dict(zip(OUTER_JOINTS, world.model.outer[index].tolist(), strict=True))
-    return np.asarray(world.poses[index] @ np.linalg.inv(base_from_root(outer)))
+    return np.asarray(world.at.pose[index] @ np.linalg.inv(base_from_root(outer)))
 
 
 def true_calibration(

@@ -138,11 +138,13 @@ def test_root_link_selects_joints(tmp_path: Path) -> None:
 def test_batches_agree_with_single_poses(batch: tuple[int, ...]) -> None:
     instrument = loaded(BUNDLED)
     joints = np.random.default_rng(1).uniform(-1, 1, (*batch, 3))
-    poses, tips = instrument.forward(joints), instrument.tips(joints)
+    poses, tips, (_, twists) = instrument.forward(joints), instrument.tips(joints), instrument.twists(joints)
     assert poses.shape == (*batch, len(instrument.links), 4, 4)
+    assert twists.shape == (*batch, len(instrument.links), 6, 3)
     assert tips.shape == (*batch, 2, 3)
     for index in np.ndindex(*batch):
         np.testing.assert_allclose(poses[index], instrument.forward(joints[index]), atol=1e-15)
+        np.testing.assert_allclose(twists[index], instrument.twists(joints[index])[1], atol=1e-15)
         np.testing.assert_allclose(tips[index], instrument.tips(joints[index]), atol=1e-15)
 
 

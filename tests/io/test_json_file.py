@@ -7,9 +7,19 @@ import pytest
 from dvrk_cmaes.io.json_file import parse_json
 
 
-@pytest.mark.parametrize("text", ["[1.5, -2, 1e300]", '{"a": "\\ud83d\\ude00", "b": null}', "12345678901234567890"])
-def test_json_is_read(text: str) -> None:
-    assert parse_json(text) is not None
+@pytest.mark.parametrize(
+    ("text", "document"),
+    [
+        ("[1.5, -2, 1e300, true]", [1.5, -2, 1e300, True]),
+        ('{"a": "\\ud83d\\ude00", "b": null}', {"a": "\N{GRINNING FACE}", "b": None}),
+        ("12345678901234567890", 12345678901234567890),
+        ("[12345678901234567890, 0.25, -7]", [12345678901234567890, 0.25, -7]),
+    ],
+)
+def test_json_is_read(text: str, document: object) -> None:
+    found = parse_json(text)
+    assert found == document
+    assert repr(found) == repr(document)  # whole numbers stay whole
 
 
 @pytest.mark.parametrize(

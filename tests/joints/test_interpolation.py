@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.interpolation import Gaps, TimedReadings, interpolated
 
 MS = 1_000_000
 
@@ -21,7 +22,10 @@ def value(found: tuple[np.ndarray, int] | None) -> tuple[list[float], int] | Non
 
 def test_interpolation_is_linear() -> None:
     jaw = readings([0, 10 * MS], [[1.0, 0.0], [2.0, -1.0]], ("jaw", "roll"))
-    assert value(jaw.at(4 * MS, 10 * MS)) == ([1.4, -0.4], 6 * MS)
+    found = value(jaw.at(4 * MS, 10 * MS))
+    assert found is not None
+    assert found[0] == pytest.approx([1.4, -0.4])
+    assert found[1] == 6 * MS
 
 
 def test_exact_time_gives_exact_reading() -> None:
@@ -77,3 +81,43 @@ def test_value_exists_only_between_near_readings(times: list[int], time: int, to
         assert abs(found[0][0] - time / 1e9) <= 1e-6
         assert found[1] <= tolerance
     assert jaw.distance(time) == min(abs(t - time) for t in times)
+
+
+# rules for gaps
+
+STAMPS, VALUES = np.array([0.0, 1.0, 2.0, 6.0]), np.array([0.0, 10.0, 20.0, 60.0])
+
+
+def known(gaps: Gaps, *times: float) -> list[bool]:
+    """Tell which times have a value; where they have one, it is ten times the time."""
+    at = interpolated(STAMPS, VALUES, np.array(times), gaps)
+    expected = 10 * np.array(times)
+    np.testing.assert_allclose(at[~np.isnan(at)], expected[~np.isnan(at)])
+    return (~np.isnan(at)).tolist()
+
+
+def test_without_a_rule_all_gaps_are_interpolated_and_nothing_beyond_the_ends() -> None:
+    assert known(Gaps(), -0.1, 0.0, 0.5, 4.0, 6.0, 6.1) == [False, True, True, True, True, False]
+
+
+def test_readings_that_are_too_far_apart_are_not_interpolated() -> None:
+    assert known(Gaps.of_length(1.0), 0.5, 1.0, 2.0, 2.1, 5.9, 6.0) == [True, True, True, False, False, True]
+
+
+def test_both_readings_within_a_tolerance_are_asked_for() -> None:
+    assert known(Gaps.within(3.0), 0.5, 2.5, 3.0, 4.0, 5.0) == [True, False, True, True, True]
+    assert known(Gaps.within(0.9), 0.05, 0.5) == [False, True]
+
+
+@pytest.mark.parametrize(("least", "wide"), [(0.0, False), (5.0, True)])
+def test_gaps_beyond_the_usual_spacing_are_not_interpolated_unless_they_are_short(least: float, wide: bool) -> None:
+    gaps = Gaps.beyond_usual(STAMPS, 3.0, least)  # the median spacing is 1
+    assert known(gaps, 1.5, 4.0) == [True, wide]
+
+
+def test_two_readings_have_no_usual_spacing() -> None:
+    assert Gaps.beyond_usual(STAMPS[:2], 3.0, 0.0) == Gaps()
+
+
+def test_no_reading_gives_no_value() -> None:
+    assert np.isnan(interpolated(STAMPS[:0], VALUES[:0], np.array([1.0]), Gaps())).all()

@@ -63,7 +63,9 @@ def test_same_view_twice_tells_twice_as_much(bundled_body: Body) -> None:
     view = view_at(bundled_body, CAMERA, TRUE)
     off = TRUE.moved(np.array([2e-4, 0, 0, 0, 0.01, 0, 0, 0, 0]))
     coverages = [terms(bundled_body, [view] * count).coverage for count in (1, 2)]
-    once, twice = (c.weight(float(c.cost(off[None])[0])) * c.cost(off[None])[0] for c in coverages)
+    once, twice = (
+        c.score_of(c.draw(off[None])[0]) for c in [each.with_noise(each.noise_at(TRUE)) for each in coverages]
+    )
     assert twice == pytest.approx(2 * once)
 
 

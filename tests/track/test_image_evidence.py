@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.track.clearance import MOST_CLEARANCE, Clearance
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
-from dvrk_cmaes.track.evidence import BothEvidence, MaskEvidence
+from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
-from dvrk_cmaes.track.outline_model import Rim
-from dvrk_cmaes.track.outline_room import MOST_ROOM, Room
+from dvrk_cmaes.track.mask_evidence import MaskEvidence
 from dvrk_cmaes.track.sight import Sight
 
 TOOL, TISSUE, UNKNOWN = (90, 88, 86), (60, 70, 170), (200, 40, 20)  # BGR
@@ -33,26 +36,27 @@ def bar(left: float, right: float, *, of: tuple[int, int, int] = TOOL, noise: fl
     return np.clip(image + 0.5, 0, 255).astype(np.uint8)
 
 
-def outline(left: float, right: float) -> Rim:
+def outline_of(left: float, right: float) -> DrawnOutline:
     """Give the outline of such a bar, 2 x 60 points."""
     rows = np.arange(10.0, 70.0)
     pixels = np.concatenate([np.stack([np.full(60, u), rows], axis=1) for u in (left, right)])
     normals = np.repeat([[-1.0, 0.0], [1.0, 0.0]], 60, axis=0)
     zero = np.zeros(120, np.intp)
-    return Rim(zero, np.zeros((120, 3)), normals, np.ones(120), pixels, pixels, np.eye(4), np.zeros(3))
+    at, points, lengths = Posed(np.eye(4), np.zeros(3)), np.zeros((120, 3)), np.ones(120)
+    return DrawnOutline((0,), at, {0: slice(None)}, {0: pixels}, zero, points, normals, lengths, pixels)
 
 
 def model_of(left: float = 60, right: float = 100) -> ColourModel:
     """Learn the colours of such a bar."""
-    rim = outline(left, right)
-    return learned(bar(left, right), rim.pixels, rim)
+    outline = outline_of(left, right)
+    return learned(bar(left, right), outline.pixels, outline)
 
 
 @pytest.mark.parametrize("width", [8, 40])
 @pytest.mark.parametrize("shift", [0.0, 0.4, 3.25, -5.0])
 def test_edges_are_found_below_a_pixel(width: int, shift: float) -> None:
-    image, rim = bar(60, 60 + width), outline(60 + shift, 60 + width + shift)
-    found = ImageEvidence(image, model_of()).distances(rim.pixels, rim, 12.0)
+    image, outline = bar(60, 60 + width), outline_of(60 + shift, 60 + width + shift)
+    found = ImageEvidence(image, model_of()).distances(outline.pixels, outline, 12.0)
     assert found.found.mean() > 0.95
     left, right = found.distance[:60], found.distance[60:]
     assert np.median(left) == pytest.approx(-shift, abs=0.1)
@@ -60,55 +64,55 @@ def test_edges_are_found_below_a_pixel(width: int, shift: float) -> None:
 
 
 def test_edges_within_the_instrument_do_not_count() -> None:
-    image, rim = bar(60, 100), outline(60, 100)
+    image, outline = bar(60, 100), outline_of(60, 100)
     image[:, 65:68] = (150, 148, 146)  # a reflection along the instrument, whose edges are sharper than its outline
-    model = learned(image, rim.pixels, rim)
-    shifted = outline(63, 103)
+    model = learned(image, outline.pixels, outline)
+    shifted = outline_of(63, 103)
     found = ImageEvidence(image, model).distances(shifted.pixels, shifted, 12.0)
     assert np.median(found.distance[:60]) == pytest.approx(-3, abs=0.2)
 
 
 def test_colours_that_were_never_seen_tell_nothing() -> None:
-    image, rim = bar(60, 100, of=UNKNOWN), outline(60, 100)
-    assert not ImageEvidence(image, model_of()).distances(rim.pixels, rim, 12.0).found.any()
+    image, outline = bar(60, 100, of=UNKNOWN), outline_of(60, 100)
+    assert not ImageEvidence(image, model_of()).distances(outline.pixels, outline, 12.0).found.any()
 
 
 def test_tissue_alone_has_no_edges() -> None:
-    image, rim = bar(-50, -40), outline(60, 100)
-    assert not ImageEvidence(image, model_of()).distances(rim.pixels, rim, 12.0).found.any()
+    image, outline = bar(-50, -40), outline_of(60, 100)
+    assert not ImageEvidence(image, model_of()).distances(outline.pixels, outline, 12.0).found.any()
 
 
 def test_ignored_pixels_have_no_edges() -> None:
-    image, rim, ignore = bar(60, 100), outline(60, 100), np.zeros((HEIGHT, WIDTH), np.bool_)
+    image, outline, ignore = bar(60, 100), outline_of(60, 100), np.zeros((HEIGHT, WIDTH), np.bool_)
     ignore[:, 80:120] = True
-    found = ImageEvidence(image, model_of(), ignore).distances(rim.pixels, rim, 12.0).found
+    found = ImageEvidence(image, model_of(), ignore).distances(outline.pixels, outline, 12.0).found
     assert found[:60].all()
     assert not found[60:].any()
 
 
 def test_instrument_that_goes_on_beside_its_outline_is_unexplained() -> None:
-    image, rim = bar(60, 100), outline(60, 80)
+    image, outline = bar(60, 100), outline_of(60, 80)
     evidence = ImageEvidence(image, model_of())
-    assert evidence.unexplained(rim.pixels, rim, 6) == pytest.approx(0.5, abs=0.02)
-    whole = outline(60, 100)
+    assert evidence.unexplained(outline.pixels, outline, 6) == pytest.approx(0.5, abs=0.02)
+    whole = outline_of(60, 100)
     assert evidence.unexplained(whole.pixels, whole, 6) == 0.0
 
 
 def test_lines_end_where_they_cross_the_outline_again() -> None:
-    rim = outline(60, 66)
-    room = Room.of(rim.pixels, rim.normals).at_scale(1)
-    assert np.allclose(room.inside, 6)
-    assert np.allclose(room.outside, MOST_ROOM)
-    assert np.allclose(rim.room.at_scale(2).inside, 3)
+    outline = outline_of(60, 66)
+    clearance = Clearance.of(outline.pixels, outline.normals).at_scale(1)
+    assert np.allclose(clearance.inside, 6)
+    assert np.allclose(clearance.outside, MOST_CLEARANCE)
+    assert np.allclose(outline.clearance.at_scale(2).inside, 3)
 
 
 def test_mask_and_image_together_are_nearer_than_the_worse_of_them() -> None:
-    image, rim = bar(60, 100), outline(60, 100)
+    image, outline = bar(60, 100), outline_of(60, 100)
     mask = np.zeros((HEIGHT, WIDTH), np.bool_)
     mask[:, 60:103] = True  # three pixels too wide on the right
     by_mask, by_image = MaskEvidence(mask), ImageEvidence(image, model_of())
-    found = BothEvidence(by_mask, by_image).distances(rim.pixels, rim, 12.0)
-    alone = by_mask.distances(rim.pixels, rim, 12.0)
+    found = Evidence({0: (by_mask, by_image)}).distances(outline.pixels, outline, 12.0)
+    alone = by_mask.distances(outline.pixels, outline, 12.0)
     assert found.found.all()
     assert np.abs(found.distance[60:]).max() < np.abs(alone.distance[60:]).min()
     assert found.variance[60:].min() > found.variance[:60].max()
@@ -120,8 +124,8 @@ def test_mask_and_image_together_are_nearer_than_the_worse_of_them() -> None:
 def test_mixing_changes_the_model_slowly() -> None:
     pixels = np.array([TOOL], np.uint8)
     (bin_,) = bins_of(pixels)
-    rim = outline(60, 100)
-    other = learned(bar(60, 100, of=UNKNOWN), rim.pixels, rim)
+    outline = outline_of(60, 100)
+    other = learned(bar(60, 100, of=UNKNOWN), outline.pixels, outline)
     model = model_of()
     mixed = model.mixed(other, 0.15)
     assert other.log_odds[0, bin_] <= 0 < mixed.log_odds[0, bin_] <= model.log_odds[0, bin_]
@@ -139,4 +143,4 @@ def test_damaged_checkpoint_is_refused() -> None:
 
 def test_unknown_evidence_is_refused() -> None:
     with pytest.raises(InputError, match=r"evidence: expected one of .*images.*got 'image'"):
-        Sight(SMALL, TrackConfig(), "image", None)  # type: ignore[arg-type]
+        Sight(Rig.of(SMALL), TrackConfig(), "image", None)  # type: ignore[arg-type]

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrackConfig
-from dvrk_cmaes.geometry import change_between, moved
+from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.track.evidence import MaskEvidence
+from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.mask_evidence import MaskEvidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
-from dvrk_cmaes.track.outline_model import OutlineModel, Rim
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.smoother import FilterStep, smoothed_states
 from dvrk_cmaes.track.start import placed, unknown_state
@@ -35,7 +37,7 @@ MOTION = MotionModel(TrackConfig(), 3, "classic", 0.4162)
 
 def some_state() -> FilterState:
     blank = unknown_state(EstimateConfig(), MOTION, ANCHOR, NAMES, 0.0)
-    return placed(blank, MOTION, ANCHOR, POSE, np.array([0.3, 0.0, 0.7]), 1e-6 * np.eye(9))
+    return placed(blank, MOTION, ANCHOR, Posed(POSE, np.array([0.3, 0.0, 0.7])), 1e-6 * np.eye(9))
 
 
 # readings
@@ -65,18 +67,19 @@ def test_frozen_readings_are_noticed() -> None:
 # edges of a mask
 
 
-def rim_at(pixels: np.ndarray, normals: np.ndarray) -> Rim:
-    """Give an outline at some pixels."""
+def outline_at(pixels: np.ndarray, normals: np.ndarray) -> DrawnOutline:
+    """Give an outline at some pixels of the only view."""
     count = len(pixels)
-    return Rim(
-        np.zeros(count, np.intp),
-        np.zeros((count, 3)),
-        normals,
-        np.ones(count),
-        pixels,
-        pixels,
-        np.eye(4),
-        np.zeros(3),
+    return DrawnOutline(
+        views=(0,),
+        at=Posed(np.eye(4), np.zeros(3)),
+        parts={0: slice(None)},
+        all_pixels={0: pixels},
+        link=np.zeros(count, np.intp),
+        points=np.zeros((count, 3)),
+        normals=normals,
+        lengths=np.ones(count),
+        pixels=pixels,
     )
 
 
@@ -85,7 +88,7 @@ def test_distance_from_edge_of_mask_is_found_below_a_pixel() -> None:
     mask[:, 40:80] = True  # edges at 39.5 and 79.5
     pixels = np.array([[79.5, 50.0], [81.25, 50.0], [77.0, 20.0], [39.5, 30.0], [95.0, 50.0]])
     normals = np.array([[1.0, 0], [1, 0], [1, 0], [-1, 0], [1, 0]])
-    found = MaskEvidence(mask).distances(pixels, rim_at(pixels, normals), 8.0)
+    found = MaskEvidence(mask).distances(pixels, outline_at(pixels, normals), 8.0)
     assert found.found.tolist() == [True, True, True, True, False]
     assert np.allclose(found.distance[:4], [0, 1.75, -2.5, 0], atol=0.06)
 
@@ -94,7 +97,7 @@ def test_edge_that_faces_another_way_does_not_count() -> None:
     mask = np.zeros((60, 60), np.bool_)
     mask[:, 30:] = True
     pixels = np.array([[30.0, 30.0]])
-    assert not MaskEvidence(mask).distances(pixels, rim_at(pixels, np.array([[1.0, 0.0]])), 8.0).found[0]
+    assert not MaskEvidence(mask).distances(pixels, outline_at(pixels, np.array([[1.0, 0.0]])), 8.0).found[0]
 
 
 def test_ignored_pixels_have_no_edges() -> None:
@@ -102,7 +105,7 @@ def test_ignored_pixels_have_no_edges() -> None:
     mask[:, 10:40], ignore[:, 35:45] = True, True
     evidence = MaskEvidence(mask, ignore)
     pixels = np.array([[36.0, 30.0], [9.5, 30.0]])
-    found = evidence.distances(pixels, rim_at(pixels, np.array([[1.0, 0.0], [-1.0, 0.0]])), 8.0)
+    found = evidence.distances(pixels, outline_at(pixels, np.array([[1.0, 0.0], [-1.0, 0.0]])), 8.0)
     assert found.found.tolist() == [False, True]
 
 
@@ -110,45 +113,44 @@ def test_share_of_edge_without_outline() -> None:
     mask = np.zeros((100, 100), np.bool_)
     mask[:, 30:70] = True
     left = np.stack([np.full(100, 30.0), np.arange(100.0)], axis=1)
-    rim = rim_at(left, np.tile([-1.0, 0.0], (100, 1)))
-    assert MaskEvidence(mask).unexplained(left, rim, 6) == pytest.approx(0.5, abs=0.02)
+    outline = outline_at(left, np.tile([-1.0, 0.0], (100, 1)))
+    assert MaskEvidence(mask).unexplained(left, outline, 6) == pytest.approx(0.5, abs=0.02)
 
 
 # derivatives
 
 
 def test_jacobian_of_outline_agrees_with_differences() -> None:
-    model, joints = OutlineModel(prepare("lnd"), SMALL, 100), np.array([0.3, 0.2, 0.7])
-    rim = model.draw(POSE, joints)
-    assert rim is not None
-    here = model.project(rim, POSE, joints)
+    model, at = OutlineModel(prepare("lnd"), Rig.of(SMALL), 100), Posed(POSE, np.array([0.3, 0.2, 0.7]))
+    outline = model.draw(at, (0,))
+    assert outline is not None
+    here = model.move(outline, at)
     assert here is not None
     step = 1e-6
     for k in range(9):
         change = np.zeros(9)
         change[k] = step
-        there = model.place(rim, moved(POSE, change[:6]), joints + change[6:])
+        there = model.place(outline, at.moved(change))
         assert there is not None
-        along = ((there - here.pixels) * rim.normals).sum(axis=1) / step
+        along = ((there - here.pixels) * outline.normals).sum(axis=1) / step
         assert np.allclose(along, here.jacobian[:, k], rtol=1e-3, atol=1e-2 * np.abs(here.jacobian[:, k]).max() + 1e-3)
 
 
 def test_loadings_agree_with_differences() -> None:
     state, step = some_state(), 1e-6
-    pose, joints = MOTION.pose(state, ANCHOR)
+    at = MOTION.posed(state, ANCHOR)
     loadings = MOTION.loadings(state, ANCHOR)
     for k in range(Layout(3).size):
         change = np.zeros(Layout(3).size)
         change[k] = step
-        there, bent = MOTION.pose(state.changed(change), ANCHOR)
-        found = np.concatenate([change_between(pose, there), bent - joints]) / step
-        assert np.allclose(found, loadings[:, k], atol=1e-5)
+        there = MOTION.posed(state.changed(change), ANCHOR)
+        assert np.allclose(there.minus(at) / step, loadings[:, k], atol=1e-5)
 
 
 def test_placed_state_has_the_given_pose() -> None:
-    pose, joints = MOTION.pose(some_state(), ANCHOR)
-    assert np.allclose(pose, POSE)
-    assert np.allclose(joints, [0.3, 0.0, 0.7])
+    at = MOTION.posed(some_state(), ANCHOR)
+    assert np.allclose(at.pose, POSE)
+    assert np.allclose(at.joints, [0.3, 0.0, 0.7])
 
 
 def test_difference_is_what_changes_a_state_into_another() -> None:

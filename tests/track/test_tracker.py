@@ -14,7 +14,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import moved, rotation_angle
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Alternative, Result
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.synth.truth import exact_mask
 from dvrk_cmaes.track import Tracker
@@ -113,6 +113,21 @@ def test_lag_of_images_is_found() -> None:
     late.follow(tracker)
     assert tracker.lag is not None
     assert tracker.lag.seconds == pytest.approx(2.6 / 30, abs=0.02)
+
+
+# modes
+
+
+def test_mode_that_readings_do_not_predict_is_less_probable(world: MovingWorld, first: Result) -> None:
+    """Both modes fit the images once they are corrected, but the first one has to be moved far for that."""
+    truth = world.truths[0]
+    mode = Alternative(truth.camera_from_root, truth.joints, 0.1, 0.95, "other mode")
+    away = moved(truth.camera_from_root, [2e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    known = np.diag([1e-4] * 3 + [5e-3] * 6) ** 2
+    start = replace(first, camera_from_root=away, joints=truth.joints, covariance=known, alternatives=(mode,))
+    (result,) = world.follow(started(world, start), frames=range(1, 2))
+    assert result.reasons == ("switched to the other mode: it explains the images better",)
+    assert world.error_mm(1, result) < 0.4
 
 
 # losses and recovery

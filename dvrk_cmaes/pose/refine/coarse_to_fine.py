@@ -24,6 +24,7 @@ from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_nois
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -59,7 +60,6 @@ class LocalSearch:
         self._decimated = decimated
         self._readings = readings
         self._config = config
-        self._terms = terms_of_frame(views, readings, config.refine.outline)
         self._last_selection = Selection(config.refine.last_share, config.refine.last_gap)
         self._sized: list[SizedView] = []
         self._direct_silhouettes = 0
@@ -97,6 +97,10 @@ class LocalSearch:
         self._sized += sized
         return Coverage(sized, outline)
 
+    def _terms(self, shrink: int = 1) -> list[Term]:
+        """Return the terms beside the coverage at 1 / ``shrink`` of the main view's size."""
+        return terms_of_frame(self._views, self._readings, self._config.refine.outline, shrink=shrink)
+
     def _refine(
         self,
         coverage: Coverage,
@@ -108,13 +112,13 @@ class LocalSearch:
         """Refine candidates or modes on the coverage and all other terms."""
         if not modes:
             return []
-        outline = self._config.refine.outline
-        steps = Steps.of(outline, coverage.views[0].shrink, iterations=iterations)
-        return refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
+        shrink = coverage.views[0].shrink
+        steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations)
+        return refine(coverage, self._terms(shrink), Posed.stacked([mode.at for mode in modes]), steps, selection)
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
         """Score modes without refining them."""
-        return [assess(coverage, self._terms, mode.at) for mode in modes]
+        return [assess(coverage, self._terms(), mode.at) for mode in modes]
 
     def _twin(self, mode: Candidate) -> Candidate:
         return Candidate(twin_of(self._instrument, mode.at), mode.score)
@@ -172,14 +176,14 @@ class LocalSearch:
         if self._config.refine.method == "gauss-newton" and all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)
         views = [ViewAtFullSize(*pair) for pair in zip(self._views, coverage.views, strict=True)]
-        of_views = information_of_views(views, self._terms, first.at)
-        rotations = rotations_of_views(views, self._terms, first.at, of_views)
+        of_views = information_of_views(views, self._terms(), first.at)
+        rotations = rotations_of_views(views, self._terms(), first.at, of_views)
         return [replace(first, information=np.sum(of_views, axis=0)), *others], rotations
 
     def _with_correlated_noise(self, coverage: Coverage, mode: Fit) -> Fit:
         """Return a mode where generalised least squares put it; where it was, if that is clearly worse by its score."""
-        (fit,) = refine(CorrelatedContour(coverage.views), self._terms, Posed.stacked([mode.at]), _OF_CONTOUR)
-        is_as_good = assess(coverage, self._terms, fit.at).score < mode.score + _AS_GOOD
+        (fit,) = refine(CorrelatedContour(coverage.views), self._terms(), Posed.stacked([mode.at]), _OF_CONTOUR)
+        is_as_good = assess(coverage, self._terms(), fit.at).score < mode.score + _AS_GOOD
         return replace(mode, at=fit.at) if is_as_good else mode
 
     def _last(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
@@ -202,6 +206,6 @@ class LocalSearch:
             at, count = refine_direct(
                 config.refine.method, loss, mode.at, scale, config.refine.evaluations, config.seed
             )
-            fits.append(assess(coverage, self._terms, at))
+            fits.append(assess(coverage, self._terms(), at))
             self._direct_silhouettes += count
         return fits

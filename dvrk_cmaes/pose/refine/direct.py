@@ -82,11 +82,11 @@ def _coordinate_descent(loss: Loss, dimension: int, evaluations: int, seed: int)
         noise = np.zeros((trials, dimension))
         noise[:, block] = 0.1 * reach[:, None] * rng.standard_normal((trials, len(block)))
         candidates = best + reach[:, None] * direction + noise
-        found = loss(candidates)
+        values = loss(candidates)
         count += len(probe) + trials
-        lowest = int(np.argmin(found))
-        if found[lowest] < best_loss:
-            best, best_loss = candidates[lowest], float(found[lowest])
+        lowest = int(np.argmin(values))
+        if values[lowest] < best_loss:
+            best, best_loss = candidates[lowest], float(values[lowest])
             step[turn % 2] = min(2 * reach[lowest], 1.0)
         else:
             step[turn % 2] = max(step[turn % 2] / 4, 1e-4)

@@ -121,7 +121,7 @@ class _Refinement:
         self._approximate(states)
         kept = float(len(states))
         for left in reversed(range(self.steps.iterations)):
-            outline_scores = [self.outline.score(self.outline.cost_of(state.drawn)) for state in states]
+            outline_scores = [self.outline.score_of(state.drawn) for state in states]
             scores = [alone + 0.5 * state.others for alone, state in zip(outline_scores, states, strict=True)]
             chosen = [states[i] for i in selection.continuing(scores, outline_scores, kept)]
             active = [state for state in chosen if not state.finished]
@@ -144,7 +144,7 @@ class _Refinement:
         others = sum_of_locals(self.terms, at).padded(near.dimension)
         information, _ = near.normal_equations(np.zeros((len(states), near.dimension)))
         for k, state in enumerate(states):
-            state.weight = self.outline.weight(self.outline.cost_of(state.drawn))
+            state.weight = self.outline.weight_of(state.drawn)
             state.near, state.quadratic = near.select([k]), others.select([k])
             state.information = state.weight * information[k] + others.information[k]
             state.moved = False
@@ -209,7 +209,7 @@ class _Refinement:
 
     def _fit(self, state: _State) -> Fit:
         """Return the refined pose of a state with its score."""
-        alone = self.outline.score(self.outline.final_cost(state.drawn))
+        alone = self.outline.score_of(state.drawn, final=True)
         return Fit(state.at, alone + 0.5 * state.others, alone, state.information)
 
 

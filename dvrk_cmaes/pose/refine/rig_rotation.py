@@ -44,11 +44,11 @@ class PosedInRig(Posed):
     turns: Float64
 
     def moved(self, change: Float64) -> PosedInRig:
-        """Return where it is after small changes (..., 6 + J + 3 (V - 1))."""
+        """Return where it is after small changes (..., 6 + J + 3 (V - 1)); those of the rotations may be left out."""
         count = 6 + self.joints.shape[-1]
-        at = Posed(self.pose, self.joints).moved(change[..., :count])
-        further = change[..., count:]
-        return PosedInRig(at.pose, at.joints, self.turns + further.reshape(*further.shape[:-1], *self.turns.shape[-2:]))
+        at, further = Posed(self.pose, self.joints).moved(change[..., :count]), change[..., count:]
+        turned = further.reshape(*further.shape[:-1], *self.turns.shape[-2:]) if further.size else 0.0
+        return PosedInRig(at.pose, at.joints, self.turns + turned)
 
     def __getitem__(self, index: Any) -> PosedInRig:
         """Return one or some of the candidates."""

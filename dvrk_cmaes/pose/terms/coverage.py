@@ -35,13 +35,14 @@ Float64 = NDArray[np.float64]
 class DrawnCoverage:
     """The blurred coverage (H, W) of a pose in each view, and its outlines where asked for.
 
-    ``loss`` is the sum of squares with the width of the refinement, ``final_loss`` that with the width of scores.
+    ``losses`` are the views' sums of squares with the width of the refinement, ``final_losses`` those with the width of
+    scores.
     """
 
     images: tuple[Float32, ...]
     outlines: tuple[OutlinePoints | None, ...]
-    loss: float
-    final_loss: float
+    losses: tuple[float, ...]
+    final_losses: tuple[float, ...]
 
 
 class Coverage(OutlineTerm[DrawnCoverage]):
@@ -76,9 +77,12 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         lengths = list(correlations) or [config.correlation] * len(views)
         pairs = list(zip(views, lengths, strict=True))
         self._count = sum(view.length / length * view.shrink for view, length in pairs)
+        contour = sum(view.length for view in views)
+        # as many measurements as if all contour were the first view's: the others count by their shares
+        self._first_count = contour / lengths[0] * views[0].shrink
         self._shares = [lengths[0] / length * (view.shrink / views[0].shrink) for view, length in pairs]
         exact = [view.length * config.noise_floor**2 / (2 * np.sqrt(np.pi) * config.blur) for view in views]
-        self._least = sum(share * floor for share, floor in zip(self._shares, exact, strict=True))
+        self._least = sum(exact)
         self._correlations = lengths
         self.noise = noise
 
@@ -107,7 +111,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""
-        return self.draw(Posed.stacked([at]), derivatives=False)[0].final_loss
+        return sum(self.draw(Posed.stacked([at]), derivatives=False)[0].final_losses)
 
     def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnCoverage]:
         """Draw C poses in all views."""
@@ -117,39 +121,44 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def _measured(self, images: tuple[Float32, ...], outlines: tuple[OutlinePoints | None, ...]) -> DrawnCoverage:
         """Return what was drawn of a pose with its losses."""
-        loss = self._loss(images, self._width)
+        losses = self._losses(images, self._width)
         same = self._width == self._config.cauchy
-        return DrawnCoverage(images, outlines, loss, loss if same else self._loss(images, self._config.cauchy))
+        return DrawnCoverage(images, outlines, losses, losses if same else self._losses(images, self._config.cauchy))
 
-    def _loss(self, images: Sequence[Float32], cauchy: float) -> float:
-        """Compute the sum of the views' losses, which are sums of squares for small residuals."""
-        views = zip(self._shares, images, self.views, strict=True)
-        return sum(share * _cauchy_loss(image - view.target, view.weight, cauchy) for share, image, view in views)
+    def _losses(self, images: Sequence[Float32], cauchy: float) -> tuple[float, ...]:
+        """Compute the views' losses, which are sums of squares for small residuals."""
+        views = zip(images, self.views, strict=True)
+        return tuple(_cauchy_loss(image - view.target, view.weight, cauchy) for image, view in views)
+
+    def _sum(self, losses: Sequence[float]) -> float:
+        """Return the sum of the views' losses, each with its number of measurements a pixel, beside the first one's."""
+        return sum(share * loss for share, loss in zip(self._shares, losses, strict=True))
 
     def cost_of(self, drawn: DrawnCoverage) -> float:
         """Return the sum of squares of what was drawn."""
-        return drawn.loss
+        return self._sum(drawn.losses)
 
-    def final_cost(self, drawn: DrawnCoverage) -> float:
-        """Return the sum of squares by which fits are scored."""
-        return drawn.final_loss
+    def weight_of(self, drawn: DrawnCoverage) -> float:
+        """Return the factor to sums of squares in standard deviations, from what was drawn or from the given noise."""
+        return self._weight(drawn.losses)
 
-    def weight(self, cost: float) -> float:
-        """Return the factor to sums of squares in standard deviations, from a sum of squares or the given noise."""
-        return float(self._count / max(cost if self.noise is None else self.noise, self._least))
+    def _weight(self, losses: Sequence[float]) -> float:
+        noise = sum(losses) if self.noise is None else self.noise
+        return float(self._first_count / max(noise, self._least))
 
-    def score(self, cost: float) -> float:
+    def score_of(self, drawn: DrawnCoverage, *, final: bool = False) -> float:
         """Return the negative log-likelihood up to a constant; with the variance estimated if no noise is given."""
+        losses = drawn.final_losses if final else drawn.losses
         if self.noise is not None:
-            return 0.5 * self.weight(cost) * cost
-        return 0.5 * self._count * float(np.log(max(cost, self._least)))
+            return 0.5 * self._weight(losses) * self._sum(losses)
+        return 0.5 * self._count * float(np.log(max(sum(losses), self._least)))
 
     def near(self, drawn: Sequence[DrawnCoverage], at: Posed) -> Profiles:
         """Return the loss near C poses, as a function of their small changes."""
         of_views = []
         for k, view in enumerate(self.views):
-            outlines = [outline for one in drawn if (outline := one.outlines[k]) is not None]
-            residuals = [one.images[k] - view.target for one in drawn]
+            outlines = [outline for of_pose in drawn if (outline := of_pose.outlines[k]) is not None]
+            residuals = [of_pose.images[k] - view.target for of_pose in drawn]
             jacobians = view.jacobians(outlines, at)
             of_views.append(
                 Profiles.sampled(residuals, view.weight, outlines, jacobians, self._config.blur, self._width)
@@ -173,7 +182,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
         )
         information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
-        weight = self.weight(drawn.loss)
+        weight = self.weight_of(drawn)
         return weight * information[0], weight * slope[0]
 
 

@@ -37,17 +37,16 @@ class OutlineTerm(ABC, Generic[D]):
     def near(self, drawn: Sequence[D], at: Posed) -> Approximation:
         """Return the approximation of half the sum of squares near C poses that were drawn."""
 
-    def weight(self, cost: float) -> float:
-        """Return the factor from the sum of squares to one in standard deviations, given its value."""
+    def weight_of(self, drawn: D) -> float:
+        """Return the factor from the sum of squares of what was drawn to one in standard deviations."""
         return 1.0
 
-    def score(self, cost: float) -> float:
-        """Return the negative log-likelihood of the masks up to a constant, given the sum of squares."""
-        return 0.5 * self.weight(cost) * cost
+    def score_of(self, drawn: D, *, final: bool = False) -> float:
+        """Return the negative log-likelihood of the masks up to a constant.
 
-    def final_cost(self, drawn: D) -> float:
-        """Return the sum of squares by which fits are scored, if it is not that which is made small."""
-        return self.cost_of(drawn)
+        ``final`` asks for that by which fits are compared with each other, if it is not that which is made small.
+        """
+        return 0.5 * self.weight_of(drawn) * self.cost_of(drawn)
 
     def cost(self, at: Posed) -> Float64:
         """Return the sum of squares (C,) at C poses."""

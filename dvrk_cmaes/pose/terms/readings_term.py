@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +27,19 @@ class ReadingsTerm(Term):
 
     def local(self, at: Posed) -> Quadratic:
         """Return the approximation of half of it, which is exact but for the corners at the limits."""
-        values, sigma = self.readings.values, self.readings.sigma
-        known = ~np.isnan(values)
-        weight, centre = np.where(known, 1 / sigma**2, 0.0), np.where(known, values, 0.0)
-        found = Quadratic.zero(len(at), 6 + len(values))
-        low, high = self.readings.low - at.joints, at.joints - self.readings.high
-        joints = range(6, 6 + len(values))
-        found.information[:, joints, joints] = weight + ((low > 0) | (high > 0)) / LIMIT_SIGMA**2
-        found.slope[:, 6:] = weight * (at.joints - centre)
-        found.slope[:, 6:] += (np.maximum(high, 0) - np.maximum(low, 0)) / LIMIT_SIGMA**2
-        return found
+        weight, centre = self._weight_and_centre
+        quadratic = Quadratic.zero(len(at), 6 + len(weight))
+        beyond = np.maximum(at.joints - self.readings.high, 0) - np.maximum(self.readings.low - at.joints, 0)
+        np.einsum("cii->ci", quadratic.information)[:, 6:] = weight + (beyond != 0) / LIMIT_SIGMA**2
+        quadratic.slope[:, 6:] = weight * (at.joints - centre)
+        quadratic.slope[:, 6:] += beyond / LIMIT_SIGMA**2
+        return quadratic
+
+    @cached_property
+    def _weight_and_centre(self) -> tuple[Float64, Float64]:
+        """The inverse variances (J,) of the readings and their values (J,), zero where there is none."""
+        known = ~np.isnan(self.readings.values)
+        return np.where(known, 1 / self.readings.sigma**2, 0.0), np.where(known, self.readings.values, 0.0)
 
     def allowed(self, at: Posed) -> Posed:
         """Return the poses with joints clipped to at most ``LIMIT_SIGMA`` beyond their limits."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.refine.outline_jacobian import outline_jacobians
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
+from dvrk_cmaes.silhouette.moving_points import moving_points
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -101,6 +101,7 @@ class SizedView:
         return list(self._renderer.outlines(seen.pose, seen.joints).of_each(len(at)))
 
     def jacobians(self, outlines: Sequence[OutlinePoints], at: Posed) -> list[Float64]:
-        """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as `outline_jacobians`."""
+        """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as in `MovingPoints`."""
         seen = at.seen_from(self.view_from_camera)
-        return outline_jacobians(self._renderer.body.instrument, self.camera, outlines, seen.pose, seen.joints)
+        of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
+        return [moving.jacobian for moving in of_poses]

@@ -19,20 +19,23 @@ Float64 = NDArray[np.float64]
 class TipsTerm(Term):
     """Distances of the projected jaw tips from those given in a ``view``; each is paired with the nearer one.
 
-    ``config`` has their standard deviation, px, and the steps of the central differences.
+    ``config`` has their standard deviation, px, and the steps of the central differences, which are larger where images
+    are drawn at 1 / ``shrink`` of their size.
     """
 
-    def __init__(self, view: FrameView, config: OutlineConfig) -> None:
+    def __init__(self, view: FrameView, config: OutlineConfig, shrink: int = 1) -> None:
         assert view.evidence.tips is not None
         self._view = view
         self._tips = view.evidence.tips
         self._sigma = config.keypoint_sigma
-        self._steps = (config.translation_step, config.swing_step, config.turn_step, config.joint_step)
+        steps = np.array([config.translation_step, config.swing_step, config.turn_step, config.joint_step])
+        self._steps = steps * [shrink, shrink, min(shrink, 3), min(shrink, 3)]
 
     @staticmethod
-    def of_views(views: Sequence[FrameView], config: OutlineConfig) -> list[TipsTerm]:
+    def of_views(views: Sequence[FrameView], config: OutlineConfig, shrink: int = 1) -> list[TipsTerm]:
         """Return a term for each view in which tips were given."""
-        return [TipsTerm(view, config) for view in views if view.evidence.tips_given and view.evidence.tips is not None]
+        given = [view for view in views if view.evidence.tips_given and view.evidence.tips is not None]
+        return [TipsTerm(view, config, shrink) for view in given]
 
     def cost(self, at: Posed) -> Float64:
         """Return the sum of squares (C,)."""

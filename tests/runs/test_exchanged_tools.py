@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.evaluate.exchanged_tools import FoundAndRead, exchanged_tools, exchanged_while_followed, masks_exchanged
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.exchanged_tools import FoundAndRead, exchanged_tools, exchanged_while_followed, masks_exchanged
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 

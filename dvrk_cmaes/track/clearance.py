@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-MOST_ROOM: Final = 10
+MOST_CLEARANCE: Final = 10
 """Longest piece of a line on either side of the outline that is looked at, in pixels of the image as it is sampled."""
 
 _LARGEST_SCALE = 4  # of an image that is sampled at a reduced size
@@ -22,14 +22,14 @@ _NEXT = 1.0  # px along the line, within which a point is the same crossing
 
 
 @dataclass(frozen=True, eq=False)
-class Room:
+class Clearance:
     """Lengths (N,), px, of N lines within the silhouette and beside it, as far as they are looked at."""
 
     inside: Float32
     outside: Float32
 
     @staticmethod
-    def of(pixels: Float64, normals: Float64) -> Room:
+    def of(pixels: Float64, normals: Float64) -> Clearance:
         """Find where the lines through outline points (N, 2) along their normals (N, 2) cross the outline again."""
         at, outwards = pixels.astype(np.float32), normals.astype(np.float32)
         tangents = outwards[:, ::-1] * np.array([1, -1], np.float32)
@@ -37,12 +37,14 @@ class Room:
         across = tangents @ at.T - np.einsum("nd,nd->n", tangents, at)[:, None]
         row, column = np.nonzero((np.abs(across) < _BESIDE) & (outwards @ outwards.T < _OPPOSED))
         distance = along[row, column]
-        room = np.full((2, len(at)), _LARGEST_SCALE * MOST_ROOM, np.float32)
-        for side, away in zip(room, (-distance, distance), strict=True):
+        lengths = np.full((2, len(at)), _LARGEST_SCALE * MOST_CLEARANCE, np.float32)
+        for side, away in zip(lengths, (-distance, distance), strict=True):
             beyond = away > _NEXT
             np.minimum.at(side, row[beyond], away[beyond])
-        return Room(room[0], room[1])
+        return Clearance(lengths[0], lengths[1])
 
-    def at_scale(self, scale: int) -> Room:
-        """Return the lengths in an image reduced by ``scale``, at most `MOST_ROOM`."""
-        return Room(*(np.minimum(side / np.float32(scale), MOST_ROOM) for side in (self.inside, self.outside)))
+    def at_scale(self, scale: int) -> Clearance:
+        """Return the lengths in an image reduced by ``scale``, at most `MOST_CLEARANCE`."""
+        return Clearance(
+            *(np.minimum(side / np.float32(scale), MOST_CLEARANCE) for side in (self.inside, self.outside))
+        )

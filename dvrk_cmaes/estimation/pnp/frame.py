@@ -9,17 +9,17 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes._version import __version__
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.pnp.points import PointPose, Solver, solve_points
+from dvrk_cmaes.estimation.pnp.tips import solve_tips
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
-from dvrk_cmaes.pnp.pnp import PointPose, Solver, solve_points
-from dvrk_cmaes.pnp.tip_pose import solve_tips
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.results.result import Result
 

@@ -26,13 +26,13 @@ def rig_doubts(results: Iterable[Result], trust: TrustConfig | None = None) -> l
     The limits are those of a frame, ``largest_view_deg`` and ``largest_view_sigmas`` of ``trust``.
     """
     limits = TrustConfig() if trust is None else trust
-    found: dict[str, list[tuple[Float64, Float64]]] = {}
+    rotations_of: dict[str, list[tuple[Float64, Float64]]] = {}
     for result in results:
         for check in result.view_fits[1:]:
             pair = np.asarray(check.rotation_deg), np.asarray(check.covariance_deg2)
-            found.setdefault(check.name, []).append(pair)
+            rotations_of.setdefault(check.name, []).append(pair)
     doubts = []
-    for name, rotations in found.items():
+    for name, rotations in rotations_of.items():
         if len(rotations) < FEWEST:
             continue
         rotation, covariance = pooled_rotation(rotations)

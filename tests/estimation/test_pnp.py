@@ -11,14 +11,14 @@ import pytest
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.pnp.frame import pose_from_markers, pose_from_tips
+from dvrk_cmaes.estimation.pnp.points import solve_points
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.markers import Marker, place_markers, read_detections, read_marker_table
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.pnp.pnp import solve_points
-from dvrk_cmaes.pnp.pnp_frame import pose_from_markers, pose_from_tips
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.silhouette import Body
 

@@ -1,15 +1,20 @@
-"""A frame whose base lies far from that of its session's other frames."""
+"""A frame whose base lies far from the others' is doubtful; status and reasons follow the frames that are there."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from helpers.canned_results import canned
 
-from dvrk_cmaes.evaluate.fellows import PREFIX, base_doubts
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.base_agreement import PREFIX, base_doubts, compare_bases
 
 BASE = moved(np.eye(4), np.array([0.1, 0.0, 0.05, 0.3, -0.8, 1.0]))
 
@@ -46,3 +51,23 @@ def test_few_frames_and_frames_without_base_are_not_compared() -> None:
 def test_frames_solved_together_are_not_compared() -> None:
     together = {name: replace(one, source="session") for name, one in session([0, 1, 2, 3, 4, 40]).items()}
     assert base_doubts(together, 10.0) == {}
+
+
+def write_frames(out: Path, turns_deg: list[float]) -> None:
+    for k, turn in enumerate(turns_deg):
+        base = moved(np.eye(4), np.array([0, 0, 0.1, 0, np.deg2rad(turn), 0]))
+        write_json(result_path(out, f"{k:04d}"), replace(canned(f"{k:04d}"), camera_from_base=base).to_dict())
+
+
+def test_reason_is_written_and_withdrawn(tmp_path: Path) -> None:
+    write_frames(tmp_path, [0, 1, 2, 1, 0, 40])
+    before = {path.name: path.read_bytes() for path in (tmp_path / "frames").iterdir()}
+    compared = compare_bases(tmp_path, read_results(tmp_path).frames, 10.0)
+    assert [name for name, one in compared.items() if one.status == "doubtful"] == ["0005"]
+    document = json.loads(result_path(tmp_path, "0005").read_text())
+    assert (document["status"], document["reasons"]) == ("doubtful", list(compared["0005"].reasons))
+    assert compare_bases(tmp_path, read_results(tmp_path).frames, 10.0)["0005"].reasons == compared["0005"].reasons
+
+    back = compare_bases(tmp_path, read_results(tmp_path).frames, 90.0)
+    assert (back["0005"].status, back["0005"].reasons) == ("ok", ())
+    assert {path.name: path.read_bytes() for path in (tmp_path / "frames").iterdir()} == before

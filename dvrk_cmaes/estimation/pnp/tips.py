@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.estimation.pnp.points import PointPose, undistort
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
 from dvrk_cmaes.geometry import Posed, frame_along, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pnp.pnp import PointPose, undistort
 from dvrk_cmaes.pose.search.losses import keypoint_loss
 from dvrk_cmaes.pose.search.objective import project_tips
 
@@ -60,7 +60,7 @@ def solve_tips(
     pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     starts = _starts(pinhole, instrument, joints, seen, edges)
     scores = keypoint_loss(project_tips(instrument, pinhole, Posed(starts, np.tile(joints, (len(starts), 1)))), seen)
-    found: list[tuple[float, Float64]] = []
+    solutions: list[tuple[float, Float64]] = []
     for index in np.argsort(scores, kind="stable")[:_STARTS]:
         for pairing in (seen, seen[::-1]):
             start = starts[index]
@@ -71,8 +71,8 @@ def solve_tips(
                 return np.concatenate([(tip - pairing).ravel(), _edge_distances(pinhole, instrument, pose, edges)])
 
             done = least_squares(residuals, np.zeros(6), max_nfev=60)
-            found.append((float(done.cost), moved(start, done.x * _SCALE)))
-    cost, pose = min(found, key=lambda one: one[0])
+            solutions.append((float(done.cost), moved(start, done.x * _SCALE)))
+    cost, pose = min(solutions, key=lambda solution: solution[0])
     if not np.isfinite(cost) or pose[2, 3] <= 0:
         return "no pose brings tips and edges together"
     measured = 4  # points: two tips with two coordinates each; two ends of two edges, each with one distance

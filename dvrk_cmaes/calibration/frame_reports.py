@@ -1,0 +1,130 @@
+"""Which of a session's frames agree with its calibration, and what is to be reported of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.frame_task import ReportTask, SessionFrame
+from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, frame_covariances, leave_one_out
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+
+Float64 = NDArray[np.float64]
+
+_SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
+_TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
+
+
+def describe_disagreements(fits: Sequence[FrameFit], solution: Solution, config: SessionConfig) -> list[str]:
+    """Describe why each of N frames disagrees with the calibration; an empty text where it agrees."""
+    texts = []
+    for fit, misfit in zip(fits, solution.misfit, strict=True):
+        dimension = len(fit.slope)
+        text = ""
+        if not misfit < config.largest_misfit * dimension:
+            text = f"{np.sqrt(misfit / dimension):.1f} times the expected error from what it expects"
+        elif not fit.explains_mask:
+            text = f"what it expects does not explain the mask (IoU {fit.iou:.2f}, by itself {fit.own_iou:.2f})"
+        texts.append(text and f"disagrees with the session: {text}")
+    return texts
+
+
+def check_agreement(disagreements: Sequence[str], least: int) -> list[str]:
+    """Return a warning if only few of N frames agree, whose texts are those of `describe_disagreements`.
+
+    Raises
+    ------
+    InputError
+        Fewer than ``least`` frames agree.
+    """
+    count, agree = len(disagreements), sum(not text for text in disagreements)
+    if agree < least:
+        raise InputError(
+            f"session: expected at least {least} frames that agree on where the arm's base is, got {agree} of {count}"
+        )
+    if agree >= _TRUSTED_SHARE * count:
+        return []
+    return [
+        f"only {agree} of {count} frames agree on where the arm's base is: the others' masks or the "
+        "readings are wrong, or these few are"
+    ]
+
+
+def report_tasks(
+    frames: Sequence[SessionFrame],
+    stored: Sequence[StoredFrame],
+    fits: Sequence[FrameFit],
+    model: SessionModel,
+    solution: Solution,
+    disagreements: Sequence[str],
+    config: SessionConfig,
+    stated: Mapping[str, Any],
+) -> list[ReportTask]:
+    """Return the tasks that report each of N frames.
+
+    Parameters
+    ----------
+    frames, stored, fits
+        The frames with the readings of the model, their evidence and their fits.
+    model, solution
+        The model of the same frames and the solution.
+    disagreements
+        The texts of `describe_disagreements`.
+    config, stated
+        The settings of sessions, and what the results state of all settings.
+    """
+    covariance = frame_covariances(model, FrameFits.of(fits), solution)
+    base_from_root = model.base_from_root(solution.calibration.offsets)
+    tasks = []
+    for i, fit in enumerate(fits):
+        alone, without = model.subset([i]), leave_one_out(solution, i)
+        jacobian = alone.jacobian(without)[0]
+        spread = alone.covariance(without)[0] + jacobian @ solution.covariance @ jacobian.T
+        doubts = [disagreements[i]] if disagreements[i] else []
+        tasks.append(
+            ReportTask(
+                stored[i],
+                frames[i].result,
+                fit,
+                covariance[i],
+                alone.predict(without)[0],
+                np.sqrt(np.diag(spread)[6:]),
+                np.asarray(fit.at.pose @ inverse(base_from_root[i])),
+                (*doubts, *_describe_slips(model, i, config)),
+                agree=not disagreements[i],
+                config=stated,
+            )
+        )
+    return tasks
+
+
+def with_readings(frames: Sequence[SessionFrame], model: SessionModel) -> list[SessionFrame]:
+    """Return the N frames of a model with the readings of the model."""
+    names = (*OUTER_JOINTS, *model.names)
+    rows = np.concatenate([model.outer, model.joints], axis=1)
+    readings = [{n: float(v) for n, v in zip(names, row, strict=True) if not np.isnan(v)} for row in rows]
+    return [
+        replace(frame, result=replace(frame.result, readings=own)) for frame, own in zip(frames, readings, strict=True)
+    ]
+
+
+def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[str]:
+    """Describe the joints whose readings have a large error in one frame, one text for each joint."""
+    stds = [model.deviations.outer[3], *model.deviations.joints]
+    texts = []
+    for name, factor, std in zip(("roll", *model.names), model.inflation[i], stds, strict=True):
+        error = factor * config.tail  # in standard deviations
+        if error > _SLIP:
+            degrees = np.degrees(error * std)
+            texts.append(f"reading of {name}: {degrees:.0f} deg off in this frame, beyond the session's offset")
+    return texts

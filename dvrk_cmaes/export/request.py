@@ -1,0 +1,74 @@
+"""What is asked of an export format, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.export.base_choice import ChosenBase
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.ros_topics import ToolTip
+from dvrk_cmaes.export.source import ExportSource
+
+DvrkVersion = Literal["2.4", "2.3"]
+
+
+@dataclass(frozen=True, eq=False)
+class FormatOptions:
+    """Options of single formats.
+
+    Parameters
+    ----------
+    scene, obj
+        The ids in the format bop.
+    dvrk_version
+        Version of the dVRK in the format dvrk.
+    ecm_pose : (4, 4)
+        In the format dvrk, ``local/measured_cp`` of the endoscope arm that holds the camera; None without one.
+    times
+        In the formats ros1-bag and ros2-bag, the frames' times, ns; empty if they are not known.
+    tip
+        In these formats, the tool tip frame of ``measured_cp``.
+    """
+
+    scene: int = 0
+    obj: int = 1
+    dvrk_version: DvrkVersion = "2.4"
+    ecm_pose: NDArray[np.float64] | None = None
+    times: Mapping[str, int] = field(default_factory=dict)
+    tip: ToolTip = field(default_factory=ToolTip)
+
+
+@dataclass(frozen=True, eq=False)
+class ExportRequest:
+    """The results to export, the name of the format, names of frames, and options."""
+
+    source: ExportSource
+    to: str
+    names: FrameNames
+    options: FormatOptions = field(default_factory=FormatOptions)
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """The files of an export.
+
+    ``files`` are the contents by file name, ``base`` is the choice of ``camera_from_base`` if the format has one,
+    ``left_out`` are the frames without a pose, and ``notes`` state what is missing.
+    """
+
+    files: dict[str, bytes]
+    base: ChosenBase | None = None
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @staticmethod
+    def of_texts(
+        texts: Mapping[str, str], *, base: ChosenBase | None = None, left_out: tuple[str, ...] = ()
+    ) -> Exported:
+        """Return the export of texts by file name."""
+        return Exported({name: text.encode() for name, text in texts.items()}, base, left_out)

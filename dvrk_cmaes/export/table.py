@@ -1,0 +1,93 @@
+"""The export formats: a row for each, with the module that makes its files.
+
+The module has a function ``exported(request) -> Exported`` (see `dvrk_cmaes.export.request`). It is imported when it is
+used, so that this table costs nothing where it is only listed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format by its name.
+
+    direction : transform and units, as in the summary of an export. content : what is written, for the help. module :
+    name of the module of `dvrk_cmaes.export` that makes the files.
+    """
+
+    name: str
+    direction: str
+    content: str
+    module: str
+
+
+_ROWS: Final = (
+    ExportFormat(
+        "dvrk",
+        "camera_from_base, m, in OpenCV's and in the dVRK's camera axes",
+        "camera_from_base, m; two JSON files, named as by dvrk_camera_registration, for the camera axes of OpenCV "
+        "(x right, y down) and of the dVRK (x left, y up: multiplied by diag(-1,-1,1,1) on the left). The latter is "
+        "the arm's base_frame in system.json. With --ecm-pose there is suj-fixed.json instead.",
+        "dvrk_registration",
+    ),
+    ExportFormat(
+        "easy-handeye",
+        "base_from_camera, m: the camera in the arm's base",
+        "base_from_camera, m; a .calib file of easy_handeye2, type eye_on_base.",
+        "easy_handeye",
+    ),
+    ExportFormat(
+        "tf",
+        "camera_from_base, m: parent the camera, child the arm's base",
+        "camera_from_base, m; a command line of ROS 2's static_transform_publisher, parent camera, child base. It is "
+        "printed on stdout, and with --out it is also written to a file.",
+        "tf",
+    ),
+    ExportFormat(
+        "bop",
+        "camera_from_root, mm",
+        "camera_from_root, mm; results CSV of the BOP benchmark. If names of frames are not numbers, im_ids.csv has "
+        "the number of each frame.",
+        "bop",
+    ),
+    ExportFormat(
+        "csv",
+        "camera_from_root and camera_from_base, mm, quaternions xyzw",
+        "camera_from_root and camera_from_base, mm, deg and quaternions xyzw; poses.csv, one row for each frame.",
+        "pose_table",
+    ),
+    ExportFormat(
+        "tracker",
+        "camera_from_root, axis times angle in rad, translation in m",
+        "camera_from_root, m and rad; FRAME/optimized_ctr.npy and optimized_joint_angles.npy, as read by "
+        "online_dvrk_tracking.",
+        "tracker",
+    ),
+    ExportFormat(
+        "ros1-bag",
+        "camera_from_root and camera_from_base, m, quaternions xyzw: parent the camera",
+        "camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag with PoseStamped, JointState and tf "
+        "messages for each frame; `dvrk-cmaes help exports` lists the topics. Needs the library rosbags.",
+        "result_bag",
+    ),
+    ExportFormat(
+        "ros2-bag",
+        "camera_from_root and camera_from_base, m, quaternions xyzw: parent the camera",
+        "the same as a folder ARM (sqlite3).",
+        "result_bag",
+    ),
+    ExportFormat(
+        "joint-correction",
+        "true = reading + correction: a table in degrees, and a formula in radians",
+        "true = reading + correction of roll, wrist and jaw, of a session calibration: ARM-joint-correction.csv, a "
+        "table over the readings in degrees, and ARM-joint-correction.txt, a formula in radians that has the play of "
+        "the cables, too.",
+        "joint_correction",
+    ),
+)
+
+FORMATS: Final = {row.name: row for row in _ROWS}
+"""The formats by name."""

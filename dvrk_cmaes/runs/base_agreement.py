@@ -1,0 +1,70 @@
+"""Agreement of a session's frames on the base of the arm: frames whose base lies far from the others' are doubtful.
+
+The base does not move during a session, so each frame's camera_from_base should have one rotation. A frame that differs
+is in another mode, or its readings are of another time. How far is far depends on the session: a roll that is read
+wrongly turns the base about another axis in each frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dvrk_cmaes.evaluate.consistency import spread_of_bases
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.results.paths import result_path
+from dvrk_cmaes.results.result import Result, Status
+
+FEWEST = 5
+"""Least number of frames whose bases are compared."""
+
+PREFIX = "base far from the others'"
+"""Beginning of the reason of a frame that differs."""
+
+_SPREADS = 3.0  # median distances from the most central base, beyond which a frame differs
+
+
+def compare_bases(out: Path, results: Mapping[str, Result], limit_deg: float) -> dict[str, Result]:
+    """Return results in which frames whose base is far from the others' are doubtful, and update their files.
+
+    Reasons of an earlier comparison are replaced, so that the files depend only on the frames that are there.
+    """
+    doubts = base_doubts(results, limit_deg)
+    compared = {}
+    for name, result in results.items():
+        own = [reason for reason in result.reasons if not reason.startswith(PREFIX)]
+        reasons = (*own, *([doubts[name]] if name in doubts else ()))
+        compared[name] = result
+        if reasons != result.reasons:
+            status: Status = "doubtful" if reasons else "ok"
+            compared[name] = replace(result, status=status, reasons=reasons)
+            path = result_path(out, name)
+            document = read_json_object(path, expected="a result")
+            write_json(path, {**document, "status": status, "reasons": list(reasons)})
+    return compared
+
+
+def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, str]:
+    """Return the reason, in words, of each frame whose base is far from the others', by name.
+
+    Compared are the frames that were solved by themselves and have a base. Far is a rotation from the most central base
+    by more than ``limit_deg`` and by more than three times the median of all frames.
+    """
+    bases = {
+        name: result.camera_from_base
+        for name, result in results.items()
+        if result.camera_from_base is not None and result.source == "frame"
+    }
+    if len(bases) < FEWEST:
+        return {}
+    angles = spread_of_bases(np.stack(list(bases.values()))).angles_deg
+    limit = max(limit_deg, _SPREADS * float(np.median(angles)))
+    return {
+        name: f"{PREFIX}: rotated by {angle:.0f} deg, expected at most {limit:.0f} deg; another mode, or wrong readings"
+        for name, angle in zip(bases, angles, strict=True)
+        if angle > limit
+    }

@@ -1,0 +1,81 @@
+"""The outlines of an instrument as they were drawn in the views of a rig, by points that are fixed on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import Posed, rotation_angle
+from dvrk_cmaes.track.clearance import Clearance
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnOutline:
+    """N points on the outlines of an instrument, fixed on it, each view's after another's.
+
+    link : (N,) index of the link. points : (N, 3) m, in the link's frame. normals : (N, 2) unit vectors in the image,
+    out of the silhouette. lengths : (N,) px of outline that each represents. pixels : (N, 2) where they were drawn.
+
+    ``views`` are the indices of the views that were drawn, ``at`` where the instrument was then, in the reference
+    camera. ``parts`` are the points of each of those views in which enough of the instrument is seen, at least one.
+    ``all_pixels`` (M, 2), by view, are all points of the outline, before some of them were chosen.
+    """
+
+    views: tuple[int, ...]
+    at: Posed
+    parts: Mapping[int, slice]
+    all_pixels: Mapping[int, Float64]
+    link: NDArray[np.intp]
+    points: Float64
+    normals: Float64
+    lengths: Float64
+    pixels: Float64
+
+    @staticmethod
+    def joined(views: tuple[int, ...], drawn: Sequence[DrawnOutline]) -> DrawnOutline:
+        """Return the outlines that were ``drawn`` in single views as one; ``views`` are all that were to be drawn."""
+        ends = list(accumulate((len(outline.points) for outline in drawn), initial=0))
+        parts = {outline.views[0]: slice(*pair) for outline, pair in zip(drawn, pairwise(ends), strict=True)}
+        all_pixels = {view: pixels for outline in drawn for view, pixels in outline.all_pixels.items()}
+        names = ("link", "points", "normals", "lengths", "pixels")
+        arrays = (np.concatenate([getattr(outline, name) for outline in drawn]) for name in names)
+        return DrawnOutline(views, drawn[0].at, parts, all_pixels, *arrays)
+
+    @cached_property
+    def by_view(self) -> dict[int, DrawnOutline]:
+        """The outline in each view, by itself."""
+        return {
+            view: replace(
+                self,
+                views=(view,),
+                parts={view: slice(None)},
+                all_pixels={view: self.all_pixels[view]},
+                link=self.link[part],
+                points=self.points[part],
+                normals=self.normals[part],
+                lengths=self.lengths[part],
+                pixels=self.pixels[part],
+            )
+            for view, part in self.parts.items()
+        }
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """How far the lines along the normals, of an outline in one view, run within the silhouette and beside it."""
+        return Clearance.of(self.pixels, self.normals)
+
+    def split(self, values: NDArray[Any]) -> dict[int, NDArray[Any]]:
+        """Return values (N, ...) of the points by view."""
+        return {view: values[part] for view, part in self.parts.items()}
+
+    def turned(self, now: Posed) -> float:
+        """Return the largest angle, rad, by which the root or a joint has turned since it was drawn."""
+        return max(float(rotation_angle(self.at.pose, now.pose)), float(np.abs(self.at.joints - now.joints).max()))

@@ -1,0 +1,66 @@
+"""What an outline tells of a pose: the points of it that count, and how much."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.frame_terms import view_of
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.pose.refine.information import outline_information
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.silhouette import Body, Renderer
+
+CAMERA = Camera(320, 240, 440, 440, 160, 120)
+TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))
+JAW = 8
+SIGMA, LENGTH = 0.5, 8.0  # px
+
+
+def silhouette(body: Body) -> np.ndarray:
+    return Renderer(body, CAMERA).masks(TRUE.pose[None], TRUE.joints[None])[0]
+
+
+def discs(body: Body, radius: float) -> np.ndarray:
+    """Give discs of a radius in px around the jaw tips."""
+    tips = CAMERA.project(apply(TRUE.pose, body.instrument.ends(TRUE.joints)))
+    columns, rows = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    return np.any([np.hypot(columns - u, rows - v) < radius for u, v in tips], axis=0)
+
+
+def information(
+    body: Body, mask: np.ndarray, ignore: np.ndarray | None = None, sigma: float = SIGMA, length: float = LENGTH
+) -> np.ndarray:
+    """Give the information of a mask's outline about the true pose."""
+    view = view_of(body, CAMERA, mask, ignore=ignore)
+    return outline_information(SizedView(view, blur=1.2), TRUE, sigma, length)
+
+
+def test_outline_far_from_the_masks_contour_tells_nothing(bundled_body: Body) -> None:
+    """A lump covers the jaws whole: of their angle, the mask tells as little as if the lump were ignored."""
+    mask, lump = silhouette(bundled_body), discs(bundled_body, 40)
+    assert information(bundled_body, mask)[JAW, JAW] > 0
+    assert information(bundled_body, mask, ignore=lump)[JAW, JAW] == pytest.approx(0.0)
+    assert information(bundled_body, mask | lump)[JAW, JAW] == pytest.approx(0.0)
+
+
+def test_lump_makes_the_rest_of_its_link_less_certain(bundled_body: Body) -> None:
+    mask, lump = silhouette(bundled_body), discs(bundled_body, 8)
+    ignored, seen = information(bundled_body, mask, ignore=lump), information(bundled_body, mask | lump)
+    assert 0 < seen[JAW, JAW] < 0.8 * ignored[JAW, JAW]
+    # of the shaft's place, the mask tells as much as before
+    assert seen[0, 0] > 0.8 * ignored[0, 0]
+
+
+def test_information_is_in_proportion_to_the_number_of_measurements(bundled_body: Body) -> None:
+    mask = silhouette(bundled_body)
+    once, twice = (information(bundled_body, mask, length=length) for length in (LENGTH, LENGTH / 2))
+    np.testing.assert_allclose(twice, 2 * once)
+
+
+def test_rough_contour_tells_less(bundled_body: Body) -> None:
+    mask = silhouette(bundled_body)
+    exact, rough = (np.diag(information(bundled_body, mask, sigma=sigma)) for sigma in (0.25, 2.0))
+    assert (rough < exact / 8).all()
