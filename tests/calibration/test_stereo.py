@@ -102,8 +102,8 @@ def test_prior_of_a_frame_without_the_left_eye_is_seen_by_the_right_one(
     wrist = SMALL.project((RIGHT_FROM_LEFT @ truth.camera_from_root)[None, :3, 3])[0]
     columns, rows = np.meshgrid(np.arange(SMALL.width), np.arange(SMALL.height))
     hidden = np.hypot(columns - wrist[0], rows - wrist[1]) < 60
-    others = {"right": replace(data.others["right"], ignore=hidden)}
-    made[2] = replace(made[2], data=replace(data, others=others))
+    left, right = data.views
+    made[2] = replace(made[2], data=replace(data, views=(left, replace(right, ignore=hidden))))
     result = calibrate_session(made, bundled_body, config=SETTINGS).results[made[2].name]
     assert result.source == "session"
     assert result.camera_from_root is not None
