@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, make_world
+from helpers.session_worlds import EXPECTED_OFFSETS, OFFSETS, SEEN, make_world
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
 from dvrk_cmaes.geometry import Posed, exp_rotation, moved, rotation_angle
@@ -51,6 +51,14 @@ def test_frames_on_another_base_disagree(wrong: str) -> None:
         modes[i] = [Mode(Posed(pose, modes[i][0].at.joints), COVARIANCE)]
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
     assert np.flatnonzero(~found.agree).tolist() == bad
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_frames_agree_although_the_offset_of_roll_is_not_known(seed: int) -> None:
+    world = make_world(9, seed, offsets=OFFSETS + np.array([0, np.deg2rad(14), 0, 0, 0]))
+    found = find_consensus(world.model, world.modes(np.random.default_rng(seed)), EXPECTED_OFFSETS)
+    assert found.agree.all()
+    assert found.mean_misfit < 2
 
 
 def test_base_of_single_frame_is_near_truth() -> None:

@@ -117,8 +117,9 @@ def test_stated_standard_deviation_covers_the_error() -> None:
         found = refiner_near(1.7, *moving_world(1.7, seed)).refine_value()
         assert found is not None
         errors.append(abs(found.value - 1.7) / found.std)
-    assert sum(error < 2 for error in errors) >= 7
-    assert max(errors) > 0.1
+    assert max(errors) < 2
+    # these frames share no errors, which the standard deviation allows for
+    assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 0.5
 
 
 def test_wrong_frames_do_not_change_the_lag() -> None:

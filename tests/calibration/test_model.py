@@ -8,7 +8,7 @@ from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.model import Calibration, Correction, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import base_from_root
@@ -103,6 +103,17 @@ def test_inflation_widens_covariance_of_its_frame_only() -> None:
     spreads = world.model.deviations
     assert wide[1, 5, 5] - plain[1, 5, 5] == pytest.approx(99 * spreads.outer[3] ** 2)
     assert wide[1, 7, 7] == pytest.approx(4 * plain[1, 7, 7])
+
+
+def test_correction_moves_the_prediction_and_widens_its_covariance() -> None:
+    world = make_world(2)
+    values, variances = np.zeros((2, 4)), np.zeros((2, 4))
+    values[1], variances[1] = [0.1, 0.02, 0.03, 0.04], np.square([0.05, 0.06, 0.07, 0.08])
+    corrected = world.model.with_correction(Correction(values, variances))
+    change = corrected.predict(world.truth).minus(world.model.predict(world.truth))
+    np.testing.assert_allclose(change[:, 5:], values, atol=1e-9)
+    plain, wide = (np.einsum("nii->ni", m.covariance(world.truth)) for m in (world.model, corrected))
+    np.testing.assert_allclose((wide - plain)[:, 5:], variances, atol=1e-12)
 
 
 def test_subset_predicts_same_poses() -> None:

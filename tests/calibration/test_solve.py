@@ -71,6 +71,17 @@ def test_more_frames_reduce_standard_deviations() -> None:
     assert (spread[1] < 0.6 * spread[0]).all()
 
 
+def test_errors_that_successive_frames_share_do_not_average_out() -> None:
+    world, rng = make_world(80, noise=0), np.random.default_rng(0)
+    own, shared = rng.standard_normal((80, 9)), np.repeat(rng.standard_normal((8, 9)), 10, axis=0)
+    spreads = []
+    for off in (own, shared):
+        fits = replace(world.fits(rng), at=world.at.moved(off * SEEN))
+        spreads.append(np.sqrt(np.diag(solved(world, fits).covariance)))
+    of_offsets = (spreads[1] / spreads[0])[7:]  # the base follows from readings without errors
+    assert of_offsets.mean() > 1.5
+
+
 def test_third_of_frames_may_be_outliers() -> None:
     world = make_world(12, seed=4)
     right = world.fits(np.random.default_rng(5))

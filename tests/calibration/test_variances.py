@@ -9,7 +9,7 @@ import pytest
 from helpers.session_worlds import PRIOR, World, make_world
 
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, solve
+from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve
 from dvrk_cmaes.calibration.variances import estimate_variances
 from dvrk_cmaes.config import SessionConfig
 
@@ -40,6 +40,14 @@ def test_standard_deviations_of_session_are_found() -> None:
         off = degrees * rng.standard_normal(80)
         model = learnt(strayed(world, joint, off), world.fits(rng, 0.3))
         assert np.degrees(model.deviations.joints[joint]) == pytest.approx(off.std(), rel=0.2, abs=0.3)
+
+
+def test_frames_that_tell_nothing_change_no_standard_deviation() -> None:
+    world = make_world(40)
+    fits = replace(world.fits(np.random.default_rng(0), 1e4), at=world.model.predict(world.truth))
+    model = estimate_variances(world.model, fits, solution_at(world.model, fits, world.truth, PRIOR), CONFIG)
+    np.testing.assert_allclose(model.deviations.joints, world.model.deviations.joints, rtol=1e-3)
+    np.testing.assert_allclose(model.deviations.outer, world.model.deviations.outer, rtol=1e-3)
 
 
 def test_few_frames_change_standard_deviations_little() -> None:

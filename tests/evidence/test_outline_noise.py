@@ -56,7 +56,14 @@ def test_noise_of_wavy_mask_is_measured() -> None:
     wavy = np.hypot(u - 150.3, v - 119.6) < 60 + 2 * np.sin(12 * angle)
     noise = measure_noise(find_contour(wavy, CAMERA), disc(60))
     assert noise.sigma == pytest.approx(2 / np.sqrt(2), rel=0.15)
-    assert noise.length > 5
+    # the correlation of a sine with a period of 31 px is above 0.1 up to 7 px, on both sides
+    assert noise.length == pytest.approx(9.5, rel=0.15)
+
+
+def test_single_lump_hardly_changes_the_noise() -> None:
+    v, u = np.mgrid[:240, :320]
+    lump = disc(60) | (np.hypot(u - 210, v - 119.6) < 15)
+    assert measure_noise(find_contour(lump, CAMERA), disc(60)).sigma < 0.5
 
 
 def test_empty_silhouette_gives_large_noise() -> None:

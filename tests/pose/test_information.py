@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.frame_terms import view_of
+from helpers.frame_terms import readings_of, view_at, view_of
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed, apply
-from dvrk_cmaes.pose.refine.information import outline_information
+from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views, outline_information
 from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -64,3 +65,12 @@ def test_rough_contour_tells_less(bundled_body: Body) -> None:
     mask = silhouette(bundled_body)
     exact, rough = (np.diag(information(bundled_body, mask, sigma=sigma)) for sigma in (0.25, 2.0))
     assert (rough < exact / 8).all()
+
+
+def test_readings_count_in_the_first_view_only(bundled_body: Body) -> None:
+    view = view_at(bundled_body, CAMERA, TRUE)
+    views = [ViewAtFullSize(view, SizedView(view, blur=1.2))] * 2
+    readings = ReadingsTerm(readings_of(bundled_body, TRUE.joints))
+    with_readings, without = (information_of_views(views, terms, TRUE) for terms in ([readings], []))
+    np.testing.assert_array_equal(with_readings[1], without[1])
+    assert (np.diag(with_readings[0] - without[0])[6:] > 0).all()

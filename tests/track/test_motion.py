@@ -33,12 +33,12 @@ BEFORE = Anchor(
 ELAPSED = 1 / 30
 
 
-def growth(anchor: Anchor = BEFORE, cables: CableModel | None = None, *, before: Anchor = BEFORE) -> np.ndarray:
+def growth(anchor: Anchor = BEFORE, cables: CableModel | None = None, lag_std: float = 0.0) -> np.ndarray:
     """Give what a prediction adds to the variances of the state."""
     motion = MotionModel(CONFIG, 3, "classic", 0.4162, cables)
-    state = unknown_state(EstimateConfig(), motion, before, NAMES, 0.0)
+    state = unknown_state(EstimateConfig(), motion, BEFORE, NAMES, 0.0)
     state = replace(state, covariance=np.zeros_like(state.covariance))
-    return np.diag(motion.predict(state, before, anchor, ELAPSED, 0.0)[0].covariance)
+    return np.diag(motion.predict(state, BEFORE, anchor, ELAPSED, lag_std)[0].covariance)
 
 
 def bent(by: float) -> Anchor:
@@ -71,3 +71,18 @@ def test_a_model_of_the_cables_has_the_wander_that_it_states() -> None:
     added = growth(BEFORE, CABLES)[AT.offsets] - growth()[AT.offsets]
     # of the change of an Ornstein-Uhlenbeck process in a time far below its correlation time
     assert added == pytest.approx(2 * 0.02**2 * ELAPSED / 40.0)
+
+
+def test_unknown_lag_makes_readings_less_certain_as_their_rate_changes() -> None:
+    faster = replace(BEFORE, outer_rate=np.array([0, 0, 0, 0.5]), joint_rate=np.array([0.1, 0.2, 0.4]))
+    added = growth(faster, lag_std=0.02) - growth(faster)
+    assert added[AT.roll] == pytest.approx((0.02 * 0.5) ** 2)
+    assert added[AT.offsets] == pytest.approx(np.square(0.02 * np.array([0.1, 0.2, 0.4])))
+
+
+def test_slack_is_forgotten_in_time() -> None:
+    """The variance of what readings do not explain stays the same: what is forgotten comes anew."""
+    motion = MotionModel(CONFIG, 3, "classic", 0.4162)
+    state = unknown_state(EstimateConfig(), motion, BEFORE, NAMES, 0.0)
+    after, _ = motion.predict(state, BEFORE, BEFORE, ELAPSED, 0.0)
+    np.testing.assert_allclose(after.covariance[AT.slack, AT.slack], state.covariance[AT.slack, AT.slack])

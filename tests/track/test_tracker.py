@@ -158,6 +158,13 @@ def test_instrument_that_is_gone_is_lost_and_found_again(world: MovingWorld, fir
     assert world.error_mm(29, followed[-1]) < 1.5
 
 
+def test_mask_of_which_the_instrument_is_a_small_part_does_not_support_it(world: MovingWorld, first: Result) -> None:
+    rows, columns = np.indices(world.masks[1].shape)
+    squares = (rows // 12 + columns // 12) % 2 == 0
+    (result,) = world.follow(started(world, first), frames=range(1, 2), mask=lambda k: world.masks[k] | squares)
+    assert result.status == "lost"
+
+
 def test_other_mask_is_never_ok(world: MovingWorld, first: Result) -> None:
     elsewhere = np.zeros_like(world.masks[0])
     elsewhere[10:60, 10:120] = True

@@ -1,0 +1,63 @@
+"""Reasons to doubt a pose: readings that are far off, and views that contradict each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.frame_terms import SPREAD, readings_of, view_at
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.doubts import judge
+from dvrk_cmaes.pose.refine.gauss_newton import Fit
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
+from dvrk_cmaes.silhouette import Body
+
+CAMERA = Camera(320, 240, 440, 440, 160, 120)
+TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))
+GOOD = Quality(0.97, 0.1, {}, 0.5, 1.5, distal_px=0.8)
+EXPECTED = ExpectedError({"mean": 0.3}, {}, 0.5, 0.4)
+
+
+def doubts(body: Body, *, sigmas: tuple[float, ...] = (0, 0, 0), turn: float = 0.0, std: float = 0.01) -> list[str]:
+    """Give the reasons to doubt the true pose in two views.
+
+    The readings are so many standard deviations off; the right view fits with a turn, degrees, known to ``std``.
+    """
+    views = [view_at(body, CAMERA, TRUE)] * 2
+    rotation = np.array([turn, 0.0, 0.0])
+    checks = [
+        ViewCheck("left", GOOD, np.zeros(3), np.zeros((3, 3))),
+        ViewCheck("right", GOOD, rotation, std**2 * np.eye(3)),
+    ]
+    readings = readings_of(body, TRUE.joints + np.array(sigmas) * SPREAD)
+    fits = [Fit(TRUE, 0.0, 0.0, np.eye(9))]
+    return judge(fits, views, checks, EXPECTED, 0.99, readings, TrustConfig())[0]
+
+
+def test_pose_near_its_readings_is_not_doubted(bundled_body: Body) -> None:
+    assert doubts(bundled_body, sigmas=(1, -1, 1)) == []
+
+
+def test_one_joint_far_from_its_reading_is_named(bundled_body: Body) -> None:
+    (reason,) = doubts(bundled_body, sigmas=(0, 3, 0))
+    assert reason == "far from the readings: wrist_yaw is 3.0 times the expected error away"
+
+
+def test_joints_that_are_off_together_are_doubted_although_none_is_far_alone(bundled_body: Body) -> None:
+    (reason,) = doubts(bundled_body, sigmas=(2, -2, 2))
+    assert reason == "far from the readings: all joints together are farther off than readings are"
+
+
+@pytest.mark.parametrize(
+    ("turn", "std", "disagree"),
+    [(0.5, 0.02, True), (0.5, 0.4, False), (0.05, 0.002, False), (0.0, 0.01, False)],
+    ids=["large and certain", "large but uncertain", "certain but small", "none"],
+)
+def test_views_disagree_by_a_rotation_that_is_large_and_certain(
+    bundled_body: Body, turn: float, std: float, disagree: bool
+) -> None:
+    reasons = doubts(bundled_body, turn=turn, std=std)
+    assert [reason.split(":")[0] for reason in reasons] == ["views disagree"] * disagree
