@@ -1,7 +1,6 @@
 """Resumable, fault-tolerant batch runs.
 
 frame : one frame, from its files to its result and overlay.
-image_frame : one frame that has an image and no mask.
 processes : worker processes, and running many tasks in them.
 instrument_processes : processes in which an instrument is prepared, for batches and calibrations.
 worker : one frame of a batch in a worker process.
