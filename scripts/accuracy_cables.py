@@ -76,7 +76,7 @@ def session_frames(session: Session, cases: Sequence[Case], results: Sequence[Re
     return [
         SessionFrame(
             case.frame,
-            FrameData(case.mask, case.camera, case.ignore, None, ()),
+            FrameData.of(case.mask, case.camera, case.ignore),
             replace(result, frame=case.frame),
             time=times.get(case.frame),
         )

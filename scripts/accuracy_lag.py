@@ -60,7 +60,7 @@ def find_lags(
         frames = [
             SessionFrame(
                 run.case.frame,
-                FrameData(run.case.mask, run.case.camera, run.case.ignore, None, ()),
+                FrameData.of(run.case.mask, run.case.camera, run.case.ignore),
                 replace(Result.from_dict(dict(run.result)), frame=run.case.frame),
             )
             for run in own

@@ -23,9 +23,8 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.rig_check import rig_doubts
@@ -110,7 +109,7 @@ def _session(
     session: Session, number: int, body: Body, config: EstimateConfig, frames: int | None, use_joints: bool
 ) -> Iterator[Found]:
     """Yield the estimates of the frames of a session."""
-    if session.rig is None:
+    if len(session.rig.views) == 1:
         raise InputError(f"{session.folder}: expected a stereo session (masks/left, masks/right), got one view")
     name = session.folder.resolve().name
     files = session.frames[:frames]
@@ -118,9 +117,7 @@ def _session(
         truth = session.truth.frames.get(one.name)
         if truth is None:
             raise InputError(f"{session.folder / 'golden.json'}: expected the truth of frame {one.name}, got none")
-        data = read_views(one, session.rig)
-        assert isinstance(data, FrameData)
-        masks = {"left": data.mask, "right": data.others["right"].mask}
+        masks = {view.name: view.mask for view in read_frame(one, session.rig).views}
         off = wrong_rig(session.rig, number)
         for kind, given, rig in (
             (LEFT, {"left": masks["left"]}, session.rig),

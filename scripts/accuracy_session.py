@@ -109,7 +109,7 @@ def _calibrate(trial: Trial, instrument: str, config: EstimateConfig) -> tuple[S
 
 def _data(case: Case) -> FrameData:
     """Return the data of a case's frame."""
-    return FrameData(case.mask, case.camera, case.ignore, None, ())
+    return FrameData.of(case.mask, case.camera, case.ignore)
 
 
 def base_error(outcome: Outcome) -> tuple[float, float]:

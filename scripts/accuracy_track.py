@@ -18,7 +18,6 @@ import numpy as np
 from accuracy_arms import golden_of, named_arms, read_session_of_arm
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
@@ -58,13 +57,11 @@ def follow(
     session, settings = read_recording(Path(folder), body, settings, arm)
     chosen = session.frames[:: settings.every][:frames]
     clock = TrackClock.of(session, chosen, settings.frames_a_second, use_joints=settings.use_joints)
-    tracker = settings.tracker(session.cameras, body)
+    tracker = settings.tracker(session.rig, body)
     with_images = settings.evidence != "masks"
     results = _all(tracker, chosen, clock, session, with_images=with_images)
     if settings.smooth:
-        tracker = settings.recording_tracker(
-            session.cameras, body, None if tracker.lag is None else tracker.lag.seconds
-        )
+        tracker = settings.recording_tracker(session.rig, body, None if tracker.lag is None else tracker.lag.seconds)
         _all(tracker, chosen, clock, session, with_images=with_images)
         results = tracker.smoothed()
     return FollowedSession(session, chosen, results, tracker)
@@ -88,7 +85,7 @@ def _all(
     tracker: Tracker, frames: Sequence[FrameFiles], clock: TrackClock, session: Session, *, with_images: bool
 ) -> list[TrackResult]:
     results = []
-    for _, result in followed(tracker, frames, clock, Rig.of(session.cameras), with_images=with_images):
+    for _, result in followed(tracker, frames, clock, session.rig, with_images=with_images):
         results.append(result)
         if len(results) % _PROGRESS == 0:
             print(f"{session.folder.name}: {len(results)} of {len(frames)} frames", file=sys.stderr, flush=True)

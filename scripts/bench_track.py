@@ -11,7 +11,7 @@ import numpy as np
 from accuracy_track import read_recording
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.session_folder import read_session
@@ -46,7 +46,7 @@ def _latency(instrument: str, folder: Path, frames: int | None, evidence: Eviden
     chosen = session.frames[:frames]
     clock = TrackClock.of(session, chosen, FRAMES_A_SECOND)
     read = [_read(files, session.camera, evidence) for files in chosen]
-    tracker = settings.tracker(session.camera, body)
+    tracker = settings.tracker(Rig.of(session.camera), body)
     readings = iter(clock.readings)
     waiting = next(readings, None)
     elapsed, cpu, searched = [], [], []
@@ -87,7 +87,7 @@ def _memory(instrument: str, folder: Path, steps: int) -> dict[str, Any]:
     session = read_session(folder, known=body.instrument.joint_names)
     files = session.frames[0]
     mask = read_frame(files, session.camera).mask
-    tracker = TrackSettings(EstimateConfig()).tracker(session.camera, body)
+    tracker = TrackSettings(EstimateConfig()).tracker(Rig.of(session.camera), body)
     process, early = psutil.Process(), 0
     for step in range(steps):
         at = step / FRAMES_A_SECOND

@@ -29,7 +29,7 @@ from scipy.optimize import least_squares, minimize
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.joints.cables import CableModel, features
-from dvrk_cmaes.joints.play import lags_of
+from dvrk_cmaes.joints.play import play_of
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -88,7 +88,7 @@ def _fit_with_widths(recording: Recording, used: Bool, parts: Sequence[str], wid
     """Fit offsets and coefficients for given widths (3,), by least squares with a robust loss."""
     count = len(JOINTS)
     reference = recording.readings[used].mean(axis=0)
-    terms = features(recording.readings, lags_of(recording.readings, widths), reference)[used]
+    terms = features(recording.readings, play_of(recording.readings, widths), reference)[used]
     own = np.eye(count, dtype=np.bool_)
     kept = np.concatenate(
         [np.full((count, count), "coupling" in parts), np.zeros((count, count + 1), np.bool_)], axis=1
@@ -117,7 +117,7 @@ def _robust_line(design: Float64, values: Float64) -> Float64:
 
 def residuals(recording: Recording, model: CableModel) -> Float64:
     """Return the errors (N, 3) that a model does not explain from the readings alone, rad."""
-    return np.asarray(recording.errors - model.errors(recording.readings, lags_of(recording.readings, model.width)))
+    return np.asarray(recording.errors - model.errors(recording.readings, play_of(recording.readings, model.width)))
 
 
 def with_wander(recording: Recording, used: Bool, model: CableModel) -> CableModel:

@@ -23,7 +23,7 @@ from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.toml_file import read_config
-from dvrk_cmaes.io.video_file import quiet_ffmpeg
+from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import run_batch
 

@@ -68,7 +68,7 @@ class CableEstimate:
             names=self.names,
             readings=readings,
             times=times,
-            lags=lag.play(self.names, readings, self.prior.model.width),
+            play=lag.play(self.names, readings, self.prior.model.width),
             information=information,
             vector=vector,
             offsets=solution.calibration.offsets[1:],

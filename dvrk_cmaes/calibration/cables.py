@@ -19,7 +19,7 @@ from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, log_likelihood, run_filter
 from dvrk_cmaes.joints.cable_prior import CablePrior
 from dvrk_cmaes.joints.cables import features
-from dvrk_cmaes.joints.play import Lags
+from dvrk_cmaes.joints.play import Play
 
 Float64 = NDArray[np.float64]
 Part = Literal["coupling", "play", "wander"]
@@ -46,7 +46,7 @@ class CableSession:
     """What a session's N frames tell of the errors of C joints, roll and those of the instrument.
 
     ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. ``times`` (N,), s, and
-    ``lags`` are None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
+    ``play`` are None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
     observations of the errors beyond ``offsets`` (C,), whose prior has the standard deviations ``offset_std`` (C,).
     ``noise`` (C,) are the usual standard deviations from frame to frame, rad.
     """
@@ -54,7 +54,7 @@ class CableSession:
     names: tuple[str, ...]
     readings: Float64
     times: Float64 | None
-    lags: Lags | None
+    play: Play | None
     information: Float64
     vector: Float64
     offsets: Float64
@@ -119,7 +119,7 @@ def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, Cabl
 
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
-    fits = [_fit(session, prior, parts) for parts in _MODELS if session.lags is not None or not _ORDERED & {*parts}]
+    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or not _ORDERED & {*parts}]
     least = fits[0].likelihood
 
     def most_likely(among: list[_Fit]) -> CableFit:
@@ -211,8 +211,8 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
 def _observations(session: CableSession, active: NDArray[np.bool_]) -> Observations:
     """Return the frames' observations in the order of time, with offsets and the active coefficients as unknowns."""
     frames, count = session.readings.shape
-    lags = session.lags or Lags(np.zeros((frames, count)), np.zeros((frames, count)))
-    every = features(session.readings, lags, _reference(session))
+    play = session.play or Play(np.zeros((frames, count)), np.zeros((frames, count)))
+    every = features(session.readings, play, _reference(session))
     own = np.argwhere(active)
     terms = np.zeros((frames, count, count + len(own)))
     terms[:, np.arange(count), np.arange(count)] = 1.0

@@ -1,9 +1,9 @@
 """Estimation of a change of the camera beside a session's calibration.
 
-The unknowns c are the logarithm of the focal length's factor and the shift of the principal point, px. A single frame
-hardly determines them, because a change of its pose has nearly the same effect. In a session, the arm's kinematics fix
-the distances between the remote centre of motion and the wrists, and thereby the scale along the optical axis.
-They are further constants of the calibration, on which the outlines depend.
+The change has three unknowns: the logarithm of the focal length's factor and the shift of the principal point, px. They
+are further constants of the calibration, on which the outlines depend. A single frame hardly determines them, because a
+change of its pose has nearly the same effect. In a session, the arm's kinematics fix the distances between the remote
+centre of motion and the wrists, and thereby the scale along the optical axis.
 """
 
 from __future__ import annotations

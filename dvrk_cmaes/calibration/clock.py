@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.play import Lags, lags_between
+from dvrk_cmaes.joints.play import Play, play_between
 from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
@@ -113,7 +113,7 @@ class Clock:
         """Return the times (N,), s, at which the arm was read; images that are only counted are 1 / 30 s apart."""
         return self._unit_seconds * self.read_times(delay)
 
-    def lags(self, names: Sequence[str], readings: Float64, width: Float64, delay: Delay) -> Lags:
+    def play(self, names: Sequence[str], readings: Float64, width: Float64, delay: Delay) -> Play:
         """Return how far C joints stay behind their readings (N, C) at the times of the frames less the lag.
 
         ``width`` (C,), rad, is that of their play; all readings of the series count.
@@ -123,8 +123,8 @@ class Clock:
             times, values = self.series.times.get(name), self.series.values.get(name)
             if times is None or values is None:
                 times, values = np.zeros(1), np.full(1, np.nan)
-            of_joints.append(lags_between(times, values, float(band), at, column))
-        return Lags(*(np.stack(part, axis=1) for part in zip(*of_joints, strict=True)))
+            of_joints.append(play_between(times, values, float(band), at, column))
+        return Play(*(np.stack(part, axis=1) for part in zip(*of_joints, strict=True)))
 
     def has_readings(self, delay: Delay) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""

@@ -138,7 +138,7 @@ def with_camera(frame: SessionFrame, camera: Camera) -> SessionFrame:
 def _read(data: FrameData | Callable[[], FrameData], camera: Camera | None = None) -> FrameData:
     """Read the data of a frame, as in `SessionFrame`; ``camera`` replaces theirs."""
     given = data if isinstance(data, FrameData) else data()
-    return given if camera is None else replace(given, camera=camera)
+    return given if camera is None else given.with_camera(camera)
 
 
 def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:

@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, describe_lag, searc
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.play import Lags
+from dvrk_cmaes.joints.play import Play
 from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
@@ -120,9 +120,9 @@ class LagEstimate:
         """Return the times (N,), s, at which the arm was read as the images show it; None without an order."""
         return None if self._clock is None else self._clock.seconds(self._delay(self._clock))
 
-    def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Lags | None:
-        """Return how far joints stay behind their readings, as `Clock.lags`; None without an order."""
-        return None if self._clock is None else self._clock.lags(names, readings, width, self._delay(self._clock))
+    def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
+        """Return how far joints stay behind their readings, as `Clock.play`; None without an order."""
+        return None if self._clock is None else self._clock.play(names, readings, width, self._delay(self._clock))
 
     def _delay(self, clock: Clock) -> Delay:
         """Return the lag that is taken out, as a delay."""

@@ -13,6 +13,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.seen_view import shown_views
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -95,17 +96,14 @@ class StoredFrame:
         InputError
             As `gather_evidence`: no view shows the instrument.
         """
-        places = {} if data.rig is None else {view.name: view.view_from_camera for view in data.rig.views}
-        first = next(iter(data.of_views))
-        shown = {name: of_view for name, of_view in data.of_views.items() if _shows(of_view)} or {first: data}
         views = []
-        for name, of_view in shown.items():
-            tips = keypoints if name == first else None
+        for view in shown_views(data.views):
+            tips = keypoints if view is data.views[0] else None
             evidence = gather_evidence(
-                of_view.mask, of_view.camera, body.instrument, ignore=of_view.ignore, keypoints=tips, seed=config.seed
+                view.mask, view.camera, body.instrument, ignore=view.ignore, keypoints=tips, seed=config.seed
             )
             renderer = Renderer(body, evidence.camera, threads=1)
-            views.append(FrameView(name, evidence, renderer, places.get(name, np.eye(4))))
+            views.append(FrameView(view.name, evidence, renderer, view.view_from_camera))
         stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
         return cls(tuple(stored), data.camera, with_noise(OwnEstimate.of(views, own), views, config))
 
@@ -118,8 +116,3 @@ class StoredFrame:
     def in_reference(self) -> bool:
         """Whether the reference camera shows the instrument."""
         return bool(np.array_equal(self.views[0].view_from_camera, np.eye(4)))
-
-
-def _shows(data: FrameData) -> bool:
-    """Whether the mask of a view shows the instrument."""
-    return bool((data.mask if data.ignore is None else data.mask & ~data.ignore).any())

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, unknown_layout
 from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
 from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
@@ -41,6 +41,11 @@ class CameraFile:
     camera: Camera
     kind: str
     notes: tuple[str, ...] = ()
+
+    @property
+    def rig(self) -> Rig:
+        """The rig of this camera alone."""
+        return Rig.of(self.camera)
 
 
 def read_camera(

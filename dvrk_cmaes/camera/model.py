@@ -174,9 +174,7 @@ class Camera:
         pixels, along = xy, directions * focal
         if self._lens is not None:
             pixels, along = self._lens.distort_along(xy, along)
-        gradient = np.empty_like(points)
-        np.divide(along, depth, out=gradient[:, :2])
-        np.einsum("nk,nk->n", gradient[:, :2], -xy, out=gradient[:, 2])
+        gradient = np.column_stack([along, -(along * xy).sum(axis=1)]) / depth
         return pixels * focal + self._principal(xy.dtype), gradient
 
     def normalise(self, pixels: ArrayLike) -> NDArray[Any]:

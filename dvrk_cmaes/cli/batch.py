@@ -35,9 +35,11 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.worklist import Shard
 
 FOLDER = Group("Folder", sort_key=0)  # sorted before the groups shared by commands
@@ -163,63 +165,51 @@ def batch(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import (
-        arms_in_session,
-        chosen_tools,
-        of_tool,
-        read_calibration_of,
-        solve_crossing_tools,
-        write_common,
-    )
-    from dvrk_cmaes.frames.session_toml import read_session_toml
+    from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
-    entries = read_session_toml(session)
-    tools = chosen_tools(entries, only, session)
-    several = entries is not None and len(entries.tools) > 1
+    given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
+    settings = replace(method.resolve(), threads=method.threads or 1)
+    tools = session_tools(session, instrument, only)
     results = session / "results" if out is None else out
     if len(tools) > 1 and calibration is not None and not calibration.is_dir():
         raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
-    finished = {}
-    for tool in tools:
-        done = _run(
-            session,
-            results / tool.arm if several and tool is not None else results,
-            camera,
-            instrument if tool is None else of_tool(instrument, tool),
-            method,
-            entries=entries,
-            tool=tool,
-            joints=joints,
-            label=label,
+    arms: dict[str, ArmInSession] = {}
+    finished: dict[str, BatchSummary] = {}
+    for name, tool in tools.items():
+        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+        finished[name] = done = _run(
+            arms[name],
+            results / name,
+            settings,
             scheduler=scheduler,
             segment=segment.resolve(),
-            prompts=prompts,
             pattern=frames,
             shard=part,
             resume=resume,
             retry_failed=retry_failed,
             workers=workers,
             time_limit=time_limit,
-            lag=lag,
-            calibration=read_calibration_of(calibration, None if tool is None else tool.arm),
+            lag=given,
+            find_lag=lag == AUTO,
+            calibration=read_calibration_of(calibration, tool.tool.arm),
         )
-        finished["" if tool is None else tool.arm] = done
         if done.interrupted:
             break
     exchanged: list[str] = []
     if len(finished) > 1 and not done.interrupted:
         if part is None:
-            arms = arms_in_session(session, tools, instrument, camera, entries)
-            of_arms = {arm: one.results for arm, one in finished.items()}
-            exchanged = exchanged_in_results(arms, of_arms, replace(method.resolve(), threads=method.threads or 1))
+            of_arms = {name: summary.results for name, summary in finished.items()}
+            exchanged = exchanged_in_results(arms, of_arms, settings)
             for text in exchanged:
                 warn(text)
         if not exchanged:
             finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
-    _report_all(finished, json, part, several=several)
-    stopped = next((one for one in finished.values() if one.interrupted), None)
+    _report_all(finished, json, part)
+    stopped = next((summary for summary in finished.values() if summary.interrupted), None)
     if stopped is not None:
         again = "the same command" if resume else "the same command without --overwrite"
         left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
@@ -228,42 +218,48 @@ def batch(
         print_error(f"interrupted: {left}; {again} goes on from here")
         return _INTERRUPTED
     if len(finished) > 1 and part is None:
-        page = write_common(results, arms)
+        page = write_arms(results, arms)
         if not json:
             show([Line(f"all arms: {page}")])
-    doubtful = any(each.counts["doubtful"] or each.counts["failed"] for each in finished.values())
+    doubtful = any(summary.counts["doubtful"] or summary.counts["failed"] for summary in finished.values())
     return _DOUBTFUL if exchanged or doubtful else 0
 
 
-def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None, *, several: bool) -> None:
+def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
     """Print the summaries of all arms."""
+    from dvrk_cmaes.cli.session_tools import alone_or_by_arm
     from dvrk_cmaes.io.atomic import json_text
 
-    if several and json:
-        print(json_text({arm: done.document for arm, done in finished.items()}), end="")
-    for arm, done in finished.items():
-        if several and not json:
-            show([Line(arm, "bold")])
-        if not (several and json):
-            _report(done.document, done.folder, json, shard=shard)
+    if json:
+        print(json_text(alone_or_by_arm({name: done.document for name, done in finished.items()})), end="")
+    for name, done in finished.items():
+        if not json:
+            show([*([Line(name, "bold")] if name else []), *_lines(done.document, done.folder, shard)])
         for text in done.document.get("rig_doubts", ()):
-            warn(f"{arm}: {text}" if arm else text)
+            warn(f"{name}: {text}" if name else text)
+
+
+def _with_masks_of(arm: ArmInSession, label: int | None, prompts: PromptOptions) -> ArmInSession:
+    """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
+    from dvrk_cmaes.frames.boxes import FramePrompts
+
+    session = arm.session
+    if label is not None:
+        session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
+    if prompts != DEFAULT_PROMPTS:
+        hints = prompts.resolve()
+        session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
+    return replace(arm, session=session)
 
 
 def _run(
-    folder: Path,
+    arm: ArmInSession,
     out: Path,
-    camera: CameraOptions,
-    instrument: InstrumentOptions,
-    method: MethodOptions,
+    settings: EstimateConfig,
     *,
-    entries: SessionEntries | None,
-    tool: ToolEntry | None,
-    joints: tuple[Path, ...],
-    label: int | None,
-    prompts: PromptOptions,
     scheduler: str | None,
-    lag: str | None,
+    lag: Lag | None,
+    find_lag: bool,
     calibration: SessionCalibration | None,
     pattern: str | None,
     shard: Shard | None,
@@ -271,23 +267,13 @@ def _run(
     retry_failed: bool,
     **options: Any,
 ) -> BatchSummary:
-    """Read the session and run the batch, with progress on stderr."""
+    """Run the batch of an arm's session, with progress on stderr."""
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
-    from dvrk_cmaes.frames.boxes import FramePrompts
-    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
-    given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
-    settings = method.resolve()
-    model = instrument.load().instrument
-    session = camera.read_session(folder, known=model.joint_names, joints=joints, entries=entries, tool=tool)
-    if label is not None:
-        session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
-    if prompts != DEFAULT_PROMPTS:
-        hints = prompts.resolve()
-        session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
+    session, model = arm.session, arm.body.instrument
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
         stop = stack.enter_context(stopping_on_interrupt())
@@ -298,8 +284,8 @@ def _run(
                 out,
                 model,
                 config=settings,
-                arm=instrument.kinematics,
-                threads=method.threads or 1,
+                arm=arm.kinematics,
+                threads=settings.threads,
                 executor=executor,
                 stop=stop,
                 calibration=calibration,
@@ -308,42 +294,36 @@ def _run(
                 **more,
             )
 
-        if given is not None:
-            session = session.with_lag(given)
+        if lag is not None:
+            session = session.with_lag(lag)
         elif calibration is not None:
             session = with_calibrated_lag(session, calibration)
-        elif lag == AUTO:
+        elif find_lag:
             with progress() as reporter:
-                found = find_batch_lag(
-                    session, out, partial(run, progress=reporter), model, settings, instrument.kinematics
+                found_lag = find_batch_lag(
+                    session, out, partial(run, progress=reporter), model, settings, arm.kinematics
                 )
-            warn(found.text)
-            session = session if found.lag is None else session.with_lag(found.lag)
+            warn(found_lag.text)
+            session = session if found_lag.lag is None else session.with_lag(found_lag.lag)
         reporter = stack.enter_context(progress())
         return run(session, out, pattern=pattern, shard=shard, retry_failed=retry_failed, progress=reporter)
 
 
 def _merge(out: Path, json: bool) -> int:
     """Merge the shards in a folder, report, and return the exit code."""
+    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.merge import merge_shards
 
     document = merge_shards(out)
-    _report(document, out, json)
+    if json:
+        print(json_text(document), end="")
+    else:
+        show(_lines(document, out, None))
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
         return _INCOMPLETE
     return _DOUBTFUL if counts["doubtful"] or counts["failed"] else 0
-
-
-def _report(document: dict[str, Any], folder: Path, json: bool, shard: Shard | None = None) -> None:
-    """Print a summary as JSON or as text."""
-    from dvrk_cmaes.io.atomic import json_text
-
-    if json:
-        print(json_text(document), end="")
-    else:
-        show(_lines(document, folder, shard))
 
 
 def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:

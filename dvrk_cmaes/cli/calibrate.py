@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
@@ -21,7 +21,6 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import SessionTool
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
@@ -97,72 +97,63 @@ def calibrate(
     """
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    from dvrk_cmaes.cli.session_tools import arms_in_session, chosen_tools, of_tool, write_common
-    from dvrk_cmaes.frames.session_toml import read_session_toml
+    from dvrk_cmaes.cli.session_tools import alone_or_by_arm, session_tools
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.runs.arms import write_arms
 
-    entries = read_session_toml(session)
-    tools = chosen_tools(entries, only, session)
-    several = entries is not None and len(entries.tools) > 1
     target = session / "calibration" if out is None else out
+    settings = method.resolve()
+    arms: dict[str, ArmInSession] = {}
     solved: dict[str, SolvedSession] = {}
-    for tool in tools:
-        arm = tool.arm if several and tool is not None else ""
-        one = _calibrate_tool(
-            session,
-            SessionTool(instrument if tool is None else of_tool(instrument, tool), entries, tool),
-            target / arm,
-            None if results is None else results / arm,
-            joints=joints,
+    for name, tool in session_tools(session, instrument, only).items():
+        arms[name] = tool.read(session, camera, joints=joints)
+        solution = _calibrate_arm(
+            arms[name],
+            target / name,
+            None if results is None else results / name,
             refine_camera=refine_camera,
             workers=workers,
-            camera=camera,
-            settings=method.resolve(),
+            settings=settings,
         )
-        if one is None:
+        if solution is None:
             return _INTERRUPTED
-        solved[arm] = one
-    for arm, one in solved.items():
-        for text in one.calibration.warnings:
-            warn(f"{arm}: {text}" if arm else text)
-    documents: dict[str, Any] = {arm: one.calibration.to_dict() for arm, one in solved.items()}
+        solved[name] = solution
+    for name, solution in solved.items():
+        for text in solution.calibration.warnings:
+            warn(f"{name}: {text}" if name else text)
     if json:
-        print(json_text(documents if several else documents[""]), end="")
+        documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
+        print(json_text(alone_or_by_arm(documents)), end="")
     else:
-        for arm, one in solved.items():
-            show([*([Line(arm, "bold")] if arm else []), *_lines(one, target / arm)])
+        for name, solution in solved.items():
+            show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
     if len(solved) > 1:
-        _write_arms({arm: one.calibration for arm, one in solved.items()}, target, quiet=json)
-        page = write_common(target, arms_in_session(session, tools, instrument, camera, entries))
+        _write_bases({name: solution.calibration for name, solution in solved.items()}, target, quiet=json)
+        page = write_arms(target, arms)
         if not json:
             show([Line(f"all arms: {page}")])
-    return _DOUBTFUL if any(_is_doubtful(one) for one in solved.values()) else 0
+    return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
 
 
-def _calibrate_tool(
-    folder: Path,
-    chosen: SessionTool,
+def _calibrate_arm(
+    arm: ArmInSession,
     target: Path,
     results: Path | None,
     *,
-    joints: tuple[Path, ...],
     refine_camera: bool,
     workers: int | None,
-    camera: CameraOptions,
     settings: EstimateConfig,
 ) -> SolvedSession | None:
-    """Calibrate the session of one tool, from its results, or after estimating them; None if interrupted."""
+    """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
     from dvrk_cmaes.runs.processes import usable_cores
 
     if results is not None and results.resolve() == target.resolve():
         raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
-    instrument = chosen.options
-    model = instrument.load().instrument
-    found = chosen.read(folder, camera, known=model.joint_names, joints=joints)
+    session, model = arm.session, arm.body.instrument
     count = workers or usable_cores()
-    used = worker_processes(model, count) if results is None else instrument_processes(model, count, found.frames)
+    used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
     with used as processes:
         if results is not None:
             processes.begin()  # while the rest of the program is imported
@@ -174,11 +165,11 @@ def _calibrate_tool(
             results = target / ALONE
             with stopping_on_interrupt() as stop, progress() as reporter:
                 done = run_batch(
-                    found,
+                    session,
                     results,
                     model,
                     config=settings,
-                    arm=instrument.kinematics,
+                    arm=arm.kinematics,
                     processes=processes,
                     stop=stop,
                     progress=reporter,
@@ -189,12 +180,12 @@ def _calibrate_tool(
         from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
 
         return calibrate_folder(
-            found,
+            session,
             alone,
             model,
             target,
             alone=results,
-            arm=instrument.kinematics,
+            arm=arm.kinematics,
             refine_camera=refine_camera,
             config=settings,
             workers=count,
@@ -209,7 +200,7 @@ def _is_doubtful(solved: SolvedSession) -> bool:
     return doubtful or bool(solved.calibration.left_out or solved.calibration.warnings)
 
 
-def _write_arms(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
+def _write_bases(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
     from dvrk_cmaes.calibration.relative_base import relative_bases
     from dvrk_cmaes.io.atomic import write_json
@@ -257,7 +248,7 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
         yield Line(f"... and {len(calibration.left_out) - _MOST_LISTED} more")
     alone = list(calibration.leave_one_out.values())
     if alone:
-        iou, off = np.mean([one[0] for one in alone]), np.median([one[1] for one in alone])
+        iou, off = np.mean([pair[0] for pair in alone]), np.median([pair[1] for pair in alone])
         yield Line(
             f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
             f"mean IoU {iou:.3f}, contour {off:.1f} px median"

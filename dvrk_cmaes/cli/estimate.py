@@ -32,7 +32,6 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
@@ -150,23 +149,20 @@ def estimate(
     picked = None if pick is None else parse_pixel("pick", pick)
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
-    cameras: Camera | Rig
     camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
         camera_file = camera.read(lambda: frame_size(files))
-        cameras = camera_file.camera
     else:
         other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, label)
         files = replace(files, others={"right": other})
         camera_file = camera.read_rig(lambda: frame_size(files))
-        cameras = camera_file.rig
-    data = read_any_frame(files, cameras)
+    data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
     known = read_calibration_of(calibration)
     lag = None if known is None else known.applied_lag
-    found = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
-    files = replace(files, readings=found.readings)
-    data = replace(data, notes=(*camera_file.notes, *found.notes, *data.notes))
+    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
+    files = replace(files, readings=read.readings)
+    data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     run = run_frame(
         files,
         data,

@@ -26,9 +26,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_error import Measured, Tolerance
     from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.instrument.arm import Arm
     from dvrk_cmaes.runs.golden import FrameCheck
-    from dvrk_cmaes.silhouette import Body
 
 T = TypeVar("T")
 
@@ -135,9 +133,10 @@ def record(
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
     config = method.resolve()
-    body, found, arm = _load(session, camera, instrument)
-    results = _tracked(estimate_all(found.frames, found, body, arm=arm, config=config), len(found.frames))
-    recording = recorded(results, body.instrument, allow_doubtful=allow_doubtful)
+    arm = single_tool(session, instrument).read(session, camera)
+    frames = arm.session.frames
+    results = _tracked(estimate_all(frames, arm, config), len(frames))
+    recording = recorded(results, arm.body.instrument, allow_doubtful=allow_doubtful)
     kept = list(recording.truth.frames)
     if kept:
         write_golden(path, recording.truth)
@@ -147,7 +146,7 @@ def record(
         document = {"kept": kept, "left_out": dict(recording.left_out), "written": str(path) if kept else None}
         print(json_text(document), end="")
     else:
-        show([Line(f"kept {len(kept)} of {len(found.frames)} frames")])
+        show([Line(f"kept {len(kept)} of {len(frames)} frames")])
         show([Line(f"written: {path}" if kept else "nothing to keep, nothing written")])
     return (3 if recording.left_out else 0) if kept else 1
 
@@ -197,31 +196,24 @@ def check(
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path)
-    body, found, arm = _load(session, camera, instrument)
-    _check_names(path, kept.frames, found)
-    frames = [files for files in found.frames if files.name in kept.frames]
-    results = _tracked(estimate_all(frames, found, body, arm=arm, config=config), len(frames))
-    checks = list(checked(results, kept, body.instrument, most, modulo_twin=tolerance.modulo_twin))
-    right = all(one.check.right for one in checks)
-    not_checked = [files.name for files in found.frames if files.name not in kept.frames]
+    arm = single_tool(session, instrument).read(session, camera)
+    _check_names(path, kept.frames, arm.session)
+    frames = [files for files in arm.session.frames if files.name in kept.frames]
+    results = _tracked(estimate_all(frames, arm, config), len(frames))
+    checks = list(checked(results, kept, arm.body.instrument, most, modulo_twin=tolerance.modulo_twin))
+    right = all(frame.check.right for frame in checks)
+    not_checked = [files.name for files in arm.session.frames if files.name not in kept.frames]
     if json:
         document = {
             "right": right,
             "tolerance": asdict(most),
-            "frames": [one.to_dict() for one in checks],
+            "frames": [frame.to_dict() for frame in checks],
             "not_checked": not_checked,
         }
         print(json_text(document), end="")
     else:
         show(_table(checks, asdict(most), not_checked))
     return 0 if right else 1
-
-
-def _load(session: Path, camera: CameraOptions, instrument: InstrumentOptions) -> tuple[Body, Session, Arm]:
-    """Load the instrument and read the session; the last value are the arm's kinematics."""
-    chosen = single_tool(session, instrument)
-    body = chosen.options.load()
-    return body, chosen.read(session, camera, known=body.instrument.joint_names), chosen.options.kinematics
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:

@@ -92,8 +92,8 @@ class CameraOptions:
         *,
         known: Iterable[str],
         joints: Sequence[Path] = (),
-        entries: SessionEntries | None = None,
-        tool: ToolEntry | None = None,
+        entries: SessionEntries | None,
+        tool: ToolEntry,
         video: SessionVideo | None = None,
     ) -> Session:
         """Read a session folder with this camera; ``known``, ``joints`` and ``video`` as in `frames.session_folder`.
@@ -106,7 +106,7 @@ class CameraOptions:
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
 
         said = CameraEntry() if entries is None or self.camera is not None else entries.camera
-        own = () if tool is None or tool.joints is None else (tool.joints,)
+        own = () if tool.joints is None else (tool.joints,)
         session = read_session(
             folder,
             camera=self.camera or said.file or said.left,
@@ -115,10 +115,10 @@ class CameraOptions:
             side=self.side,
             known=known,
             joints=joints or own,
-            masks=None if tool is None else tool.masks,
+            masks=tool.masks,
             video=video,
         )
-        return session if entries is None or tool is None else frames_of_tool(session, entries, tool.arm)
+        return frames_of_tool(session, entries, tool.arm) if entries is not None and entries.tools else session
 
 
 @Parameter(name="*", group=INSTRUMENT)

@@ -14,9 +14,8 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.instrument import Instrument
     from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 
 def pnp(
@@ -63,16 +62,10 @@ def pnp(
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.paths import check_output, result_path
 
-    chosen = single_tool(session, instrument)
-    instrument = chosen.options
-    model = instrument.load().instrument
-    read = chosen.read(session, camera, known=model.joint_names)
-    for frame in read.frames:
+    arm = single_tool(session, instrument).read(session, camera)
+    for frame in arm.session.frames:
         check_output(out, frame.name)
-    if points == "tips":
-        results = list(_by_tips(read, model, instrument))
-    else:
-        results = list(_by_markers(read, model, instrument, solver, markers))
+    results = list(_by_tips(arm) if points == "tips" else _by_markers(arm, solver, markers))
     for result in results:
         write_json(result_path(out, result.frame), result.to_dict())
     show(_lines(results, out))
@@ -82,19 +75,14 @@ def pnp(
     return 3 if any(result.status != "ok" for result in results) else 0
 
 
-def _by_markers(
-    session: Session,
-    model: Instrument,
-    instrument: InstrumentOptions,
-    solver: Literal["sqpnp", "ransac"],
-    markers: Path | None,
-) -> Iterator[Result]:
+def _by_markers(arm: ArmInSession, solver: Literal["sqpnp", "ransac"], markers: Path | None) -> Iterator[Result]:
     """Yield a result for each frame from the markers in the session's markers.csv."""
     from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
     from dvrk_cmaes.frames.markers import read_detections, read_marker_table
     from dvrk_cmaes.io.bundled import bundled_path
 
     table = read_marker_table(markers or bundled_path("markers", "lnd.json"))
+    session, model = arm.session, arm.body.instrument
     path = session.folder / "markers.csv"
     seen = read_detections(path)
     unknown = sorted({name for row in seen.values() for name in row} - set(table))
@@ -102,17 +90,18 @@ def _by_markers(
         raise InputError(f"{path}: marker: expected one of {', '.join(table)}, got {unknown[0]!r}")
     for files in session.frames:
         yield pose_from_markers(
-            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=instrument.kinematics
+            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=arm.kinematics
         )
 
 
-def _by_tips(session: Session, model: Instrument, instrument: InstrumentOptions) -> Iterator[Result]:
+def _by_tips(arm: ArmInSession) -> Iterator[Result]:
     """Yield a result for each frame from its jaw tips and shaft edges."""
     from dvrk_cmaes.estimation.pnp.frame import pose_from_tips
     from dvrk_cmaes.frames.frame import read_frame
 
-    for files in session.frames:
-        yield pose_from_tips(files, read_frame(files, session.camera), model, arm=instrument.kinematics)
+    for files in arm.session.frames:
+        data = read_frame(files, arm.session.camera)
+        yield pose_from_tips(files, data, arm.body.instrument, arm=arm.kinematics)
 
 
 def _lines(results: list[Result], out: Path) -> Iterator[Line]:

@@ -27,13 +27,14 @@ from dvrk_cmaes.cli.options import (
     SessionOption,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import SessionTool, chosen_tools, of_tool, read_calibration_of
+from dvrk_cmaes.cli.session_tools import alone_or_by_arm, read_calibration_of, session_tools
 from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.tracked import TrackResult
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_folder import TrackSummary
 
 FOLDER = Group("Folder", sort_key=0)
@@ -148,10 +149,8 @@ def track(
 
         check_rerun("--rerun", rerun)
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
-    from dvrk_cmaes.frames.session_toml import read_session_toml
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
@@ -160,9 +159,7 @@ def track(
     target = out or (session if session.is_dir() else session.parent) / "tracks"
     readings = None if joints is None or joints == "none" else Path(joints)
     source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
-    entries = read_session_toml(source.folder)
-    tools = chosen_tools(entries, only, source.folder)
-    several = entries is not None and len(entries.tools) > 1
+    tools = session_tools(source.folder, instrument, only)
     if len(tools) > 1:
         of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
         _check_of_several(of_one, calibration, prompts)
@@ -170,18 +167,14 @@ def track(
     finished: dict[str, TrackSummary] = {}
     arms: dict[str, ArmInSession] = {}
     with stopping_on_interrupt() as stop:
-        for tool in tools:
-            arm = "" if tool is None else tool.arm
-            chosen = SessionTool(instrument if tool is None else of_tool(instrument, tool), entries, tool)
-            body = chosen.options.load()
-            read = source.read(chosen, camera, recording, known=body.instrument.joint_names, joints=files)
-            found, used = used_session(read, evidence)
-            found = with_first_mask(found, first_mask)
-            arms[arm] = ArmInSession(found, body, chosen.options.kinematics)
+        for name, tool in tools.items():
+            arm = source.read(tool, camera, recording, joints=files)
+            followed, used = used_session(arm.session, evidence)
+            arms[name] = arm = replace(arm, session=with_first_mask(followed, first_mask))
             settings = TrackSettings(
                 method.resolve(),
-                chosen.options.kinematics,
-                read_calibration_of(calibration, arm or None),
+                arm.kinematics,
+                read_calibration_of(calibration, tool.tool.arm),
                 seconds,
                 every,
                 joints != "none",
@@ -190,39 +183,39 @@ def track(
                 used,
                 prompts.resolve(),
             )
-            finished[arm] = done = track_folder(
-                found,
-                target / arm if several else target,
-                body,
+            finished[name] = done = track_folder(
+                arm.session,
+                target / name,
+                arm.body,
                 settings,
                 resume=resume,
                 video=video,
                 page=page,
                 rerun=rerun,
                 stop=stop,
-                progress=_progress(arm if several else ""),
+                progress=_progress(name),
             )
             if done.interrupted:
                 break
     exchanged: list[str] = []
     if len(tools) > 1 and not done.interrupted:
-        of_arms = {arm: one.readings for arm, one in finished.items()}
+        of_arms = {name: summary.readings for name, summary in finished.items()}
         exchanged = exchanged_arms(target, of_arms, arms, replace(method.resolve(), threads=1))
         write_track_arms(target, arms, every=every, frames_a_second=done.frames_a_second, video=video, page=page)
     if json:
-        counts = {arm: one.counts for arm, one in finished.items()}
-        print(json_text(counts if several else done.counts), end="")
+        counts = {name: summary.counts for name, summary in finished.items()}
+        print(json_text(alone_or_by_arm(counts)), end="")
     else:
-        for arm, one in finished.items():
-            show([Line(arm, "bold")] if several else [])
-            show(_lines(one, target / arm if several else target, page=page, rerun=rerun))
+        for name, summary in finished.items():
+            show([Line(name, "bold")] if name else [])
+            show(_lines(summary, target / name, page=page, rerun=rerun))
         if len(tools) > 1 and page and not done.interrupted:
             show([Line(f"all arms: {target / 'report.html'}")])
     for text in exchanged:
         warn(text)
     if done.interrupted:
         return _INTERRUPTED
-    return _DOUBTFUL if exchanged or any(set(one.counts) - {"ok"} for one in finished.values()) else 0
+    return _DOUBTFUL if exchanged or any(set(summary.counts) - {"ok"} for summary in finished.values()) else 0
 
 
 def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:

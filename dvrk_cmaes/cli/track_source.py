@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -16,8 +16,8 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions
     from dvrk_cmaes.cli.session_tools import SessionTool
-    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 VIDEO = Group.create_ordered("Video")
 _IMPORTED = "session"
@@ -75,7 +75,7 @@ class Source:
             There is nothing at the path, or it is neither.
         """
         from dvrk_cmaes.frames.session_video import own_video
-        from dvrk_cmaes.frames.video_file import SUFFIXES
+        from dvrk_cmaes.frames.video_frames import SUFFIXES
         from dvrk_cmaes.recording.bag import SUFFIXES as BAGS
 
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
@@ -93,15 +93,14 @@ class Source:
         camera: CameraOptions,
         video: VideoOptions,
         *,
-        known: Iterable[str],
         joints: Sequence[Path],
-    ) -> Session:
-        """Read the session."""
+    ) -> ArmInSession:
+        """Read the session of a tool."""
         if self.video is None:
             if video != DEFAULT_VIDEO:
                 raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, known=known, joints=joints)
-        return tool.read(self.folder, camera, known=known, joints=joints, video=video.open(self.video, camera.side))
+            return tool.read(self.folder, camera, joints=joints)
+        return tool.read(self.folder, camera, joints=joints, video=video.open(self.video, camera.side))
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

@@ -14,6 +14,7 @@ from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
@@ -22,7 +23,6 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.pose.search.modes import Candidate
-from dvrk_cmaes.pose.seen_views import SeenView, seen_views
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -30,7 +30,6 @@ from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
 from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 
-@single_blas_thread()
 def estimate(
     mask: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None],
     camera: Camera | Rig,
@@ -95,6 +94,40 @@ def estimate(
         Arrays of the wrong size, an empty or full mask, an unknown joint, arm, search or refinement method, values
         that are not finite, or settings outside their range.
     """
+    return estimate_views(
+        seen_views(mask, camera, ignore, keypoints),
+        joints,
+        instrument,
+        named=isinstance(camera, Rig),
+        arm=arm,
+        session=session,
+        start=start,
+        frame=frame,
+        time=time,
+        config=config,
+        warnings=warnings,
+    )
+
+
+@single_blas_thread()
+def estimate_views(
+    seen: Sequence[SeenView],
+    joints: Mapping[str, float] | None = None,
+    instrument: Instrument | Body | str = "lnd",
+    *,
+    named: bool,
+    arm: Arm = "classic",
+    session: SessionCalibration | None = None,
+    start: Result | None = None,
+    frame: str = "",
+    time: float | None = None,
+    config: EstimateConfig | None = None,
+    warnings: Sequence[str] = (),
+) -> Result:
+    """Estimate the pose of the instrument in the first of some views, as `estimate` does.
+
+    ``named`` tells whether the result says which views were used, and which not.
+    """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
@@ -102,25 +135,24 @@ def estimate(
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, dict(joints or {})
-    rig = Rig.of(camera)
+    reference = seen[0]
     if session is not None:
-        rig = rig.with_cameras({rig.names[0]: session.corrected(rig.camera)})
-    seen, left_out = seen_views(mask, rig.camera if isinstance(camera, Camera) else rig, ignore, keypoints)
+        reference = replace(reference, camera=session.corrected(reference.camera))
+    shown = shown_views((reference, *seen[1:]))
     readings, unused, outside = split_readings(model, given, settings)
-    views = _frame_views(seen, body, settings)
-    main = views[0]
+    views = _frame_views(shown, body, settings)
     predicted = None
-    if session is not None and main.name == rig.names[0]:
+    if session is not None and shown[0] is reference:
         predicted = fit_session_pose(session, views, readings, given, settings)
     source: Source
     if session is not None and isinstance(predicted, FoundPose):
         found, source, arm = predicted, "session", session.arm
         base = found.camera_from_base
     else:
-        modes = () if start is None else _modes(start, seen[0], model)
-        found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), seen[0]), "frame"
+        modes = () if start is None else _modes(start, shown[0], model)
+        found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), shown[0]), "frame"
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
-    tips, tips_px = locate_tips(model, rig.camera, found.at)
+    tips, tips_px = locate_tips(model, reference.camera, found.at)
     return Result(
         frame=frame,
         status="doubtful" if found.reasons else "ok",
@@ -131,7 +163,7 @@ def estimate(
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
         warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
-        unused=(*left_out, *_unused_evidence(views), *unused),
+        unused=(*(left_out_views(seen) if named else ()), *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,
         quality=found.quality,
@@ -142,7 +174,7 @@ def estimate(
         expected_error=found.expected_error,
         mode_probability=found.mode_probability,
         alternatives=found.alternatives,
-        views=() if isinstance(camera, Camera) else tuple(view.name for view in views),
+        views=tuple(view.name for view in views) if named else (),
         view_fits=found.views if len(views) > 1 else (),
         seconds=perf_counter() - started,
         evaluations=found.evaluations,

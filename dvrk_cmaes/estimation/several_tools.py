@@ -13,12 +13,12 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation.one_tool import estimate
+from dvrk_cmaes.estimation.one_tool import estimate_views
 from dvrk_cmaes.frames.frame import with_tool
+from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_views
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.pose.depth_order import OPPOSITE, SharedView, place_of_other
-from dvrk_cmaes.pose.seen_views import Mask
+from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -70,8 +70,7 @@ def estimate_tools(
     InputError
         As `estimate`; the message begins with the name.
     """
-    masks = {name: _masks_of_views(f"{name}: mask", tool.mask, camera) for name, tool in tools.items()}
-    general = {} if ignore is None else _masks_of_views("ignore", ignore, camera)
+    seen = {name: _views_of(name, tool, camera, ignore) for name, tool in tools.items()}
     bodies = {
         name: tool.instrument if isinstance(tool.instrument, Body) else prepare(tool.instrument)
         for name, tool in tools.items()
@@ -79,16 +78,15 @@ def estimate_tools(
     settings = EstimateConfig() if config is None else config
 
     def solve(name: str, hiding: Iterable[str], start: Result | None = None) -> Result:
-        tool = tools[name]
-        ignored = {view: _ignored(general.get(view), [masks[o].get(view) for o in hiding]) for view in masks[name]}
+        tool, views = tools[name], []
+        for k, view in enumerate(seen[name]):
+            views.append(_without(view, [seen[other][k] for other in hiding]))
         try:
-            return estimate(
-                tool.mask,
-                camera,
+            return estimate_views(
+                views,
                 tool.joints,
                 bodies[name],
-                ignore=ignored if isinstance(camera, Rig) else next(iter(ignored.values())),
-                keypoints=tool.keypoints,
+                named=isinstance(camera, Rig),
                 arm=tool.arm,
                 session=tool.session,
                 start=start,
@@ -105,7 +103,7 @@ def estimate_tools(
         places[one][other] = place_of_other(
             (results[one], results[other]),
             (bodies[one], bodies[other]),
-            shared_views(Rig.of(camera), masks[one], masks[other]),
+            (seen[one], seen[other]),
             least_probability=settings.trust.least_mode_probability,
         )
         places[other][one] = OPPOSITE[places[one][other]]
@@ -115,15 +113,6 @@ def estimate_tools(
             hiding = [other for other, place in places[name].items() if place != "behind"]
             results[name] = better_of(results[name], solve(name, hiding, results[name]))
     return results
-
-
-def shared_views(rig: Rig, first: Mapping[str, Bool], second: Mapping[str, Bool]) -> list[SharedView]:
-    """Return the views in which both of two tools have a mask, given their masks (H, W) by view."""
-    return [
-        SharedView(view.camera, view.view_from_camera, (first[view.name], second[view.name]))
-        for view in rig.views
-        if view.name in first and view.name in second
-    ]
 
 
 def better_of(first: Result, again: Result) -> Result:
@@ -139,25 +128,26 @@ def better_of(first: Result, again: Result) -> Result:
     return replace(again, other_tools=first.other_tools, **both)
 
 
-def _ignored(general: Bool | None, others: Iterable[Bool | None]) -> Bool | None:
-    """Return the pixels (H, W) that count neither way: those of all frames, and those of other tools' masks."""
+def _without(view: SeenView, others: Iterable[SeenView]) -> SeenView:
+    """Return a view in which the pixels of other tools, given by the same view with their masks, do not count."""
     for other in others:
-        general = general if other is None else with_tool(general, other)
-    return general
+        if other.given:
+            view = replace(view, ignore=with_tool(view.ignore, other.mask))
+    return view
 
 
-def _masks_of_views(what: str, masks: Mask, camera: Camera | Rig) -> dict[str, Bool]:
-    """Return masks (H, W) by name of the view, without views that have none; InputError for one of another size."""
-    rig, found = Rig.of(camera), {}
-    given = masks if isinstance(masks, Mapping) else {rig.names[0]: masks}
-    for view in rig.views:
-        mask, shape = given.get(view.name), (view.camera.height, view.camera.width)
-        if mask is None:
-            continue
-        found[view.name] = np.asarray(mask, dtype=np.bool_)
-        if found[view.name].shape != shape:
-            raise InputError(
-                f"{what}: expected {shape[1]} x {shape[0]} pixels as the camera has, got an array of shape "
-                f"{found[view.name].shape}"
-            )
-    return found
+def _views_of(name: str, tool: ToolInFrame, camera: Camera | Rig, ignore: Mask | None) -> tuple[SeenView, ...]:
+    """Return the views of the frame with a tool's masks; InputError, which names the tool, if one is wrong."""
+    try:
+        views = seen_views(tool.mask, camera, ignore, tool.keypoints)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    for view in views:
+        shape = (view.camera.height, view.camera.width)
+        for what, picture in ((f"{name}: mask", view.mask), ("ignore", view.ignore)):
+            if picture is not None and picture.shape != shape:
+                raise InputError(
+                    f"{what}: expected {shape[1]} x {shape[0]} pixels as the camera has, got an array of shape "
+                    f"{picture.shape}"
+                )
+    return views

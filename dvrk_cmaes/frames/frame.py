@@ -1,25 +1,27 @@
 """The files of one frame and their content: mask, readings and, where there are any, image and ignored pixels.
 
-`FrameFiles` has the paths. `read_frame` reads a frame with a mask, `read_frame_image` one that has only an image; both
-check that the sizes of the files fit each other and the camera.
+`FrameFiles` has the paths, `FrameData` the content. `read_frame` reads a frame with a mask, `read_frame_image` one that
+has only an image; both check that the sizes of the files fit each other and the camera.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
-from dvrk_cmaes.frames.video_file import VideoFrame
+from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
+from dvrk_cmaes.frames.video_frames import VideoFrame
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.results.result import Result
@@ -78,58 +80,72 @@ class FrameFiles:
 
     @property
     def has_image(self) -> bool:
-        """Whether the frame has an image."""
+        """Whether the frame has an image, in its first view."""
         return self.image is not None or self.video is not None
+
+    def of_views(self, rig: Rig) -> dict[str, FrameFiles]:
+        """Return the files of each view of a rig by name; there are none of a view that the frame does not have."""
+        others = {name: self.others.get(name, FrameFiles(self.name, None)) for name in rig.names[1:]}
+        return {rig.names[0]: self, **others}
+
+    def changed(self, **changes: Any) -> FrameFiles:
+        """Return the files with fields changed alike in all views."""
+        others = {name: replace(other, **changes) for name, other in self.others.items()}
+        return replace(self, **changes, others=others)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameData:
-    """A frame in memory.
+    """A frame in memory: its views, the reference first, and notes.
 
-    ``mask`` and ``ignore`` are (H, W) bool, ``image`` (H', W', 3) uint8 BGR of the mask's aspect; ``camera`` has the
-    mask's size. ``notes`` say what was done to make the parts fit, e.g. that the intrinsics were rescaled. A frame of a
-    rig has the rig and the data of its further views; a view without a mask has an empty one.
+    The views' cameras have the sizes of their masks. ``notes`` say what was done to make the parts fit, e.g. that the
+    intrinsics were rescaled. ``mask``, ``camera``, ``ignore`` and ``image`` are those of the reference view.
     """
 
-    mask: NDArray[np.bool_]
-    camera: Camera
-    ignore: NDArray[np.bool_] | None
-    image: NDArray[np.uint8] | None
-    notes: tuple[str, ...]
-    rig: Rig | None = None
-    others: Mapping[str, FrameData] = field(default_factory=dict)
+    views: tuple[SeenView, ...]
+    notes: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(
+        mask: Mask,
+        camera: Camera | Rig,
+        ignore: Mask | None = None,
+        image: NDArray[np.uint8] | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> FrameData:
+        """Return a frame that is given as arrays, as those of `estimate`; ``image`` is that of the reference view."""
+        reference, *others = seen_views(mask, camera, ignore)
+        return FrameData((replace(reference, image=image), *others), notes)
 
     @property
-    def of_views(self) -> dict[str, FrameData]:
-        """The data of all views by name, the main one first, which is named left in a frame without a rig."""
-        return {"left" if self.rig is None else self.rig.names[0]: self, **self.others}
+    def mask(self) -> NDArray[np.bool_]:
+        """The mask (H, W), bool; empty where the reference view has none."""
+        return self.views[0].mask
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the mask's size."""
+        return self.views[0].camera
+
+    @property
+    def ignore(self) -> NDArray[np.bool_] | None:
+        """The pixels (H, W), bool, that count neither way."""
+        return self.views[0].ignore
+
+    @property
+    def image(self) -> NDArray[np.uint8] | None:
+        """The image (H', W', 3), uint8 BGR, of the mask's aspect."""
+        return self.views[0].image
+
+    def with_camera(self, camera: Camera) -> FrameData:
+        """Return the frame with another reference camera, for images of the same size."""
+        return replace(self, views=(replace(self.views[0], camera=camera), *self.views[1:]))
 
 
-@dataclass(frozen=True, eq=False)
-class FrameImage:
-    """A frame without a mask in memory: its image (H, W, 3) uint8 BGR, in which the instrument is to be segmented.
+def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) -> FrameData:
+    """Read a frame taken by a camera or a rig; the intrinsics are rescaled if a mask is of another size.
 
-    ``ignore`` is (H, W) bool, ``camera`` has the image's size; ``path`` is the image's file, ``notes``, ``rig`` and
-    ``others`` as in `FrameData`.
-    """
-
-    path: Path
-    image: NDArray[np.uint8]
-    camera: Camera
-    ignore: NDArray[np.bool_] | None
-    notes: tuple[str, ...]
-    rig: Rig | None = None
-    others: Mapping[str, FrameImage] = field(default_factory=dict)
-
-    def with_mask(self, mask: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> FrameData:
-        """Return the frame with a mask (H, W) that was found in its image, and notes added."""
-        return FrameData(mask, self.camera, self.ignore, self.image, (*self.notes, *notes))
-
-
-def read_frame(files: FrameFiles, camera: Camera, *, blank: bool = False) -> FrameData:
-    """Read a frame taken by a camera; the intrinsics are rescaled if the mask is of another size.
-
-    With ``blank``, the mask may be empty or full.
+    With ``blank``, the mask may be empty or full. Of a rig, some masks may be missing or empty, but not all.
 
     Raises
     ------
@@ -138,38 +154,66 @@ def read_frame(files: FrameFiles, camera: Camera, *, blank: bool = False) -> Fra
     """
     if files.problem is not None:
         raise InputError(files.problem)
-    if files.mask is None:
+    rig = Rig.of(camera)
+    of_views = files.of_views(rig)
+    if not any(own.mask is not None for own in of_views.values()):
         raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
+    several = len(rig.views) > 1
+    read = [_read_view(of_views[view.name], view, blank=blank or several) for view in rig.views]
+    views = tuple(view for view, _ in read)
+    if several and not any(view.mask.any() for view in views):
+        masks = ", ".join(str(own.mask) for own in of_views.values() if own.mask is not None)
+        raise InputError(f"{masks}: mask is empty: expected the instrument in at least one view, got none")
+    main = read[0][1]
+    others = (f"view {view.name}: {note}" for view, notes in read[1:] for note in notes if note not in main)
+    return FrameData(views, (*main, *others))
+
+
+def _read_view(files: FrameFiles, view: View, *, blank: bool) -> tuple[SeenView, tuple[str, ...]]:
+    """Read the files of a view, and notes on them; without a mask, that is empty and there is no image."""
+    if files.mask is None:
+        return replace(seen_by(view, None), given=True), files.notes
     mask = read_mask(files.mask, label=files.label, pick=files.pick, blank=blank)
-    fitted, notes = _fit(camera, mask.shape, files.mask, "mask")
+    fitted, notes = _fit(view.camera, mask.shape, files.mask, "mask")
     ignore = _ignored(files, mask.shape, "mask")
     image = _image_of(files)
     if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
         raise InputError(
-            f"{_image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
+            f"{image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
             f"got {_size(image.shape)}"
         )
-    return FrameData(mask, fitted, ignore, image, (*files.notes, *notes))
+    view = replace(view, camera=fitted)
+    return seen_by(view, mask, ignore=ignore, image=image, keypoints=files.keypoints), (*files.notes, *notes)
 
 
-def read_frame_image(files: FrameFiles, camera: Camera) -> FrameImage:
-    """Read a frame that has an image and no mask; the intrinsics are rescaled if the image is of another size.
+def read_frame_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
+    """Read a frame whose masks are to be found in its images; the intrinsics are rescaled to the images' sizes.
 
-    Raises
-    ------
-    InputError
-        A file that cannot be read, or of a size that does not fit the others: names the file. No image.
+    The masks are not given yet. Of a rig, only the reference view must have an image. Errors as `read_frame`.
     """
     if files.problem is not None:
         raise InputError(files.problem)
-    image, path = _image_of(files), _image_path(files)
-    if image is None or path is None:
-        raise InputError(f"frame {files.name}: expected a mask, got neither mask nor image")
-    fitted, notes = _fit(camera, image.shape, path, "image")
-    return FrameImage(path, image, fitted, _ignored(files, image.shape, "image"), (*files.notes, *notes))
+    rig = Rig.of(camera)
+    of_views = files.of_views(rig)
+    if not files.has_image:
+        expected = f"masks, or an image of the view {rig.names[0]}" if len(rig.views) > 1 else "a mask"
+        neither = "neither" if len(rig.views) > 1 else "neither mask nor image"
+        raise InputError(f"frame {files.name}: expected {expected}, got {neither}")
+    views, notes = [], files.notes
+    for view in rig.views:
+        own = of_views[view.name]
+        image, path = _image_of(own), image_path(own)
+        if image is None:
+            views.append(seen_by(view, None))
+            continue
+        fitted, more = _fit(view.camera, image.shape, path, "image")
+        notes = notes if views else (*notes, *more)
+        ignore = _ignored(own, image.shape, "image")
+        views.append(seen_by(replace(view, camera=fitted), None, ignore=ignore, image=image, keypoints=own.keypoints))
+    return FrameData(tuple(views), notes)
 
 
-def _image_path(files: FrameFiles) -> Path | None:
+def image_path(files: FrameFiles) -> Path | None:
     """Return the file that a frame's image is in."""
     return files.video.video.path if files.image is None and files.video is not None else files.image
 

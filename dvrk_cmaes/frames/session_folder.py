@@ -23,8 +23,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.files import Side, read_camera_file
-from dvrk_cmaes.camera.rig_files import read_rig
+from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
+from dvrk_cmaes.camera.rig_files import RigFile, read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
@@ -45,31 +45,30 @@ _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_curr
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A session: its folder, its camera, and its frames sorted by name.
+    """A session: its folder, the rig of its cameras, and its frames sorted by name.
 
     ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
-    ``rig`` has both cameras of a stereo session, None for one camera; ``camera`` is its first.
-    ``joint_files`` are the files of readings, ``image_times`` the times of the images by frame, ns, None if unknown.
+    ``rig`` has both cameras of a stereo session, or the only one; ``camera`` is its first. ``joint_files`` are the
+    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown.
     """
 
     folder: Path
-    camera: Camera
+    rig: Rig
     frames: tuple[FrameFiles, ...]
     truth: SessionTruth
     notes: tuple[str, ...] = ()
     joint_files: tuple[JointFile, ...] = ()
     image_times: Mapping[str, int | None] = field(default_factory=dict)
-    rig: Rig | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The reference camera."""
+        return self.rig.camera
 
     @property
     def view_names(self) -> tuple[str, ...]:
         """Names of the views, which are subfolders of the folders of masks and images; ``.`` for one camera."""
-        return (".",) if self.rig is None else self.rig.names
-
-    @property
-    def cameras(self) -> Camera | Rig:
-        """The rig of a stereo session, else the camera."""
-        return self.camera if self.rig is None else self.rig
+        return self.rig.names if len(self.rig.views) > 1 else (".",)
 
     def reading_series(self) -> ReadingSeries | None:
         """Return all readings as functions of time, with the frames' times; None where there is no common clock.
@@ -171,22 +170,25 @@ def read_session(
     else:
         frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
-    if _is_stereo(root, mask_folder):
-        return _stereo_session(root, camera, camera_right, rectified, frames, readings, times, notes)
-    if camera_right is not None:
+    stereo = _is_stereo(root, mask_folder)
+    if camera_right is not None and not stereo:
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
         )
-    path = camera or root / "camera.yaml"
-    if camera is None and not path.exists() and notes[0] != "a session folder":
+    if camera is None and not stereo and not (root / "camera.yaml").exists() and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
-    lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
-    if video is not None:
-        frames = video.fitted(frames, lens.camera)
+    lens: CameraFile | RigFile
+    if stereo:
+        lens = _read_eyes(root, camera, camera_right, rectified, frames[0])
+        notes = ("a session folder of two views", *notes[1:])
+    else:
+        path = camera or root / "camera.yaml"
+        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
+        frames = frames if video is None else video.fitted(frames, lens.camera)
     golden = root / "golden.json"
     return Session(
         folder=root,
-        camera=lens.camera,
+        rig=lens.rig,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
         truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
         notes=(*notes, f"camera: {lens.kind}", *lens.notes),
@@ -195,32 +197,12 @@ def read_session(
     )
 
 
-def _stereo_session(
-    root: Path,
-    left: Path | None,
-    right: Path | None,
-    rectified: bool,
-    frames: tuple[FrameFiles, ...],
-    readings: tuple[JointFile, ...],
-    times: dict[str, int | None],
-    notes: tuple[str, ...],
-) -> Session:
-    """Return the session of a folder with two views of each frame."""
+def _read_eyes(root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles) -> RigFile:
+    """Read the camera files of a folder with two views of each frame."""
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"
-    first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
-    found = read_rig(left or root / "camera.yaml", right, rectified=rectified, size=lambda: frame_size(first))
-    golden = root / "golden.json"
-    return Session(
-        folder=root,
-        camera=found.rig.camera,
-        frames=tuple(replace(frame, notes=(*found.notes, *frame.notes)) for frame in frames),
-        truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
-        notes=("a session folder of two views", *notes[1:], f"camera: {found.kind}", *found.notes),
-        joint_files=readings,
-        image_times=times,
-        rig=found.rig,
-    )
+    first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
+    return read_rig(left or root / "camera.yaml", right, rectified=rectified, size=lambda: frame_size(first))
 
 
 def _is_stereo(root: Path, masks: Path) -> bool:

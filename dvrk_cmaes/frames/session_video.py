@@ -10,7 +10,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.video_file import Layout, Video, VideoFrame
+from dvrk_cmaes.frames.video_frames import Layout, Video, VideoFrame
 from dvrk_cmaes.joints.rows import JointFile
 
 _NAME = "video.mp4"

@@ -148,13 +148,6 @@ class Instrument:
         """
         return self.chain.forward(self._values(joints), self.link_joints)
 
-    def twists(self, joints: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """Compute root_from_link (..., L, 4, 4) at joints (..., J) as `forward`, and the links' motions (..., L, 6, J).
-
-        The motions by the joints are as in `Chain.twists`.
-        """
-        return self.chain.twists(self._values(joints), self.link_joints)
-
     def tips(self, joints: ArrayLike) -> NDArray[np.float64]:
         """Compute the jaw tips in the root link's frame, m, from joint values (..., J).
 

@@ -4,7 +4,7 @@ For C joints with readings r, in the order of time,
 
     true - reading = offset + coupling (r - reference) + play wide(r) + narrow * narrow(r) + wander + noise
 
-``wide`` and ``narrow`` are the joints' lags behind their readings (`joints.play`). The diagonal of ``play`` is a
+``wide`` and ``narrow`` are how far the joints stay behind their readings (`joints.play`). The diagonal of ``play`` is a
 joint's own; the rest is the drag of the other joints' cables, which run over the same pulleys. The wander is an
 Ornstein-Uhlenbeck process.
 """
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.joints.play import Lags
+from dvrk_cmaes.joints.play import Play
 
 Float64 = NDArray[np.float64]
 
@@ -27,8 +27,8 @@ class CableModel:
 
     names : of the joints. reference : (C,) readings at which coupling adds nothing. offset : (C,).
     coupling : (C, C), error of the joint of the row for each rad of the reading of the column.
-    play : (C, C), error for each rad of the lag of the column's joint in the wide band; narrow : (C,), for each rad of
-    the joint's own lag in the narrow band. width : (C,) half width of the wide band.
+    play : (C, C), error for each rad that the column's joint stays behind in the wide band; narrow : (C,), for each rad
+    that the joint itself does in the narrow band. width : (C,) half width of the wide band.
     wander, seconds : (C,) standard deviation and correlation time of the wander. noise : (C,) standard deviation.
     """
 
@@ -48,18 +48,18 @@ class CableModel:
         """Coefficients (C, 2 C + 1) of each joint's `features`."""
         return np.concatenate([self.coupling, self.play, self.narrow[:, None]], axis=1)
 
-    def errors(self, readings: Float64, lags: Lags) -> Float64:
-        """Return true - reading (N, C), without wander and noise, of readings (N, C) and the joints' lags there."""
-        terms = features(readings, lags, self.reference)
+    def errors(self, readings: Float64, play: Play) -> Float64:
+        """Return true - reading (N, C), without wander and noise, of readings (N, C) and the play there."""
+        terms = features(readings, play, self.reference)
         return np.asarray(self.offset + np.einsum("ncf,cf->nc", terms, self.coefficients))
 
 
-def features(readings: Float64, lags: Lags, reference: Float64) -> Float64:
+def features(readings: Float64, play: Play, reference: Float64) -> Float64:
     """Return what the coefficients of each joint multiply, (N, C, 2 C + 1).
 
-    These are the readings (N, C) less ``reference`` (C,), the lags of all joints in the wide band, and the joint's own
-    lag in the narrow band; zero where there is no reading.
+    These are the readings (N, C) less ``reference`` (C,), how far all joints stay behind in the wide band, and the
+    joint itself in the narrow band; zero where there is no reading.
     """
     count = readings.shape[1]
-    shared = np.concatenate([np.nan_to_num(readings - reference), lags.wide], axis=1)
-    return np.concatenate([np.repeat(shared[:, None], count, axis=1), lags.narrow[:, :, None]], axis=2)
+    shared = np.concatenate([np.nan_to_num(readings - reference), play.wide], axis=1)
+    return np.concatenate([np.repeat(shared[:, None], count, axis=1), play.narrow[:, :, None]], axis=2)

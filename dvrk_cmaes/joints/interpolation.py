@@ -1,70 +1,19 @@
-"""Interpolation of joint readings at the times of images: linear, with rules for gaps between readings.
-
-Nothing is extrapolated. Which gaps are too long is told by a `Gaps`; at its own time, a reading is exact.
-"""
+"""Series of joint readings over time, and their interpolation at the times of images."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
-Times = NDArray[np.float64] | NDArray[np.int64]
+from dvrk_cmaes.joints.gaps import Gaps, Times
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second. Times are integers, because a float of seconds since 1970 has a resolution of 200 ns."""
 
-_FEW = 3  # readings, below which their usual spacing is not known
-
-
-@dataclass(frozen=True)
-class Gaps:
-    """Where readings are not interpolated, in the unit of their times; everywhere between two of them by default.
-
-    longest : time between the two readings. farthest : time from either of them. A time at which there is a reading is
-    in no gap.
-    """
-
-    longest: float = np.inf
-    farthest: float = np.inf
-
-    @staticmethod
-    def within(tolerance: float) -> Gaps:
-        """Both readings must be within a tolerance."""
-        return Gaps(farthest=tolerance)
-
-    @staticmethod
-    def of_length(longest: float) -> Gaps:
-        """Return a rule for readings that may be at most so far apart."""
-        return Gaps(longest=longest)
-
-    @staticmethod
-    def beyond_usual(times: Times, spacings: float, least: float) -> Gaps:
-        """Return a rule for readings at times (M,) that may be some times their median spacing apart, or ``least``."""
-        return Gaps() if len(times) < _FEW else Gaps(longest=max(spacings * float(np.median(np.diff(times))), least))
-
-
-def interpolated(stamps: Times, values: Float64, times: Times, gaps: Gaps) -> Float64:
-    """Interpolate readings (M, ...) that were taken at increasing ``stamps`` (M,) at times (T,).
-
-    Returns (T, ...), NaN before the first reading, after the last and in gaps. Integer times are subtracted as such.
-    """
-    if not len(stamps):
-        return np.full((len(times), *values.shape[1:]), np.nan)
-    after = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
-    before = np.maximum(after - 1, 0)
-    exact = stamps[after] == times
-    between = (stamps[0] < times) & (times < stamps[-1])
-    apart, since = stamps[after] - stamps[before], times - stamps[before]
-    between &= (apart <= gaps.longest) & (np.maximum(since, stamps[after] - times) <= gaps.farthest)
-    shape = (-1, *[1] * (values.ndim - 1))
-    rate = (values[after] - values[before]) / np.where(apart > 0, apart, 1).reshape(shape)
-    along = rate * since.reshape(shape) + values[before]
-    known = np.where(between.reshape(shape), along, np.nan)
-    return np.asarray(np.where(exact.reshape(shape), values[after], known))
+Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,53 +22,130 @@ class TimedReadings:
 
     Parameters
     ----------
-    source
-        Topic or file of the readings.
     joints
         Names of the J joints.
-    times : (N,) int64
-        Times of the readings, ns, strictly increasing.
+    times : (N,) int64 or float64
+        Times of the readings, strictly increasing: ns as integers, or s or frames as floats.
     values : (N, J) float64
         Readings, rad, or m for ``insertion``; NaN where there is none.
+    source
+        Topic or file of the readings.
     """
 
-    source: str
     joints: tuple[str, ...]
-    times: NDArray[np.int64]
-    values: NDArray[np.float64]
+    times: Times
+    values: Float64
+    source: str = ""
 
     @classmethod
     def of(
         cls, source: str, joints: tuple[str, ...], times: Sequence[int], values: Sequence[Sequence[float]]
     ) -> TimedReadings:
-        """Create a time series from readings in any order; of several at the same time, the last is used."""
+        """Create a time series from readings in any order, ns; of several at the same time, the last is used."""
         stamps = np.asarray(times, dtype=np.int64)
         table = np.asarray(values, dtype=np.float64).reshape(len(stamps), len(joints))
         # np.unique returns the first of equal times; the order is reversed to get the last
         increasing, last = np.unique(stamps[::-1], return_index=True)
-        return cls(source, joints, increasing, table[::-1][last])
+        return cls(joints, increasing, table[::-1][last], source)
 
-    def at(self, time: int, tolerance: int) -> tuple[NDArray[np.float64], int] | None:
-        """Interpolate linearly between the readings before and after a time, both within a tolerance, ns.
+    def at(self, times: Times, gaps: Gaps, curve: Curve, rate: Float64 | None = None) -> Float64:
+        """Interpolate the readings at times (L,), (L, J), NaN where they are not `known`.
 
-        Returns
-        -------
-        (J,) values and the distance in ns of the farther reading used, or None
-            None before the first reading, after the last, and where a reading is farther away than the tolerance.
+        Where ``gaps`` allow times beyond the ends, the reading at the end is held, or changes by ``rate`` (J,) per
+        unit of time; a joint whose rate is NaN is not known at any time.
         """
-        after = int(np.searchsorted(self.times, time))
-        if after == len(self.times) or (after == 0 and self.times[0] != time):
-            return None
-        exact = bool(self.times[after] == time)
-        near = self.times[after : after + 1] if exact else self.times[after - 1 : after + 1]
-        distance = int(np.abs(near - time).max())
-        if not exact and distance > tolerance:
-            return None
-        gaps = Gaps.within(tolerance)
-        return interpolated(self.times, self.values, np.array([time], dtype=np.int64), gaps)[0], distance
+        if not len(self.times):
+            return np.full((len(times), len(self.joints)), np.nan)
+        found = curve(self, times)
+        if rate is not None:
+            beyond = np.minimum(times - self.times[0], 0) + np.maximum(times - self.times[-1], 0)
+            found += beyond[:, None] * rate
+        found[~self.known(times, gaps)] = np.nan
+        return found
 
-    def distance(self, time: int) -> int:
-        """Return the distance in ns from a time to the nearest reading."""
-        after = int(np.searchsorted(self.times, time))
-        nearest = self.times[max(after - 1, 0) : after + 1]
-        return int(np.abs(nearest - time).min())
+    def known(self, times: Times, gaps: Gaps) -> NDArray[np.bool_]:
+        """Whether readings are known at times (L,) by a rule for gaps, (L,); a known row may still have NaN."""
+        if not len(self.times):
+            return np.zeros(len(times), np.bool_)
+        before, after = self.around(times)
+        return gaps(times, self.times[before], self.times[after])
+
+    def around(self, times: Times) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Find the readings before (or at) and at (or after) times (L,): two indices (L,).
+
+        Beyond the ends these are the two readings at that end; of a single reading, both are that one.
+        """
+        last = len(self.times) - 1
+        after = np.minimum(np.maximum(self.times.searchsorted(times), min(1, last)), last)
+        return np.maximum(after - 1, 0), after
+
+    def distances(self, times: Times) -> tuple[Times, Times]:
+        """Return the distances (L,) from times (L,) to the nearest reading, and to the farther of the two around.
+
+        Both are zero where there is a reading of the time itself.
+        """
+        before, after = self.around(times)
+        behind, ahead = np.abs(times - self.times[before]), np.abs(self.times[after] - times)
+        nearest = np.minimum(behind, ahead)
+        return nearest, np.where(nearest == 0, nearest, np.maximum(behind, ahead))
+
+
+Curve = Callable[[TimedReadings, Times], Float64]
+"""A function that evaluates a series of at least one reading at times (L,), (L, J), without regard to gaps."""
+
+
+def weighted_mean(series: TimedReadings, times: Times) -> Float64:
+    """Return the means of the readings before and after times (L,), weighted by nearness, (L, J).
+
+    These are straight lines; with times in ns, the weights are exact. Beyond the ends, the reading there is held.
+    """
+    before, after = series.around(times)
+    earlier, later = series.times[before], series.times[after]
+    share = ((times - earlier) / np.where(earlier < later, later - earlier, 1))[:, None]
+    mean = (1 - share) * series.values[before] + share * series.values[after]
+    mean = np.where((times <= earlier)[:, None], series.values[before], mean)
+    return np.where((times >= later)[:, None], series.values[after], mean)
+
+
+def straight_line(series: TimedReadings, times: Times) -> Float64:
+    """Return the readings on straight lines by `numpy.interp`, (L, J); times (L,) are floats.
+
+    For many times this is faster than `weighted_mean`, from which it differs in the last digit. Beyond the ends, the
+    reading there is held.
+    """
+    return np.stack([np.interp(times, series.times, column) for column in series.values.T], axis=1)
+
+
+def smooth_spline(series: TimedReadings, times: Times) -> Float64:
+    """Return the readings by the cubic spline that has them as its control points, (L, J); times (L,) are floats.
+
+    A straight line averages the noise of two readings in its middle, and not at its ends. The spline averages nearly
+    the same noise everywhere.
+    """
+    if len(series.times) < 2:
+        return straight_line(series, times)
+    return np.stack([_spline(series.times, column, times) for column in series.values.T], axis=1)
+
+
+def _spline(stamps: Times, values: Float64, times: Times) -> Float64:
+    """Evaluate the cubic spline with readings (M,) at times (M,) as control points at times (N,) between them."""
+    rows = np.stack([stamps, values], axis=1)
+    control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
+    at = np.interp(times, stamps, np.arange(float(len(stamps))))
+    first = np.clip(np.floor(at).astype(int), 0, len(stamps) - 2)
+    of_value, of_slope = _uniform_basis(at - first)
+    near = control[first[:, None] + np.arange(4)]
+    place, slope = (np.einsum("kn,nkc->cn", basis, near) for basis in (of_value, of_slope))
+    # of unevenly spaced readings, the spline is there at a slightly other time
+    return np.asarray(place[1] + (times - place[0]) * slope[1] / slope[0])
+
+
+def _uniform_basis(t: Float64) -> tuple[Float64, Float64]:
+    """Return the four uniform cubic B-splines at shares (N,) of the interval that all cover, and their slopes, (4, N).
+
+    SciPy has them as well, but its import slows the start of a process.
+    """
+    s = 1 - t
+    values = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3]) / 6
+    slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2]) / 2
+    return values, slopes

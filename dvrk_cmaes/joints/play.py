@@ -20,7 +20,7 @@ NARROW: Final = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
-class Lags:
+class Play:
     """How far C joints stay behind their readings, rad: ``wide`` and ``narrow`` (..., C), for the two bands."""
 
     wide: Float64
@@ -49,9 +49,9 @@ class PlayState:
         """
         return PlayState(_moved(self.wide, readings, width), _moved(self.narrow, readings, NARROW * width))
 
-    def lags(self, readings: Float64) -> Lags:
+    def play(self, readings: Float64) -> Play:
         """Return how far the joints stay behind readings (C,), rad; zero where either is unknown."""
-        return Lags(np.nan_to_num(self.wide - readings), np.nan_to_num(self.narrow - readings))
+        return Play(np.nan_to_num(self.wide - readings), np.nan_to_num(self.narrow - readings))
 
 
 def _moved(place: Float64, readings: Float64, width: Float64) -> Float64:
@@ -60,13 +60,13 @@ def _moved(place: Float64, readings: Float64, width: Float64) -> Float64:
     return np.where(np.isnan(readings), place, dragged)
 
 
-def lags_of(readings: Float64, width: Float64) -> Lags:
-    """Return the lags (N, C) of N readings (N, C), rad, in the order of time; ``width`` (C,), rad."""
+def play_of(readings: Float64, width: Float64) -> Play:
+    """Return the play (N, C) at N readings (N, C), rad, in the order of time; ``width`` (C,), rad."""
     places = [
         np.stack([_places(column, factor * band) for column, band in zip(readings.T, width, strict=True)], axis=1)
         for factor in (1.0, NARROW)
     ]
-    return Lags(*(np.nan_to_num(place - readings) for place in places))
+    return Play(*(np.nan_to_num(place - readings) for place in places))
 
 
 def _places(readings: Float64, width: float) -> Float64:
@@ -81,10 +81,10 @@ def _places(readings: Float64, width: float) -> Float64:
     return np.array(found)
 
 
-def lags_between(
+def play_between(
     times: Float64, values: Float64, width: float, at: Float64, readings: Float64
 ) -> tuple[Float64, Float64]:
-    """Return one joint's lags (N,) in the wide and in the narrow band where it is read between known readings.
+    """Return how far one joint stays behind (N,), in the wide and in the narrow band, at readings between known ones.
 
     ``values`` (M,), rad, at increasing ``times`` (M,) are all readings that are known, ``readings`` (N,) those at the
     times ``at`` (N,); zero before the first reading and where there is none.

@@ -6,17 +6,21 @@ a frame's readings are interpolated to the image's time between the rows before 
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, read_joint_csv
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.gaps import within
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, weighted_mean
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
@@ -256,16 +260,18 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
     """Interpolate a file's readings at a time; return them and the distance of the farthest reading used, ns."""
     found: dict[str, float] = {}
     farthest = 0
+    at = np.array([time])
     for timed in file.timed:
-        at = timed.at(time, tolerance)
-        if at is None:
-            away = timed.distance(time) / NANOSECONDS
+        value = float(timed.at(at, within(tolerance), weighted_mean)[0, 0])
+        nearest, farther = (int(distance[0]) for distance in timed.distances(at))
+        if math.isnan(value):
+            away = nearest / NANOSECONDS
             raise InputError(
                 f"{file.path}: frame {frame}: {timed.joints[0]}: expected readings before and after the image's time "
                 f"{time / NANOSECONDS:.3f} s, within {tolerance / NANOSECONDS:g} s, got the nearest {away:.3f} s away"
             )
-        found[timed.joints[0]] = float(at[0][0])
-        farthest = max(farthest, at[1])
+        found[timed.joints[0]] = value
+        farthest = max(farthest, farther)
     return found, farthest
 
 

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, Gaps, interpolated
+from dvrk_cmaes.joints.gaps import usual_spacing
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line
 from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import JointFile
 
 Float64 = NDArray[np.float64]
 
 _NUMBER = re.compile(r"\d+$")
-_GAP_SPACINGS = 3.0  # largest gap between readings that is interpolated, in median spacings of the joint's readings,
-_GAP_SECONDS = 0.1  # unless it is at most this, s
+_LEAST_GAP = 0.1  # s, of the gaps that are not interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,7 @@ class ReadingSeries:
     origin: float = 0.0
 
     def at(self, names: Sequence[str], times: Float64, *, smoothed: bool = False) -> Float64:
-        """Interpolate the readings of J joints linearly at times (N,).
-
-        A straight line averages the noise of two readings in its middle, and not at its ends. ``smoothed`` takes a
-        cubic spline instead that has the readings as its control points: it averages nearly the same noise everywhere.
+        """Interpolate the readings of J joints at times (N,), by straight lines or, if ``smoothed``, by a spline.
 
         Returns (N, J), NaN outside the series, and in gaps of more than three times the usual spacing of the joint's
         readings and, with times, of more than a tenth of a second.
@@ -48,12 +45,9 @@ class ReadingSeries:
         out = np.full((len(times), len(names)), np.nan)
         for k, name in enumerate(names):
             if name in self.times:
-                stamps = self.times[name]
-                gaps = Gaps.beyond_usual(stamps, _GAP_SPACINGS, _GAP_SECONDS if self.unit == "s" else 0.0)
-                out[:, k] = interpolated(stamps, self.values[name], times, gaps)
-                if smoothed:
-                    there = ~np.isnan(out[:, k])
-                    out[there, k] = _smoothed(self.times[name], self.values[name], times[there])
+                readings = TimedReadings((name,), self.times[name], self.values[name][:, None])
+                gaps = usual_spacing(readings.times, _LEAST_GAP if self.unit == "s" else 0.0)
+                out[:, k] = readings.at(times, gaps, smooth_spline if smoothed else straight_line)[:, 0]
         return out
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
@@ -157,29 +151,3 @@ class ReadingSeries:
             values[name] = np.array([row[name] for row in rows if name in row], dtype=np.float64)
         interval = float(np.median(np.diff(clock)))
         return cls(unit, times, values, dict(zip(labels, clock.tolist(), strict=True)), interval)
-
-
-def _smoothed(stamps: Float64, values: Float64, times: Float64) -> Float64:
-    """Evaluate the cubic spline with readings (M,) at times (M,) as control points at times (N,) between them."""
-    if len(stamps) < 2:
-        return np.interp(times, stamps, values)
-    rows = np.stack([stamps, values], axis=1)
-    control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
-    at = np.interp(times, stamps, np.arange(float(len(stamps))))
-    first = np.clip(np.floor(at).astype(int), 0, len(stamps) - 2)
-    of_value, of_slope = _uniform_basis(at - first)
-    near = control[first[:, None] + np.arange(4)]
-    place, slope = (np.einsum("kn,nkc->cn", basis, near) for basis in (of_value, of_slope))
-    # of unevenly spaced readings, the spline is there at a slightly other time
-    return np.asarray(place[1] + (times - place[0]) * slope[1] / slope[0])
-
-
-def _uniform_basis(t: Float64) -> tuple[Float64, Float64]:
-    """Return the four uniform cubic B-splines at shares (N,) of the interval that all cover, and their slopes, (4, N).
-
-    SciPy has them as well, but its import slows the start of a process.
-    """
-    s = 1 - t
-    values = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3]) / 6
-    slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2]) / 2
-    return values, slopes

@@ -15,7 +15,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.live.connection import Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
-from dvrk_cmaes.live.messages import Readings, read_camera, read_pixels, read_readings, read_stamp
+from dvrk_cmaes.live.messages import JointMessage, read_camera, read_joint_message, read_pixels, read_stamp
 
 _MOST_READINGS: Final = 1000  # of two topics of 100 Hz, those of five seconds
 _MOST_IMAGES: Final = 8  # that wait for their masks
@@ -74,7 +74,7 @@ class Inputs:
     def __init__(self, topics: InputTopics, report: Report, *, rectified: bool = False) -> None:
         self.topics = topics
         self.frames = Mailbox[LiveFrame]()
-        self.readings = Mailbox[Readings](_MOST_READINGS)
+        self.readings = Mailbox[JointMessage](_MOST_READINGS)
         self.cameras = Mailbox[Camera]()
         self._report = report
         self._rectified = rectified
@@ -142,7 +142,7 @@ class Inputs:
 
     def _on_joints(self, topic: str, fields: Mapping[str, Any]) -> None:
         try:
-            readings = read_readings(topic, fields)
+            readings = read_joint_message(topic, fields)
         except InputError as error:
             self._report(str(error))
             return

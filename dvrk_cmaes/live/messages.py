@@ -72,8 +72,8 @@ class _RawImage(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Readings:
-    """Readings at a time, ns: joints by name, rad, or m for ``insertion``."""
+class JointMessage:
+    """Readings of a JointState at its time, ns: joints by name, rad, or m for ``insertion``."""
 
     time: int
     joints: Mapping[str, float]
@@ -105,14 +105,14 @@ def read_pixels(where: str, fields: Mapping[str, Any], *, grey: bool = False) ->
     return np.asarray(decoded, np.uint8)
 
 
-def read_readings(where: str, fields: Mapping[str, Any]) -> Readings:
+def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:
     """Read the positions of a JointState."""
     message = convert_document(where, fields, _JointState)
     names = joint_names(message, where)
     if len(names) != len(message.position):
         raise InputError(f"{where}: position: expected {len(names)} numbers, got {len(message.position)}")
     joints = {name: joint_reading(where, name, value) for name, value in zip(names, message.position, strict=True)}
-    return Readings(read_stamp(where, fields).time, joints)
+    return JointMessage(read_stamp(where, fields).time, joints)
 
 
 def read_camera(where: str, fields: Mapping[str, Any], *, rectified: bool = False) -> Camera:

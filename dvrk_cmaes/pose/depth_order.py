@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.expected_error import jacobian
 from dvrk_cmaes.results.result import Place, Result
@@ -36,28 +36,25 @@ _SIGMAS: Final = 2.0  # standard deviations of the difference of the depths ...
 _SHARE: Final = 0.05  # ... by which it differs from zero at all but this share of the pixels
 
 
-@dataclass(frozen=True, eq=False)
-class SharedView:
-    """A view that shows two tools: its camera, ``view_from_camera`` (4, 4), and the mask (H, W) of each of them."""
-
-    camera: Camera
-    view_from_camera: Float64
-    masks: tuple[Bool, Bool]
-
-
 def place_of_other(
-    results: tuple[Result, Result], bodies: tuple[Body, Body], views: Sequence[SharedView], *, least_probability: float
+    results: tuple[Result, Result],
+    bodies: tuple[Body, Body],
+    views: tuple[Sequence[SeenView], Sequence[SeenView]],
+    *,
+    least_probability: float,
 ) -> Place:
     """Return where the second of two tools is, as seen by the first, in all views of a frame together.
 
-    ``results`` and ``bodies`` are those of the tools. They must meet in at least one view, and the one be clearly
-    nearer wherever they meet in any view. It is unclear where a result has no pose, or one that is in the right mode
-    with a probability of less than ``least_probability``.
+    ``results`` and ``bodies`` are those of the tools, ``views`` those of the frame, with the mask of each tool. They
+    must meet in at least one view in which both have a mask, and the one be clearly nearer wherever they meet in any
+    view. It is unclear where a result has no pose, or one that is in the right mode with a probability of less than
+    ``least_probability``, and where masks of a view differ in size.
     """
     if not all(_is_trusted(result, least_probability) for result in results):
         return "unclear"
     first, second = (_Tool.of(result, body) for result, body in zip(results, bodies, strict=True))
-    places = {_place_in_view(first, second, view) for view in views} - {"apart"}
+    shared = (pair for pair in zip(*views, strict=True) if all(view.given for view in pair))
+    places = {_place_in_view(first, second, *pair) for pair in shared} - {"apart"}
     if not places:
         return "apart"
     return places.pop() if len(places) == 1 else "unclear"
@@ -85,12 +82,12 @@ class _Tool:
         joints = np.array([result.joints[name] for name in body.instrument.joint_names])
         return _Tool(body, Posed(result.camera_from_root, joints), result.covariance)
 
-    def silhouette(self, view: SharedView) -> Bool:
+    def silhouette(self, view: SeenView) -> Bool:
         """Return the silhouette (H, W) in a view."""
         seen = self.at.seen_from(view.view_from_camera)
         return np.asarray(Renderer(self.body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])
 
-    def depths(self, view: SharedView, pixels: Float64) -> tuple[Float64, Float64]:
+    def depths(self, view: SeenView, pixels: Float64) -> tuple[Float64, Float64]:
         """Return the depths (N,) of the surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
 
         The variances follow from the covariance of the pose and the joints.
@@ -114,14 +111,16 @@ class _Tool:
         return depth, variance
 
 
-def _place_in_view(first: _Tool, second: _Tool, view: SharedView) -> Place:
-    """Return where the second tool is, as seen by the first, in one view.
+def _place_in_view(first: _Tool, second: _Tool, view: SeenView, of_second: SeenView) -> Place:
+    """Return where the second tool is, as seen by the first, in one view; ``of_second`` has the mask of the second.
 
     Depths are compared where both silhouettes are, and where the masks meet, there with the nearest pixel of each
     silhouette.
     """
+    if view.mask.shape != of_second.mask.shape:
+        return "unclear"
     silhouettes = [tool.silhouette(view) for tool in (first, second)]
-    near = [_grown(mask, _REACH) for mask in view.masks]
+    near = [_grown(seen.mask, _REACH) for seen in (view, of_second)]
     compared = np.argwhere((silhouettes[0] & silhouettes[1]) | (near[0] & near[1]))
     if len(compared) == 0:
         return "apart"

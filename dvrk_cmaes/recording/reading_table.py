@@ -27,10 +27,10 @@ def read_timed_joints(path: Path) -> tuple[TimedReadings, ...]:
         raise InputError(f"{path}: expected joint readings with times (a column time, in seconds), got {file.kind}")
     return tuple(
         TimedReadings(
-            str(path),
             tuple(name for series in group for name in series.joints),
             group[0].times,
             np.hstack([series.values for series in group]),
+            str(path),
         )
         for group in groups.values()
     )

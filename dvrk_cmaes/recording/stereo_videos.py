@@ -14,7 +14,7 @@ from typing import Final
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_file import SUFFIXES
+from dvrk_cmaes.frames.video_frames import SUFFIXES
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.recording.recording import Recording
 from dvrk_cmaes.recording.video import open_video

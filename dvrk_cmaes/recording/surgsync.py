@@ -19,12 +19,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from dvrk_cmaes.camera.files import Side, read_document
 from dvrk_cmaes.camera.stereo import has_pose, pose_of_storage
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.joints.gaps import within
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.reading_table import read_timed_joints
@@ -173,9 +176,7 @@ def _at_images(
         )
     series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
     moments = [times[number].image for number in values]
-    interpolated = [series.at(moment, _WIDEST_GAP) for moment in moments]
-    at_images = [
-        own if reading is None else reading[0].tolist()
-        for own, reading in zip(values.values(), interpolated, strict=True)
-    ]
+    at, gaps = np.array(moments, dtype=np.int64), within(_WIDEST_GAP)
+    known, interpolated = series.known(at, gaps), series.at(at, gaps, weighted_mean).tolist()
+    at_images = [new if there else own for new, own, there in zip(interpolated, values.values(), known, strict=True)]
     return TimedReadings.of(source, joints, moments, at_images)

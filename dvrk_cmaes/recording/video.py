@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_file import open_capture
+from dvrk_cmaes.frames.video_frames import open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes

@@ -25,7 +25,8 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry,
 from dvrk_cmaes.io.atomic import write_bytes, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.io.csv_file import csv_text
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.joints.gaps import within
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.recording.both_eyes import Pairing
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
@@ -287,17 +288,11 @@ def _interpolate_source(
     source: TimedReadings, times: Sequence[int], tolerance: int
 ) -> tuple[list[list[str]], InterpolationSummary]:
     """Interpolate the readings of one source at times, ns; return the cells of each time and a summary."""
-    cells: list[list[str]] = []
-    used: list[int] = []
-    missed: list[int] = []
-    for time in times:
-        reading = source.at(time, tolerance)
-        if reading is None:
-            cells.append([""] * len(source.joints))
-            missed.append(source.distance(time))
-        else:
-            cells.append(["" if np.isnan(value) else f"{value:.9f}" for value in reading[0]])
-            used.append(reading[1])
+    at, gaps = np.array(times, dtype=np.int64), within(tolerance)
+    known, (nearest, farther) = source.known(at, gaps), source.distances(at)
+    used, missed = farther[known].tolist(), nearest[~known].tolist()
+    rows = source.at(at, gaps, weighted_mean).tolist()
+    cells = [["" if math.isnan(value) else f"{value:.9f}" for value in row] for row in rows]
     return cells, InterpolationSummary(
         source=source.source,
         joints=source.joints,

@@ -1,7 +1,6 @@
 """Resumable, fault-tolerant batch runs.
 
 frame : one frame, from its files to its result and overlay.
-image_frame : one frame that has an image and no mask.
 processes : worker processes, and running many tasks in them.
 instrument_processes : processes in which an instrument is prepared, for batches and calibrations.
 worker : one frame of a batch in a worker process.
@@ -12,6 +11,8 @@ digests : digests of the inputs of results.
 manifest : ``run.json``, which states the inputs of a folder's results.
 output : the output folder of a batch: lock, removal of files, complete results.
 summary : ``summary.json``.
+base_agreement, rig_check, exchanged_tools : what all frames of a session tell together: frames whose base differs, rigs
+that are calibrated wrongly, arms with each other's masks or readings.
 batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
 page.
 merge : merging of the shards of a session.

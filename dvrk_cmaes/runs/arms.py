@@ -13,29 +13,31 @@ from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.images import match_size, read_image, read_mask
-from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import encoded_image, write_bytes
 from dvrk_cmaes.report.arms_page import write_arms_page
-from dvrk_cmaes.results.folder import ResultsFolder
+from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 
-def write_arms(
-    out: Path, folders: Mapping[str, ResultsFolder], bodies: Mapping[str, Body], sessions: Mapping[str, Session]
-) -> Path:
+def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
     """Write OUT/overlays/FRAME.jpg with the tools of all arms, and OUT/report.html; returns the path of the page.
 
-    ``folders`` are the results of each arm in OUT/ARM, ``bodies`` their instruments, ``sessions`` the sessions as the
-    arms see them. Overlays that are newer than the results are kept. Errors as in `dvrk_cmaes.io.atomic.write_bytes`.
+    The results of each arm are in OUT/ARM. Overlays that are newer than the results are kept. Errors as in
+    `read_results` and `dvrk_cmaes.io.atomic.write_bytes`.
     """
-    results = {arm: folder.frames for arm, folder in folders.items()}
-    frames = {arm: {files.name: files for files in session.frames} for arm, session in sessions.items()}
-    cameras = {arm: session.camera for arm, session in sessions.items()}
-    for name in sorted({name for of_arm in results.values() for name in of_arm}):
-        overlay = overlay_path(out, name)
-        if not _is_newer(overlay, [result_path(folder.folder, name) for folder in folders.values()]):
-            drawn = _drawn(drawings(results, bodies, name), name, frames, cameras)
+    folders = {name: read_results(out / name) for name in arms}
+    results = {name: folder.frames for name, folder in folders.items()}
+    bodies = {name: arm.body for name, arm in arms.items()}
+    frames = {name: {files.name: files for files in arm.session.frames} for name, arm in arms.items()}
+    for frame in sorted({frame for of_arm in results.values() for frame in of_arm}):
+        overlay = overlay_path(out, frame)
+        if not _is_newer(overlay, [result_path(folder.folder, frame) for folder in folders.values()]):
+            shown = drawings(results, bodies, frame)
+            seen = [
+                (frames[tool.arm][frame], arms[tool.arm].session.camera) for tool in shown if frame in frames[tool.arm]
+            ]
+            drawn = _drawn(shown, seen)
             if drawn is not None:
                 write_bytes(overlay, encoded_image(overlay, drawn))
     return write_arms_page(out, folders)
@@ -49,25 +51,19 @@ def _is_newer(path: Path, others: list[Path]) -> bool:
     return all(not other.exists() or other.stat().st_mtime_ns <= written for other in others)
 
 
-def _drawn(
-    shown: Sequence[ArmDrawing],
-    name: str,
-    frames: Mapping[str, Mapping[str, FrameFiles]],
-    cameras: Mapping[str, Camera],
-) -> NDArray[np.uint8] | None:
+def _drawn(shown: Sequence[ArmDrawing], seen: Sequence[tuple[FrameFiles, Camera]]) -> NDArray[np.uint8] | None:
     """Draw the tools of all arms in a frame; None if neither its image nor a mask can be read.
 
-    ``frames`` are the files by arm and frame, ``cameras`` the cameras by arm.
+    ``seen`` are the frame's files and the camera of each arm that has the frame.
     """
-    seen = [one.arm for one in shown if name in frames[one.arm]]
-    files = [frames[arm][name] for arm in seen]
+    files = [own for own, _ in seen]
     image, mask = _image(files[0]) if files else None, _all_masks(files)
     if mask is None and image is not None:
         mask = np.zeros(image.shape[:2], np.bool_)
     if mask is None:
         return None
     try:
-        camera, _ = match_size(cameras[seen[0]], mask.shape, "mask")
+        camera, _ = match_size(seen[0][1], mask.shape, "mask")
     except InputError:
         return None
     return draw_arms(shown, mask, camera, image)

@@ -176,9 +176,7 @@ def run_batch(
     home = Path(os.path.abspath(session.folder))
     if any(files.mask is None for files in frames) and Path(os.path.abspath(out)) == home:
         raise InputError(f"{out}: expected another folder than the session's, for the masks found in its images")
-    setup = BatchSetup(
-        instrument, session.camera, settings, arm, home, segment or SegmentSettings(), calibration, session.rig
-    )
+    setup = BatchSetup(instrument, session.rig, settings, arm, home, segment or SegmentSettings(), calibration)
     started = time.monotonic()
     with locked(folder):
         refuse_occupied_places(folder)
@@ -206,7 +204,7 @@ def run_batch(
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
-    counts, files = document["counts"], {one.name: one for one in frames}
+    counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
 
 

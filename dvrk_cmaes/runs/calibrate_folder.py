@@ -17,7 +17,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -28,7 +28,6 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
-from dvrk_cmaes.runs.frame import read_without_image
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes
@@ -65,9 +64,9 @@ def calibrate_folder(
     DvrkCmaesError
         A process died, or the disk is full.
     """
-    files = {one.name: _with_mask(one, alone) for one in session.frames}
+    files = {own.name: _with_mask(own, alone) for own in session.frames}
     frames = []
-    for name, one in files.items():
+    for name, own in files.items():
         check_output(out, name)
         if name not in results:
             continue
@@ -77,8 +76,8 @@ def calibrate_folder(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
         # The image is only needed for the overlay.
-        reader = functools.partial(read_without_image, one, session.cameras)
-        frames.append(SessionFrame(name, reader, result, one.keypoints))
+        reader = functools.partial(read_frame, own.changed(image=None), session.rig)
+        frames.append(SessionFrame(name, reader, result, own.keypoints))
     with ExitStack() as stack:
         if processes is None:
             processes = stack.enter_context(instrument_processes(instrument, workers, frames))
@@ -96,9 +95,9 @@ def calibrate_folder(
         progress("drawing", len(solved.leave_one_out))
         for name in (SESSION, CAMERA):
             (out / name).unlink(missing_ok=True)
-        camera = solved.calibration.corrected(session.camera) if session.rig is None else session.rig
+        corrected = session.rig.with_cameras({session.rig.names[0]: solved.calibration.corrected(session.camera)})
         tasks = [
-            DrawTask(files[name], session.cameras, camera, solved.results[name], left_out, evidence[name])
+            DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
@@ -140,7 +139,7 @@ def _write(
     if calibration.camera is not None and calibration.camera.applied:
         write_camera_info(out / CAMERA, calibration.corrected(session.camera), "refined")
     write_json(out / SESSION, calibration.to_dict())
-    setup = BatchSetup(instrument, session.camera, config, arm, session.folder, rig=session.rig)
+    setup = BatchSetup(instrument, session.rig, config, arm, session.folder)
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
     finish(out)

@@ -15,12 +15,9 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.estimation import shared_views
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
@@ -37,7 +34,7 @@ from dvrk_cmaes.runs.batch import (
     summarize_shard,
 )
 from dvrk_cmaes.runs.executor import ExternalExecutor
-from dvrk_cmaes.runs.frame import read_without_image
+from dvrk_cmaes.runs.frame import as_calibrated
 from dvrk_cmaes.runs.output import locked, write_outcome
 from dvrk_cmaes.runs.summary import RunTiming
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -67,9 +64,9 @@ def solve_crossing(
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [
-            replace(_by_itself(batch.results[name]), other_tools=found[arm])
-            for name, found in places.items()
-            if arm in found and batch.results[name].other_tools != found[arm]
+            replace(_by_itself(batch.results[name]), other_tools=of_arms[arm])
+            for name, of_arms in places.items()
+            if arm in of_arms and batch.results[name].other_tools != of_arms[arm]
         ]
         for arm, batch in batches.items()
     }
@@ -111,11 +108,8 @@ def _has_pose(batch: BatchSummary, name: str) -> bool:
 def _place(name: str, first: BatchSummary, second: BatchSummary) -> Place:
     """Return where the second of two arms' tools is in a frame, as seen by the first; unclear if it cannot be read."""
     try:
-        (rig, masks), (_, others) = _masks(first, name), _masks(second, name)
+        views = _views(first, name), _views(second, name)
     except DvrkCmaesError:
-        return "unclear"
-    views = shared_views(rig, masks, others)
-    if any(view.masks[0].shape != view.masks[1].shape for view in views):
         return "unclear"
     return place_of_other(
         (first.results[name], second.results[name]),
@@ -125,14 +119,10 @@ def _place(name: str, first: BatchSummary, second: BatchSummary) -> Place:
     )
 
 
-def _masks(batch: BatchSummary, name: str) -> tuple[Rig, dict[str, NDArray[np.bool_]]]:
-    """Read the masks (H, W) of a frame by view, and return them after the rig with which it was solved."""
-    files, setup = batch.frames[name], batch.setup
-    data = read_without_image(files, setup.camera if setup.rig is None else setup.rig)
-    rig = Rig.of(data.camera) if data.rig is None else data.rig
-    if setup.calibration is not None:
-        rig = rig.with_cameras({rig.names[0]: setup.calibration.corrected(rig.camera)})
-    return rig, {view: one.mask for view, one in data.of_views.items()}
+def _views(batch: BatchSummary, name: str) -> tuple[SeenView, ...]:
+    """Read the views of a frame, without images, with the camera with which it was solved."""
+    data = read_frame(batch.frames[name].changed(image=None), batch.setup.rig)
+    return as_calibrated(data, batch.setup.calibration).views
 
 
 def _by_itself(result: Result) -> Result:
@@ -180,14 +170,14 @@ def _solved_again(
             done += 1
             progress.on_frame(outcome)
         timing = _timing(batch, time.monotonic() - started)
-        found = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
-    document = found.summary or {}
+        results = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
+    document = results.summary or {}
     return replace(
         batch,
         interrupted=done < len(todo),
         counts=document["counts"],
         document=document,
-        results=found.frames,
+        results=results.frames,
     )
 
 

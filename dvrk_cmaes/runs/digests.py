@@ -13,7 +13,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.video_file import Video
+from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.files import file_digest

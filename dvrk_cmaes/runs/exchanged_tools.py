@@ -15,11 +15,11 @@ import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import estimate_frame, read_masked_frame
+from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.silhouette import Body
 
 FoundAndRead = tuple[Mapping[str, float], Mapping[str, float]]
@@ -136,9 +136,8 @@ def _with_masks(files: FrameFiles, other: FrameFiles) -> FrameFiles:
 
 def _loss(files: FrameFiles, arm: ArmInSession, config: EstimateConfig) -> float | None:
     """Estimate a frame and return its loss; None without a pose."""
-    session = arm.session
     try:
-        data = read_masked_frame(files, session.camera if session.rig is None else session.rig)
+        data = read_frame(files, arm.session.rig)
         result = estimate_frame(files, data, arm.body, arm=arm.kinematics, config=config)
     except DvrkCmaesError:
         return None

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +12,12 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.frame_layers import frame_layers
-from dvrk_cmaes.draw.overlay import draw_failed, draw_overlay
-from dvrk_cmaes.draw.view_overlays import DrawnView, draw_views
+from dvrk_cmaes.draw.overlay import draw_failed
+from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import better_of, estimate
-from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, FrameImage, read_frame, read_frame_image
+from dvrk_cmaes.estimation import better_of, estimate_views
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import check_output, write_frame
@@ -49,35 +46,17 @@ class FrameRun:
     written: tuple[Path, ...]
 
 
-def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData | FrameImage:
-    """Read a frame that has a mask, or only an image; of a rig, all of its views.
+def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
+    """Read a frame that has a mask, of a rig in at least one view, or only images.
 
-    Errors as `read_frame`, `read_frame_image` and `read_views`.
+    Errors as `read_frame` and `read_frame_image`.
     """
-    if isinstance(camera, Rig):
-        return read_views(files, camera)
-    if files.mask is None and files.image is not None:
-        return read_frame_image(files, camera)
-    return read_frame(files, camera)
-
-
-def read_masked_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
-    """Read a frame that has a mask, of a rig in at least one view; errors as `read_any_frame`."""
-    frame = read_any_frame(files, camera)
-    if isinstance(frame, FrameImage):
-        raise InputError(f"frame {files.name}: expected a mask, got {frame.path}")
-    return frame
-
-
-def read_without_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
-    """Read a frame that has a mask as `read_masked_frame` does, without the images of its views."""
-    others = {name: replace(one, image=None) for name, one in files.others.items()}
-    return read_masked_frame(replace(files, image=None, others=others), camera)
+    return read_frame(files, camera) if files.has_mask else read_frame_image(files, camera)
 
 
 def run_frame(
     files: FrameFiles,
-    frame: FrameData | FrameImage,
+    frame: FrameData,
     body: Body,
     *,
     arm: Arm,
@@ -101,14 +80,14 @@ def run_frame(
     solved = solve_frame(files, frame, body, arm=arm, config=config, session=session, settings=settings, hints=hints)
     if out is None:
         return FrameRun(solved.result, ())
-    overlay = draw_frame(solved.result, files, solved.data, body)
+    overlay = draw_views(solved.result, solved.data.views, body)
     found_mask = solved.data.mask if solved.found_mask else None
     return FrameRun(solved.result, write_frame(out, solved.result, overlay, found_mask))
 
 
 def solve_frame(
     files: FrameFiles,
-    frame: FrameData | FrameImage,
+    frame: FrameData,
     body: Body,
     *,
     arm: Arm,
@@ -121,56 +100,20 @@ def solve_frame(
 
     ``settings`` and ``hints`` say how, as in `segment_and_estimate`. Errors as `estimate` and `segment_and_estimate`.
     """
-    if isinstance(frame, FrameImage) and frame.rig is not None:
-        frame = _with_masks_of_views(frame, files, body, config=config, settings=settings, hints=hints)
-    if isinstance(frame, FrameData):
+    if any(view.given for view in frame.views):
         result = estimate_frame(files, frame, body, arm=arm, config=config, session=session)
-        return SolvedFrame(_as_calibrated(frame, session), result)
-    from dvrk_cmaes.runs.image_frame import segment_and_estimate
+        return SolvedFrame(as_calibrated(frame, session), result)
+    from dvrk_cmaes.estimation.image_frame import segment_and_estimate
 
     segmented = segment_and_estimate(
-        frame,
-        files.name,
-        files.readings,
-        body,
-        keypoints=files.keypoints,
-        arm=arm,
-        time=files.time,
-        session=session,
-        config=config,
-        settings=settings,
-        hints=hints,
+        frame, files, body, arm=arm, session=session, config=config, settings=settings, hints=hints
     )
-    return SolvedFrame(_as_calibrated(segmented.data, session), segmented.result, found_mask=True)
+    return SolvedFrame(as_calibrated(segmented.data, session), segmented.result, found_mask=len(frame.views) == 1)
 
 
-def _with_masks_of_views(
-    frame: FrameImage,
-    files: FrameFiles,
-    body: Body,
-    *,
-    config: EstimateConfig,
-    settings: SegmentSettings | None,
-    hints: Hints | None,
-) -> FrameData:
-    """Find the masks in the images of all views, each by itself; ``hints`` are those of the main view."""
-    from dvrk_cmaes.runs.image_frame import segment_and_estimate
-
-    assert frame.rig is not None
-    found = {}
-    for name, image in {frame.rig.names[0]: replace(frame, rig=None, others={}), **frame.others}.items():
-        own = hints if name == frame.rig.names[0] else None
-        segmented = segment_and_estimate(
-            image, files.name, files.readings, body, config=config, settings=settings, hints=own
-        )
-        found[name] = segmented.data
-    main = found.pop(frame.rig.names[0])
-    return replace(main, rig=frame.rig, others=found)
-
-
-def _as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
+def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
     """Return a frame's data with the camera with which a session was solved."""
-    return data if session is None else replace(data, camera=session.corrected(data.camera))
+    return data if session is None else data.with_camera(session.corrected(data.camera))
 
 
 def estimate_frame(
@@ -186,20 +129,11 @@ def estimate_frame(
 
     Of a frame that starts from an earlier result, the better one of the two is returned, as by `better_of`.
     """
-    masks: Any = data.mask
-    ignore: Any = data.ignore
-    keypoints: Any = files.keypoints
-    if data.rig is not None:
-        masks = {name: one.mask for name, one in data.of_views.items()}
-        ignore = {name: one.ignore for name, one in data.of_views.items()}
-        keypoints = {data.rig.names[0]: files.keypoints}
-    result = estimate(
-        masks,
-        data.camera if data.rig is None else data.rig,
+    result = estimate_views(
+        data.views,
         files.readings,
         body,
-        ignore=ignore,
-        keypoints=keypoints,
+        named=len(data.views) > 1,
         arm=arm,
         session=session,
         start=files.start,
@@ -209,39 +143,6 @@ def estimate_frame(
         warnings=data.notes,
     )
     return result if files.start is None else better_of(files.start, result)
-
-
-def draw_frame(
-    result: Result, files: FrameFiles, data: FrameData, body: Body, evidence: Evidence | None = None
-) -> NDArray[np.uint8]:
-    """Draw a frame's result over its image, or over its mask where it has no image; returns (H, W, 3) BGR.
-
-    The views of a rig are drawn side by side. ``evidence`` is that of the mask, for a frame without a rig, where known.
-    """
-    if data.rig is not None:
-        return draw_views(result, seen_in(data), body)
-    return draw_overlay(
-        result,
-        data.mask,
-        data.camera,
-        body,
-        image=data.image,
-        ignore=data.ignore,
-        keypoints=files.keypoints,
-        evidence=evidence,
-    )
-
-
-def seen_in(data: FrameData) -> list[DrawnView]:
-    """Return the views of a frame that have a mask, to be drawn; the only view of a frame without a rig."""
-    if data.rig is None:
-        return [DrawnView("", data.mask, data.camera, np.eye(4), data.image, data.ignore)]
-    of_views = data.of_views
-    return [
-        DrawnView(view.name, of_views[view.name].mask, view.camera, view.view_from_camera, of_views[view.name].image)
-        for view in data.rig.views
-        if view.name in of_views and of_views[view.name].mask.any()
-    ]
 
 
 def layers_of_frame(result: Result, data: FrameData, body: Body) -> FrameLayers:

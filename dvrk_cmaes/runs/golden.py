@@ -11,14 +11,12 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.evaluate.pose_check import PoseCheck, check_pose
 from dvrk_cmaes.evaluate.pose_error import Tolerance
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 from dvrk_cmaes.runs.frame import estimate_frame
-from dvrk_cmaes.silhouette import Body
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +27,13 @@ class GoldenRecord:
     left_out: Mapping[str, str]
 
 
-def estimate_all(
-    frames: Iterable[FrameFiles], session: Session, body: Body, *, arm: Arm, config: EstimateConfig
-) -> Iterator[Result]:
+def estimate_all(frames: Iterable[FrameFiles], arm: ArmInSession, config: EstimateConfig) -> Iterator[Result]:
     """Estimate frames of a session one after the other; a frame with an error gives a failed result with the reason."""
+    camera, model = arm.session.camera, arm.body.instrument
     for files in frames:
         try:
-            yield estimate_frame(files, read_frame(files, session.camera), body, arm=arm, config=config)
+            yield estimate_frame(files, read_frame(files, camera), arm.body, arm=arm.kinematics, config=config)
         except DvrkCmaesError as error:
-            model = body.instrument
             yield Result.failed(
                 files.name,
                 str(error),
@@ -77,8 +73,8 @@ class FrameCheck:
             "reasons": list(self.result.reasons),
             "right": self.check.right,
             "is_twin": self.check.is_twin,
-            "errors": {f"{one.quantity}_{one.unit}": one.error for one, _, _ in self.check.rows},
-            "off": [one.quantity for one, _, _ in self.check.rows if one.exceeds],
+            "errors": {f"{measured.quantity}_{measured.unit}": measured.error for measured, _, _ in self.check.rows},
+            "off": [measured.quantity for measured, _, _ in self.check.rows if measured.exceeds],
         }
 
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from msgspec import Struct, field
 
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrustConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
@@ -59,13 +59,12 @@ class _ManifestFields(Struct):
 
 def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
     """Return the manifest of a batch; ``frames`` are the digests of each frame's parts, None for other shards."""
-    camera = asdict(setup.camera)
     return {
         "schema": _SCHEMA,
         "version": __version__,
         "instrument": {"name": setup.instrument.name, "digest": instrument_digest(setup.instrument)},
         "arm": setup.arm,
-        "camera": {name: list(value) if isinstance(value, tuple) else value for name, value in camera.items()},
+        "camera": _described(setup.rig.camera),
         "config": setup.config.as_dict(),
         "segment": {
             "model": setup.segment.model,
@@ -73,18 +72,20 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
         },
         "calibration": None if setup.calibration is None else calibration_digest(setup.calibration),
         "session": str(setup.folder),
-        **({} if setup.rig is None else {"rig": _described(setup.rig)}),
+        **({"rig": _further_views(setup.rig)} if len(setup.rig.views) > 1 else {}),
         "frames": _sorted(frames),
     }
 
 
-def _described(rig: Rig) -> dict[str, Any]:
+def _described(camera: Camera) -> dict[str, Any]:
+    """Return the fields of a camera, for JSON."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(camera).items()}
+
+
+def _further_views(rig: Rig) -> dict[str, Any]:
     """Return the further views of a rig by name: intrinsics and ``view_from_camera``."""
     return {
-        view.name: {
-            **{key: list(v) if isinstance(v, tuple) else v for key, v in asdict(view.camera).items()},
-            "view_from_camera": view.view_from_camera.tolist(),
-        }
+        view.name: {**_described(view.camera), "view_from_camera": view.view_from_camera.tolist()}
         for view in rig.views[1:]
     }
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
-from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
 from dvrk_cmaes.runs.exchanged_tools import (
@@ -57,14 +56,14 @@ def write_track_arms(
     if not (video or page):
         return
     rows = {arm: read_tracks(out / arm / TRACKS) for arm in arms}
-    rig = Rig.of(next(iter(arms.values())).session.cameras)
-    seen = {arm: seen_frames(one.session.frames[::every], rows[arm], rig, one.body) for arm, one in arms.items()}
+    rig = next(iter(arms.values())).session.rig
+    seen = {name: seen_frames(arm.session.frames[::every], rows[name], rig, arm.body) for name, arm in arms.items()}
     chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm})))
     pictures: list[FramePicture] = []
     with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) if video else nullcontext() as writer:
         for frame, shown in _together(seen):
-            statuses = {arm: str(one.row["status"]) for arm, one in shown.items()}
-            views = [{arm: one.views[number] for arm, one in shown.items()} for number in range(len(rig.views))]
+            statuses = {arm: str(seen_frame.row["status"]) for arm, seen_frame in shown.items()}
+            views = [{arm: seen_frame.views[k] for arm, seen_frame in shown.items()} for k in range(len(rig.views))]
             drawn = draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(shown))
             if writer is not None:
                 writer.write(drawn)
@@ -112,8 +111,8 @@ def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, di
     """Yield the names of the frames in order, with the arms that have them."""
     waiting = {arm: next(frames, None) for arm, frames in seen.items()}
     while any(waiting.values()):
-        frame = min(str(one.row["frame"]) for one in waiting.values() if one is not None)
-        arms = {arm: one for arm, one in waiting.items() if one is not None and one.row["frame"] == frame}
+        frame = min(str(seen_frame.row["frame"]) for seen_frame in waiting.values() if seen_frame is not None)
+        arms = {arm: each for arm, each in waiting.items() if each is not None and each.row["frame"] == frame}
         yield frame, arms
         waiting |= {arm: next(seen[arm], None) for arm in arms}
 

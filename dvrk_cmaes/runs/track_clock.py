@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, Gaps, interpolated
+from dvrk_cmaes.joints.gaps import unbroken
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 
@@ -36,13 +37,15 @@ class TrackClock:
     def readings_at(self, times: NDArray[np.float64], gap: float) -> dict[str, NDArray[np.float64]]:
         """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.
 
-        ``gap`` s is the time between two readings from which on there is a gap between them.
+        ``gap`` s is the longest time between two readings without a gap between them.
         """
-        by_joint = {}
+        found = {}
         for joint in sorted({name for _, row in self.readings for name in row}):
-            stamps, values = np.array([(stamp, row[joint]) for stamp, row in self.readings if joint in row]).T
-            by_joint[joint] = interpolated(stamps, values, times, Gaps.of_length(gap))
-        return by_joint
+            known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
+            stamps, values = np.array(known, dtype=np.float64).T
+            series = TimedReadings((joint,), stamps, values[:, None])
+            found[joint] = series.at(times, unbroken(gap), straight_line)[:, 0]
+        return found
 
     @staticmethod
     def of(

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
@@ -90,9 +89,7 @@ class _Run:
     def followed(self, tracker: Tracker, *, done: int = 0) -> Iterator[tuple[FrameFiles, TrackResult]]:
         """Follow the frames after the first ``done`` ones."""
         with_images = self.settings.evidence != "masks"
-        return followed(
-            tracker, self.frames, self.clock, Rig.of(self.session.cameras), done=done, with_images=with_images
-        )
+        return followed(tracker, self.frames, self.clock, self.session.rig, done=done, with_images=with_images)
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl."""
@@ -150,7 +147,7 @@ def track_folder(
             names = list(manifest["frames"])
             check_same_frames(out, old, manifest["frames"], done=names, session=names)
         run = _Run(session, out, body, settings, frames, clock, stop, progress)
-        tracker = settings.tracker(session.cameras, body)
+        tracker = settings.tracker(session.rig, body)
         restored = old is not None and resume and not settings.smooth
         rows = _restored(out, tracker, body.instrument.joint_names) if restored else []
         (out / SESSION).unlink(missing_ok=True)
@@ -192,14 +189,14 @@ def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
 
     Returns no rows if the run is stopped.
     """
-    camera, total = run.session.cameras, len(run.frames)
+    rig, total = run.session.rig, len(run.frames)
     run.progress(0, 2 * total, None)
-    first = run.settings.tracker(camera, run.body)
+    first = run.settings.tracker(rig, run.body)
     for done, (_, result) in enumerate(run.followed(first), start=1):
         run.progress(done, 2 * total, result)
         if run.stopped:
             return [], first
-    tracker = run.settings.recording_tracker(camera, run.body, None if first.lag is None else first.lag.seconds)
+    tracker = run.settings.recording_tracker(rig, run.body, None if first.lag is None else first.lag.seconds)
     for done, (_, result) in enumerate(run.followed(tracker), start=1):
         run.progress(total + done, 2 * total, result)
         if run.stopped:
@@ -228,7 +225,7 @@ def _show(
     rerun: Path | None,
 ) -> None:
     """Write the overlay video, the page, and a recording for Rerun."""
-    rig = Rig.of(run.session.cameras)
+    rig = run.session.rig
     recording = FollowedRecording(
         rows,
         run.session.folder.resolve().name,
@@ -252,12 +249,11 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
     """Return what the results depend on."""
     setup = BatchSetup(
         body.instrument,
-        session.camera,
+        session.rig,
         settings.config,
         settings.arm,
         session.folder,
         calibration=settings.calibration,
-        rig=session.rig,
     )
     followed = {
         "lag": settings.lag,

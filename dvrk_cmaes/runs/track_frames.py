@@ -47,22 +47,20 @@ class TrackSettings:
     evidence: EvidenceKind | None = None
     hints: Hints | None = None
 
-    def tracker(self, camera: Camera | Rig, body: Body) -> Tracker:
+    def tracker(self, rig: Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""
-        return self._tracker(camera, body, self.config, self.lag, record=False)
+        return self._tracker(rig, body, self.config, self.lag, record=False)
 
-    def recording_tracker(self, camera: Camera | Rig, body: Body, lag: float | None) -> Tracker:
+    def recording_tracker(self, rig: Rig, body: Body, lag: float | None) -> Tracker:
         """Return a tracker whose results can be smoothed, with a given lag and a base that does not move."""
         track = replace(self.config.track, base_drift_mm=_FIXED, base_drift_deg=_FIXED)
         config = replace(self.config, track=track)
         given = self.lag if lag is None else lag
-        return self._tracker(camera, body, config, given, record=True)
+        return self._tracker(rig, body, config, given, record=True)
 
-    def _tracker(
-        self, camera: Camera | Rig, body: Body, config: EstimateConfig, lag: float | None, *, record: bool
-    ) -> Tracker:
+    def _tracker(self, rig: Rig, body: Body, config: EstimateConfig, lag: float | None, *, record: bool) -> Tracker:
         return Tracker(
-            camera,
+            rig,
             body,
             self.calibration,
             config,
@@ -102,26 +100,15 @@ def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Sessi
 
 def _by_images(session: Session) -> Session:
     """Return a session without its masks, with cameras of the images' size."""
-    frames = tuple(
-        replace(one, mask=None, others={name: replace(other, mask=None) for name, other in one.others.items()})
-        for one in session.frames
-    )
-    rig, notes = Rig.of(session.cameras), list(session.notes)
-    fitted = {}
-    for view in rig.views:
-        there = (files_of_views(one, rig).get(view.name) for one in frames)
-        first = next((one for one in there if one is not None), None)
+    frames = tuple(files.changed(mask=None) for files in session.frames)
+    notes, fitted = session.notes, {}
+    for view in session.rig.views:
+        there = (files_of_views(files, session.rig).get(view.name) for files in frames)
+        first = next((own for own in there if own is not None), None)
         if first is not None:
             fitted[view.name], note = match_size(view.camera, frame_size(first)[::-1], "image")
-            notes += [] if note is None else [note]
-    rig = rig.with_cameras(fitted)
-    return replace(
-        session,
-        frames=frames,
-        camera=rig.camera,
-        rig=None if session.rig is None else rig,
-        notes=tuple(notes),
-    )
+            notes = notes if note is None else (*notes, note)
+    return replace(session, frames=frames, rig=session.rig.with_cameras(fitted), notes=notes)
 
 
 def with_first_mask(session: Session, mask: Path | None) -> Session:
@@ -132,8 +119,7 @@ def with_first_mask(session: Session, mask: Path | None) -> Session:
 
 def files_of_views(files: FrameFiles, rig: Rig) -> dict[str, FrameFiles]:
     """Return the files of a frame by view: of those that have a mask or an image, or of the first if none has."""
-    of_views = {rig.names[0]: files, **files.others}
-    there = {name: one for name, one in of_views.items() if one.mask is not None or one.has_image}
+    there = {name: own for name, own in files.of_views(rig).items() if own.mask is not None or own.has_image}
     return there or {rig.names[0]: files}
 
 

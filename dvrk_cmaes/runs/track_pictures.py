@@ -15,7 +15,7 @@ from dvrk_cmaes.draw.track_overlay import TrackView, draw_track
 from dvrk_cmaes.export.rerun_file import ViewPictures, rerun_file
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.report.track_pictures import TrackPictures
 from dvrk_cmaes.runs.track_frames import files_of_views, read_arrays

@@ -18,8 +18,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
@@ -28,7 +29,7 @@ from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.digests import instrument_digest
-from dvrk_cmaes.runs.frame import draw_failed_frame, draw_frame, layers_of_frame, read_any_frame, solve_frame
+from dvrk_cmaes.runs.frame import draw_failed_frame, layers_of_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
@@ -43,17 +44,16 @@ class BatchSetup:
     """Settings that all frames of a batch share.
 
     ``folder`` is the session's; paths in messages are relative to it. ``calibration`` is that of the session, if any.
-    ``rig`` has both cameras of a stereo session.
+    ``rig`` has the session's camera, or both of a stereo session.
     """
 
     instrument: Instrument
-    camera: Camera
+    rig: Rig
     config: EstimateConfig
     arm: Arm = "classic"
     folder: Path = Path()
     segment: SegmentSettings = field(default_factory=SegmentSettings)
     calibration: SessionCalibration | None = None
-    rig: Rig | None = None
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
 
 
 def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None, bytes]:
-    frame = read_any_frame(files, setup.camera if setup.rig is None else setup.rig)
+    frame = read_any_frame(files, setup.rig)
     frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
     solved = solve_frame(
         files,
@@ -154,7 +154,7 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
         settings=setup.segment,
         hints=_hints(files),
     )
-    drawing = draw_frame(solved.result, files, solved.data, body)
+    drawing = draw_views(solved.result, solved.data.views, body)
     mask = encoded_image(mask_path(Path(), files.name), solved.data.mask) if solved.found_mask else None
     layers = json_text(layers_of_frame(solved.result, solved.data, body).to_dict()).encode()
     return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), mask, layers

@@ -1,7 +1,8 @@
 """Segmentation of a known instrument: its silhouette in an estimated pose is a prior for segmenting again.
 
 As in region-based tracking, the image's colours are learned just inside and just outside the silhouette, and the image
-is segmented again with the silhouette as a prior. `dvrk_cmaes.runs.image_frame` alternates this with the pose estimate.
+is segmented again with the silhouette as a prior. `dvrk_cmaes.estimation.image_frame` alternates this with the estimate
+of the pose.
 """
 
 from __future__ import annotations

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, adjoint
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]
 
+_STEP = 1e-5  # rad, of central differences of the joints
 _NEAREST = 1e-3  # m; points that are nearer, or behind the camera, are taken to be this far away
 
 
@@ -58,39 +59,52 @@ def moving_points(
     instrument: Instrument, camera: Camera, fixed: Sequence[FixedPoints], at: Posed
 ) -> list[MovingPoints]:
     """Project the points of each of C poses, which are in the camera's frame, and compute their motion."""
-    links, twists = instrument.twists(at.joints)  # (C, L, 4, 4), (C, L, 6, J)
-    to_camera = adjoint(at.pose)[:, None]
-    motion = np.empty((*twists.shape[:2], 6, 6 + twists.shape[-1]))  # of each link in the camera, by small changes
-    motion[..., :6] = to_camera
-    np.matmul(to_camera, twists, out=motion[..., 6:])
-    counts = _counts(fixed, links.shape[1])
-    seen = _in_camera(fixed, at.pose[:, None] @ links, counts)
+    ends = accumulate((len(group.points) for group in fixed), initial=0)
+    parts = list(starmap(slice, pairwise(ends)))
+    in_root, by_joints = _in_root(instrument, fixed, at.joints)
+    seen = np.empty_like(in_root)
+    for pose, part in zip(at.pose, parts, strict=True):
+        np.matmul(in_root[part], pose[:3, :3].T, out=seen[part])
+        seen[part] += pose[:3, 3]
     depth = seen[:, 2].copy()
     np.maximum(depth, _NEAREST, out=seen[:, 2])
     pixels, gradient = camera.project_along(seen, np.concatenate([group.normals for group in fixed]))
-    (x, y, z), (a, b, c) = seen.T, gradient.T
-    by_motion = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
-    jacobian = np.empty((len(seen), motion.shape[-1]))
-    edges = accumulate(counts.ravel().tolist(), initial=0)
-    for part, of_link in zip(starmap(slice, pairwise(edges)), motion.reshape(-1, *motion.shape[2:]), strict=True):
-        np.dot(by_motion[part], of_link, out=jacobian[part])
-    ends = accumulate(counts.sum(axis=1).tolist(), initial=0)
-    return [MovingPoints(depth[i:k], pixels[i:k], jacobian[i:k]) for i, k in pairwise(ends)]
+    in_axes = np.empty_like(gradient)
+    for pose, part in zip(at.pose, parts, strict=True):
+        np.matmul(gradient[part], pose[:3, :3], out=in_axes[part])
+    jacobian = np.empty((len(in_root), 6 + at.joints.shape[1]))
+    jacobian[:, :3] = in_axes
+    (x, y, z), (a, b, c) = in_root.T, in_axes.T
+    jacobian[:, 3], jacobian[:, 4], jacobian[:, 5] = y * c - z * b, z * a - x * c, x * b - y * a
+    np.einsum("njk,nk->nj", by_joints, in_axes, out=jacobian[:, 6:])
+    return [MovingPoints(depth[part], pixels[part], jacobian[part]) for part in parts]
 
 
 def placed_points(instrument: Instrument, fixed: FixedPoints, at: Posed) -> Float64:
     """Return points (N, 3), m, at one pose, in the frame of the camera that it is in."""
-    camera_from_link = at.pose @ instrument.forward(at.joints)[None]
-    return _in_camera([fixed], camera_from_link, _counts([fixed], camera_from_link.shape[1]))
+    camera_from_link = at.pose @ instrument.forward(at.joints)
+    of_points = np.repeat(camera_from_link, np.bincount(fixed.link, minlength=len(camera_from_link)), axis=0)
+    return np.asarray(np.einsum("nij,nj->ni", of_points[:, :3, :3], fixed.points) + of_points[:, :3, 3])
 
 
-def _counts(fixed: Sequence[FixedPoints], links: int) -> NDArray[np.intp]:
-    """Return the number of points of each link at each pose, (C, L)."""
-    return np.stack([np.bincount(group.link, minlength=links) for group in fixed])
+def _in_root(instrument: Instrument, fixed: Sequence[FixedPoints], joints: Float64) -> tuple[Float64, Float64]:
+    """Return the N points of all poses in the root's frame, (N, 3), and their derivatives by the joints, (N, J, 3).
 
-
-def _in_camera(fixed: Sequence[FixedPoints], camera_from_link: Float64, counts: NDArray[np.intp]) -> Float64:
-    """Return the points of all poses in the camera's frame, (N, 3), given camera_from_link (C, L, 4, 4)."""
-    points = np.concatenate([group.points for group in fixed])
-    matrices = np.repeat(camera_from_link[..., :3, :].reshape(-1, 3, 4), counts.ravel(), axis=0)
-    return np.asarray(np.einsum("nij,nj->ni", matrices[..., :3], points) + matrices[..., 3])
+    ``joints`` are (C, J).
+    """
+    count = joints.shape[1]
+    change = _STEP * np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count)])
+    root_from_link = instrument.forward(joints[:, None] + change)[..., :3, :]
+    by_joint = (root_from_link[:, 1 : 1 + count] - root_from_link[:, 1 + count :]) / (2 * _STEP)
+    both = np.concatenate([root_from_link[:, :1], by_joint], axis=1)  # (C, 1 + J, L, 3, 4)
+    columns = np.ascontiguousarray(both.transpose(0, 2, 4, 1, 3)).reshape(len(joints), both.shape[2], 4, -1)
+    in_root = np.empty((sum(len(group.points) for group in fixed), columns.shape[-1]))
+    begin = 0
+    for group, of_links in zip(fixed, columns, strict=True):
+        edges = np.searchsorted(group.link, np.arange(len(of_links) + 1))
+        for link, matrix in enumerate(of_links):
+            part = slice(begin + edges[link], begin + edges[link + 1])
+            np.matmul(group.points[edges[link] : edges[link + 1]], matrix[:3], out=in_root[part])
+            in_root[part] += matrix[3]
+        begin += len(group.points)
+    return in_root[:, :3], in_root[:, 3:].reshape(-1, count, 3)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
 from dvrk_cmaes.joints.cables import CableModel
-from dvrk_cmaes.joints.play import Lags, lags_of
+from dvrk_cmaes.joints.play import Play, play_of
 
 Float64 = NDArray[np.float64]
 
@@ -40,11 +40,11 @@ def pulled(
     the first, the joints have moved as they do after it, so that they start anywhere within their play.
     """
     readings = np.stack([paths[name] for name in model.names], axis=1)
-    both = lags_of(np.concatenate([readings[::-1], readings]), model.width)
-    lags = Lags(both.wide[len(readings) :], both.narrow[len(readings) :])
+    both = play_of(np.concatenate([readings[::-1], readings]), model.width)
+    play = Play(both.wide[len(readings) :], both.narrow[len(readings) :])
     count = len(model.names)
     here = replace(model, offset=np.zeros(count), reference=readings.mean(axis=0))
-    errors = here.errors(readings, lags) + _wander(len(readings), model, interval, rng)
+    errors = here.errors(readings, play) + _wander(len(readings), model, interval, rng)
     errors += model.noise * rng.standard_normal(errors.shape)
     return {name: readings[:, k] + errors[:, k] for k, name in enumerate(model.names)}
 

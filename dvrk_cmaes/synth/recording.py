@@ -16,7 +16,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.io.csv_file import csv_text
-from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.files import rounded, rounded_truth
 from dvrk_cmaes.synth.levels import LEVELS

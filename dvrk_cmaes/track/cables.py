@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.joints.cables import CableModel
-from dvrk_cmaes.joints.play import Lags, PlayState
+from dvrk_cmaes.joints.play import Play, PlayState
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 
 Float64 = NDArray[np.float64]
@@ -39,8 +39,8 @@ class CableMemory:
         """Return the errors (C,), rad, that are expected of later readings."""
         readings = np.concatenate([reading.outer[_ROLL:], reading.joints])
         self._state = self._state.after(readings, self.model.width)
-        lags = self._state.lags(readings)
-        return np.asarray(self.model.errors(readings[None], Lags(lags.wide[None], lags.narrow[None]))[0])
+        play = self._state.play(readings)
+        return np.asarray(self.model.errors(readings[None], Play(play.wide[None], play.narrow[None]))[0])
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the joints' places within their play as plain values; None for a joint that was not read."""

@@ -19,7 +19,7 @@ from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
 from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_supported
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor
-from dvrk_cmaes.track.readings import Readings
+from dvrk_cmaes.track.readings import LaggedReadings
 from dvrk_cmaes.track.recovery import GlobalSearch, explains, has_jumped, is_certain, same_base, search_around
 from dvrk_cmaes.track.searching import WORSE, Searching, is_better
 from dvrk_cmaes.track.sight import Seen, Sight
@@ -40,7 +40,7 @@ class Following:
     rig: Rig
     sight: Sight
     solve: GlobalSearch
-    readings: Readings
+    readings: LaggedReadings
     config: EstimateConfig
     calibration: SessionCalibration | None
     hypotheses: list[Hypothesis] = field(default_factory=list)

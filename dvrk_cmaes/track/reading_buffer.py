@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.joints.interpolation import Gaps, interpolated
+from dvrk_cmaes.joints.gaps import continued, extrapolated
+from dvrk_cmaes.joints.interpolation import TimedReadings, straight_line, weighted_mean
 from dvrk_cmaes.joints.names import joint_reading
 
 Float64 = NDArray[np.float64]
@@ -19,6 +19,7 @@ Float64 = NDArray[np.float64]
 _KEPT = 3.0  # s; older readings are dropped
 _RATE_HALF_WIDTH = 0.2  # s, of the readings from which rates are computed
 _MOST = 6000  # readings; at higher rates than 2 kHz a shorter time is kept
+_BLOCK = 256  # readings that are dropped at once, or more
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,14 @@ class ReadingBuffer:
         self._names = (*OUTER_JOINTS, *joint_names)
         self._gap = gap
         self._still = still
-        self._times: list[float] = []
-        self._rows: list[Float64] = []
+        self._count = 0
+        self._times = np.empty(_MOST + _BLOCK + 1)
+        self._rows = np.empty((len(self._times), len(self._names)))
+
+    @property
+    def series(self) -> TimedReadings:
+        """The readings kept, s: a view, which later readings change."""
+        return TimedReadings(self._names, self._times[: self._count], self._rows[: self._count])
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s; of two at the same time, the last is used.
@@ -77,68 +84,72 @@ class ReadingBuffer:
                 raise InputError(f"readings: unknown joint {name!r}; expected one of: {near}")
             joint_reading("readings", name, float(value))
         row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
-        at = bisect_left(self._times, time)
-        if at < len(self._times) and self._times[at] == time:
-            self._rows[at] = row
-            return
-        self._times.insert(at, float(time))
-        self._rows.insert(at, row)
-        first = max(bisect_left(self._times, self._times[-1] - _KEPT), len(self._times) - _MOST)
-        if first > 256:  # dropped in blocks: removal from the front of a list moves all that follows
-            del self._times[:first], self._rows[:first]
+        at, end = int(self.series.times.searchsorted(time)), self._count
+        if at == end or self._times[at] != time:
+            self._times[at + 1 : end + 1], self._rows[at + 1 : end + 1] = self._times[at:end], self._rows[at:end]
+            self._times[at] = time
+            self._count += 1
+        self._rows[at] = row
+        self._drop()
+
+    def _drop(self) -> None:
+        """Drop old readings, in blocks, because the others are moved."""
+        times = self.series.times
+        first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
+        if first > _BLOCK:
+            self._count -= first
+            self._times[: self._count], self._rows[: self._count] = times[first:], self._rows[first : len(times)]
 
     @property
     def last(self) -> float | None:
         """Time of the latest reading, s; None without any."""
-        return self._times[-1] if self._times else None
+        return float(self._times[self._count - 1]) if self._count else None
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
-        after = bisect_left(self._times, time)
-        rate, outer = self._rate(time, after), len(OUTER_JOINTS)
-        near = slice(max(after - 1, 0), after + 1)
-        stamps, rows = np.array(self._times[near]), np.array(self._rows[near]).reshape(-1, len(self._names))
-        row = interpolated(stamps, rows, np.array([time]), Gaps.of_length(self._gap))[0]
-        if len(stamps) and not stamps[0] <= time <= stamps[-1] and np.abs(stamps - time).min() <= self._gap:
-            nearest = int(np.abs(stamps - time).argmin())
-            row = rows[nearest] + rate * (time - stamps[nearest])
-        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], self._is_still(after))
+        series, outer = self.series, len(OUTER_JOINTS)
+        rate = _rate(series, time)
+        row = series.at(np.array([time], dtype=np.float64), extrapolated(self._gap), weighted_mean, rate)[0]
+        still = _is_still(series, time, self._still)
+        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still)
 
     def outer_at(self, times: Float64) -> Float64:
-        """Interpolate the outer joints' readings at times (L,), (L, 4); NaN where there is none."""
-        begin = bisect_left(self._times, float(times.min()) - self._gap)
-        end = bisect_left(self._times, float(times.max()) + self._gap)
-        at, rows = np.array(self._times[begin:end]), self._rows[begin:end]
-        if len(rows) < 2:
-            return np.full((len(times), len(OUTER_JOINTS)), np.nan)
-        values = np.array(rows)[:, : len(OUTER_JOINTS)]
-        slope = (values[-1] - values[-2]) / (at[-1] - at[-2])
-        outer = interpolated(at, values, np.minimum(times, at[-1]), Gaps())
-        outer += np.maximum(times - at[-1], 0.0)[:, None] * slope
-        outer[times > at[-1] + self._gap] = np.nan
-        return np.asarray(outer)
+        """Interpolate the outer joints' readings at times (L,), (L, 4); NaN where there is none.
 
-    def _rate(self, time: float, after: int) -> Float64:
-        """Return the rates around a time by a straight line through the readings near it, (4 + J,); 0 where unknown.
-
-        The readings on either side of the time do not count, so that the errors of the rates are independent of those
-        of the interpolated readings; otherwise a lag that is estimated from both would be biased.
+        Only readings that are at most the gap before the first time or after the last are used.
         """
-        first = bisect_left(self._times, time - _RATE_HALF_WIDTH)
-        last = bisect_left(self._times, time + _RATE_HALF_WIDTH)
-        index = [k for k in range(first, last) if k not in (after - 1, after)]
-        if len(index) < 2:
-            return np.zeros(len(self._names))
-        at = np.array([self._times[k] for k in index])
-        at -= at.mean()
-        rate = at @ np.array([self._rows[k] for k in index]) / (at @ at)
-        return np.asarray(np.where(np.isnan(rate), 0.0, rate))
+        series, outer = self.series, len(OUTER_JOINTS)
+        begin, end = series.times.searchsorted([times.min() - self._gap, times.max() + self._gap])
+        if end - begin < 2:
+            return np.full((len(times), outer), np.nan)
+        near = TimedReadings(OUTER_JOINTS, series.times[begin:end], series.values[begin:end, :outer])
+        rate = (near.values[-1] - near.values[-2]) / (near.times[-1] - near.times[-2])
+        return near.at(times, continued(self._gap), straight_line, rate)
 
-    def _is_still(self, index: int) -> bool:
-        """Whether the readings up to an index have not changed in the last digit for longer than ``still``."""
-        last = min(index, len(self._times) - 1)
-        first = bisect_left(self._times, (self._times[last] if self._times else 0.0) - self._still)
-        if last - first < 3 or self._times[last] - self._times[first] < 0.8 * self._still:
-            return False
-        outer = np.array(self._rows[first : last + 1])[:, : len(OUTER_JOINTS)]
-        return bool(np.ptp(outer, axis=0).max() == 0) if not np.isnan(outer).any() else False
+
+def _rate(series: TimedReadings, time: float) -> Float64:
+    """Return the rates (J,) around a time by a straight line through the readings near it; 0 where unknown.
+
+    The readings on either side of the time do not count, so that the errors of the rates are independent of those
+    of the interpolated readings; otherwise a lag that is estimated from both would be biased.
+    """
+    first, after, last = series.times.searchsorted([time - _RATE_HALF_WIDTH, time, time + _RATE_HALF_WIDTH])
+    index = np.concatenate([np.arange(first, after - 1), np.arange(after + 1, last)])
+    if len(index) < 2:
+        return np.zeros(len(series.joints))
+    at = series.times[index]
+    at -= at.mean()
+    rate = at @ series.values[index] / (at @ at)
+    return np.asarray(np.where(np.isnan(rate), 0.0, rate))
+
+
+def _is_still(series: TimedReadings, time: float, seconds: float) -> bool:
+    """Whether the outer joints' readings up to a time have not changed in the last digit for some seconds."""
+    if not len(series.times):
+        return False
+    last = min(int(series.times.searchsorted(time)), len(series.times) - 1)
+    first = int(series.times.searchsorted(series.times[last] - seconds))
+    if last - first < 3 or series.times[last] - series.times[first] < 0.8 * seconds:
+        return False
+    outer = series.values[first : last + 1, : len(OUTER_JOINTS)]
+    return bool(np.ptp(outer, axis=0).max() == 0) if not np.isnan(outer).any() else False

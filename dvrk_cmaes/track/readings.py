@@ -17,7 +17,7 @@ from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 
-class Readings:
+class LaggedReadings:
     """The latest readings of an arm, the errors that its cables make expect, and the lag of the images behind them.
 
     ``buffer`` has the readings. ``lag`` s is used if it is given, else that of the ``calibration``, else it is found.

@@ -28,7 +28,7 @@ from dvrk_cmaes.track.hypothesis import Follower
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
-from dvrk_cmaes.track.readings import Readings
+from dvrk_cmaes.track.readings import LaggedReadings
 from dvrk_cmaes.track.recovery import GlobalSearch
 from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Sight
 from dvrk_cmaes.track.smoother import Recorder
@@ -88,7 +88,7 @@ class Tracker:
         self._names = body.instrument.joint_names
         self._arm: Arm = arm if calibration is None else calibration.arm
         track = settings.track
-        self._readings = Readings(body.instrument, self._arm, track, calibration, lag)
+        self._readings = LaggedReadings(body.instrument, self._arm, track, calibration, lag)
         roll_offset, cables = body.instrument.roll_offset, self._readings.cables
         motion = MotionModel(track, len(self._names), self._arm, roll_offset, cables)
         follower = Follower(track, motion, OutlineModel(body, rig, track.points))

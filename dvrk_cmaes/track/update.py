@@ -12,6 +12,7 @@ from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.edges import EdgeDistances
 from dvrk_cmaes.track.evidence import Evidence
@@ -109,13 +110,11 @@ class OutlineUpdate:
                 edges = evidence.distances(seen.pixels, outline, reach)
                 towards = prior.covariance @ loadings.T
                 own = loadings @ towards
-                of_pose = own if spread is None else spread
-                expected = np.einsum("nd,nd->n", seen.jacobian @ of_pose, seen.jacobian)
-                weighted = seen.jacobian.T * self._weights(edges, outline.lengths, sigma, expected, reach)
+                expected = _variances(seen.jacobian, own if spread is None else spread)
+                weights = self._weights(edges, outline.lengths, sigma, expected, reach)
                 limits = self._limits.local(Posed(at.pose[None], at.joints[None]))
-                information = weighted @ seen.jacobian + limits.information[0]
-                slope = weighted @ edges.distance + limits.slope[0]
-                solved = _Solved.of(information, slope, towards, own, loadings @ off, seen.jacobian)
+                near = _of_edges(seen.jacobian, edges.distance, weights) + limits
+                solved = _Solved.of(near, towards, own, loadings @ off, seen.jacobian)
                 state, off = state.changed(solved.state_change - off), solved.state_change
                 if solved.moved < _STILL_PX:
                     break
@@ -169,12 +168,23 @@ class OutlineUpdate:
         return Fit(supported, missing, total, _NORMAL_MEDIAN * typical, cost, of_views)
 
 
+def _variances(jacobian: Float64, covariance: Float64) -> Float64:
+    """Return the variances (N,) of values by that of M unknowns, (M, M), of which they have a Jacobian (N, M)."""
+    return np.asarray(np.einsum("nd,nd->n", jacobian @ covariance, jacobian))
+
+
+def _of_edges(jacobian: Float64, distance: Float64, weights: Float64) -> Quadratic:
+    """Return the approximation of half the sum of squared distances (N,) with weights, given their Jacobian (N, M)."""
+    weighted = jacobian.T * weights
+    return Quadratic((weighted @ jacobian)[None], (weighted @ distance)[None])
+
+
 @dataclass(frozen=True, eq=False)
 class _Solved:
     """Solution of a linearised update, for the M = 6 + J changes of pose and joints.
 
     ``towards`` (D, M) and ``own`` (M, M) are the prediction's covariance of the state with them, and of them;
-    ``information`` (M, M) is that of the edges, ``system`` (M, M) the identity plus ``own @ information``. ``force``
+    ``information`` (M, M) is that of the evidence, ``system`` (M, M) the identity plus ``own @ information``. ``force``
     (M,) are the weighted distances at the solution, ``moved`` px is the largest motion of a point by this solution.
     """
 
@@ -186,14 +196,12 @@ class _Solved:
     moved: float
 
     @staticmethod
-    def of(
-        information: Float64, slope: Float64, towards: Float64, own: Float64, before: Float64, jacobian: Float64
-    ) -> _Solved:
+    def of(evidence: Quadratic, towards: Float64, own: Float64, before: Float64, jacobian: Float64) -> _Solved:
         """Solve for the change of pose and joints from the prediction, given the one ``before`` (M,).
 
-        ``information`` (M, M) and ``slope`` (M,) are those of half the sum of squares of the evidence there,
-        ``jacobian`` (N, M) that of the points.
+        ``evidence`` is the approximation there of half its sum of squares, ``jacobian`` (N, M) that of the points.
         """
+        information, slope = evidence.information[0], evidence.slope[0]
         system = np.eye(len(slope)) + own @ information
         change = np.linalg.solve(system, own @ (information @ before - slope))
         force = information @ (before - change) - slope

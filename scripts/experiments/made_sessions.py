@@ -66,7 +66,7 @@ def by_points(made: Made, frame: SyntheticFrame, method: str) -> Result:
     files = FrameFiles(frame.name, None, readings=frame.readings, keypoints=frame.tips)
     plan = made.plan
     if method == PNP_TIPS:
-        data = FrameData(frame.mask, plan.camera, frame.ignore, None, ())
+        data = FrameData.of(frame.mask, plan.camera, frame.ignore)
         return pose_from_tips(files, data, plan.body.instrument)
     return pose_from_markers(
         files,

@@ -10,7 +10,7 @@ from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration.cables import CableFit, CableSession, fit_cables, observe_errors
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
-from dvrk_cmaes.joints.play import lags_of
+from dvrk_cmaes.joints.play import play_of
 
 NAMES = ("roll", "wrist_pitch", "wrist_yaw", "jaw")
 PRIOR = cable_prior(NAMES)
@@ -32,7 +32,7 @@ def session(
         names=NAMES,
         readings=readings,
         times=0.1 * np.arange(frames) if ordered else None,
-        lags=lags_of(readings, PRIOR.model.width) if ordered else None,
+        play=play_of(readings, PRIOR.model.width) if ordered else None,
         information=information,
         vector=np.einsum("nij,nj->ni", information, seen),
         offsets=np.zeros(count),
@@ -52,7 +52,7 @@ def pulled() -> tuple[CableSession, np.ndarray, CableFit]:
     """A session of 60 frames whose joints follow by the cables of a real arm, its true errors, and the fit."""
     rng = np.random.default_rng(3)
     readings = waves(60, rng)
-    errors = measured_cables(NAMES)[1].errors(readings, lags_of(readings, measured_cables(NAMES)[1].width))
+    errors = measured_cables(NAMES)[1].errors(readings, play_of(readings, measured_cables(NAMES)[1].width))
     made = session(readings, errors, rng)
     return made, errors, fit_cables(made, PRIOR)[0]
 
@@ -81,7 +81,7 @@ def test_a_frame_has_no_part_in_its_own_correction(pulled: tuple[CableSession, n
 
 def test_without_order_only_coupling_is_used(pulled: tuple[CableSession, np.ndarray, CableFit]) -> None:
     made, errors, _ = pulled
-    fit, alone = fit_cables(replace(made, times=None, lags=None), PRIOR)
+    fit, alone = fit_cables(replace(made, times=None, play=None), PRIOR)
     assert fit.parts == alone.parts == ("coupling",)
     assert (left_of(errors, fit)[1:3] < np.std(errors, axis=0)[1:3]).all()
 

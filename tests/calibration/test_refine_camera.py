@@ -30,7 +30,7 @@ def as_seen_with(frame: SessionFrame) -> SessionFrame:
     pose = frame.result.camera_from_root.copy()
     pose[2, 3] /= SCALE
     result = replace(frame.result, camera_from_root=pose, alternatives=())
-    return replace(frame, data=replace(frame.data, camera=WRONG), result=result)
+    return replace(frame, data=frame.data.with_camera(WRONG), result=result)
 
 
 @pytest.fixture(scope="module")

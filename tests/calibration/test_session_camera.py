@@ -50,7 +50,7 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
     at, stored = Posed(poses, joints), []
     for k, one in enumerate(frames):
         assert isinstance(one.data, FrameData)
-        stored.append(StoredFrame.of(replace(one.data, camera=wrong), at[k], body, EstimateConfig()))
+        stored.append(StoredFrame.of(one.data.with_camera(wrong), at[k], body, EstimateConfig()))
     outlines = SessionOutlines(
         stored,
         np.ones(len(frames), np.bool_),

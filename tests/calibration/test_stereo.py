@@ -29,8 +29,7 @@ def seen_by_both(body: Body, frame: SessionFrame, truth: Truth, *, left: bool = 
     assert isinstance(frame.data, FrameData)
     there = Renderer(body, SMALL).masks((RIGHT_FROM_LEFT @ truth.camera_from_root)[None], truth.values[None])[0]
     mask = frame.data.mask if left else np.zeros_like(frame.data.mask)
-    data = replace(frame.data, mask=mask, rig=RIG, others={"right": FrameData(there, SMALL, None, None, ())})
-    return replace(frame, data=data)
+    return replace(frame, data=FrameData.of({"left": mask, "right": there}, RIG))
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +81,7 @@ def test_new_frame_is_predicted_and_fitted_in_both_eyes(
     frames, solved = both_eyes
     data = frames[0].data
     assert isinstance(data, FrameData)
-    masks = {"left": data.mask, "right": data.others["right"].mask}
+    masks = {view.name: view.mask for view in data.views}
     found = estimate(masks, RIG, frames[0].result.readings, bundled_body, session=solved.calibration, config=SETTINGS)
     assert found.source == "session"
     together = solved.results[frames[0].name].camera_from_root
@@ -103,8 +102,8 @@ def test_prior_of_a_frame_without_the_left_eye_is_seen_by_the_right_one(
     wrist = SMALL.project((RIGHT_FROM_LEFT @ truth.camera_from_root)[None, :3, 3])[0]
     columns, rows = np.meshgrid(np.arange(SMALL.width), np.arange(SMALL.height))
     hidden = np.hypot(columns - wrist[0], rows - wrist[1]) < 60
-    others = {"right": replace(data.others["right"], ignore=hidden)}
-    made[2] = replace(made[2], data=replace(data, others=others))
+    left, right = data.views
+    made[2] = replace(made[2], data=replace(data, views=(left, replace(right, ignore=hidden))))
     result = calibrate_session(made, bundled_body, config=SETTINGS).results[made[2].name]
     assert result.source == "session"
     assert result.camera_from_root is not None

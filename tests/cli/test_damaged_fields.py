@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from helpers.damage import INPUTS, Input, stopped_after_reading
 
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.silhouette import Body
 
@@ -51,8 +51,9 @@ def changed(data: bytes, chance: random.Random) -> bytes:
     return (text[: word.start()] + chance.choice(HOSTILE) + text[word.end() :]).encode()
 
 
-def check_frame(mask: np.ndarray, camera: Camera, readings: dict[str, float], body: Body, **others: Any) -> None:
+def check_frame(views: Sequence[SeenView], readings: dict[str, float], body: Body, **others: Any) -> None:
     """Check the inputs of an estimate, then stop the command."""
+    ((mask, camera),) = [(view.mask, view.camera) for view in views]
     assert mask.dtype == np.bool_
     assert mask.shape == (camera.height, camera.width)
     assert np.isfinite([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]).all()

@@ -113,7 +113,7 @@ def bag(tmp_path: Path) -> Path:
 @pytest.fixture
 def writers(results: Path, bag: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[object]]:
     """Give commands that write; the test appends the place to write to."""
-    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate", lambda *_a, **_k: canned("0000"))
+    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate_views", lambda *_a, **_k: canned("0000"))
     return {
         "estimate": [*frame(), "--out"],
         "export": ["export", results, "--to", "csv", "--out"],
@@ -157,7 +157,7 @@ def test_full_disk_gives_exit_code_1_without_partial_files(
 def test_files_with_unusual_names_are_read_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate", lambda *_a, **k: canned(k["frame"]))
+    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate_views", lambda *_a, **k: canned(k["frame"]))
     folder = tmp_path / "видео 1 [bold] 'q' 鉗子"
     folder.mkdir()
     for path in (MASK, CAMERA, JOINTS, IMAGE):

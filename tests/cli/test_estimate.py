@@ -344,7 +344,7 @@ def test_exception_during_run_gives_one_line(
     def fail(*_: object, **__: object) -> None:
         raise raised
 
-    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate", fail)
+    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate_views", fail)
     done = run(*frame())
     assert done.code == code
     assert said in done.complaint

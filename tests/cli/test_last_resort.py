@@ -38,7 +38,7 @@ def faulty(monkeypatch: pytest.MonkeyPatch) -> None:
         warnings.warn("overflow encountered", RuntimeWarning, stacklevel=1)
         raise KeyError("one\ntwo")
 
-    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate", fail)
+    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate_views", fail)
 
 
 @pytest.mark.usefixtures("faulty")

@@ -16,6 +16,8 @@ from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.stereo_sessions import POSES, SECOND_POSES, make_session_of_two_tools
 
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.cli.options import InstrumentOptions
+from dvrk_cmaes.cli.session_tools import session_tools
 from dvrk_cmaes.draw.arms_overlay import COLOURS
 from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.bundled import bundled_path
@@ -35,6 +37,19 @@ def quick(tmp_path: Path) -> Path:
 @pytest.fixture
 def folder(tmp_path: Path, bundled_body: Body) -> Path:
     return make_session_of_two_tools(tmp_path / "session", bundled_body)
+
+
+def test_tools_are_named_by_the_folders_of_their_results(folder: Path) -> None:
+    """Those of the only tool of a session are in the output folder itself, whether or not session.toml names it."""
+    assert list(session_tools(folder, InstrumentOptions())) == ["PSM1", "PSM2"]
+    assert list(session_tools(folder, InstrumentOptions(), ["PSM2"])) == ["PSM2"]
+    text = (folder / "session.toml").read_text(encoding="utf-8")
+    (folder / "session.toml").write_text(text[: text.rindex("[[tool]]")].replace("label = 1\n", ""), encoding="utf-8")
+    ((name, tool),) = session_tools(folder, InstrumentOptions()).items()
+    assert (name, tool.tool.arm) == ("", "PSM1")
+    (folder / "session.toml").unlink()
+    ((name, tool),) = session_tools(folder, InstrumentOptions()).items()
+    assert (name, tool.tool.arm) == ("", "")
 
 
 def test_batch_estimates_every_arm(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:

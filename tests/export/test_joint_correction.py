@@ -15,7 +15,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.joint_correction import correction_files
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.joints.play import lags_of
+from dvrk_cmaes.joints.play import play_of
 
 FRAMES = solved(("a", "b"))
 NAMES = FrameNames("PSM1", "camera", "PSM1_base")
@@ -40,7 +40,7 @@ def test_the_formula_follows_the_play_as_the_model_does() -> None:
     offset = np.array([OFFSETS[name] for name in cables.joints])
     model = cables.model(offset)
     readings = np.cumsum(np.random.default_rng(0).normal(0, 0.1, (50, 4)), axis=0)
-    expected = model.errors(readings, lags_of(readings, model.width))
+    expected = model.errors(readings, play_of(readings, model.width))
     formula = correction_files("session.json", DOCUMENT, NAMES)["PSM1-joint-correction.txt"]
     np.testing.assert_allclose(carried_out(formula, readings, cables.joints), expected, atol=1e-4)
 

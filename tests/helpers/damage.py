@@ -57,7 +57,7 @@ def frame(**changes: object) -> Arguments:
 def stopped_after_reading(frame: Callable[..., None], session: Callable[..., None]) -> Iterator[None]:
     """Call these with the inputs read by ``estimate`` and ``batch`` instead of the work; load the instrument once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvrk_cmaes.runs.frame.estimate", frame)
+        patch.setattr("dvrk_cmaes.runs.frame.estimate_views", frame)
         patch.setattr("dvrk_cmaes.runs.batch.run_batch", session)
         patch.setattr(InstrumentOptions, "load", functools.cache(InstrumentOptions.load))
         yield

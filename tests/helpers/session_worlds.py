@@ -109,7 +109,7 @@ def make_frames_in_memory(
     made = [
         SessionFrame(
             one.name,
-            FrameData(one.mask, camera, one.ignore, None, ()),
+            FrameData.of(one.mask, camera, one.ignore),
             near_the_truth(body.instrument, one.name, one.truth, one.readings, rng),
         )
         for one in make_frames(plan, truths)

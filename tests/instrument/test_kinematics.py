@@ -138,34 +138,12 @@ def test_root_link_selects_joints(tmp_path: Path) -> None:
 def test_batches_agree_with_single_poses(batch: tuple[int, ...]) -> None:
     instrument = loaded(BUNDLED)
     joints = np.random.default_rng(1).uniform(-1, 1, (*batch, 3))
-    poses, tips, (_, twists) = instrument.forward(joints), instrument.tips(joints), instrument.twists(joints)
+    poses, tips = instrument.forward(joints), instrument.tips(joints)
     assert poses.shape == (*batch, len(instrument.links), 4, 4)
-    assert twists.shape == (*batch, len(instrument.links), 6, 3)
     assert tips.shape == (*batch, 2, 3)
     for index in np.ndindex(*batch):
         np.testing.assert_allclose(poses[index], instrument.forward(joints[index]), atol=1e-15)
-        np.testing.assert_allclose(twists[index], instrument.twists(joints[index])[1], atol=1e-15)
         np.testing.assert_allclose(tips[index], instrument.tips(joints[index]), atol=1e-15)
-
-
-def twists_agree_with_differences(instrument: Instrument, joints: np.ndarray) -> None:
-    """Compare the motions of all links by each joint with those of a small step."""
-    poses, twists = instrument.twists(joints)
-    np.testing.assert_allclose(poses, instrument.forward(joints), atol=1e-14)
-    step, point = 1e-6, np.array([0.01, -0.02, 0.03])
-    for k in range(len(joints)):
-        moved = instrument.forward(joints + step * np.eye(len(joints))[k])
-        by_step = ((moved - poses)[:, :3, :3] @ point + (moved - poses)[:, :3, 3]) / step
-        here = poses[:, :3, :3] @ point + poses[:, :3, 3]
-        np.testing.assert_allclose(twists[:, :3, k] + np.cross(twists[:, 3:, k], here), by_step, atol=1e-6)
-
-
-def test_motions_of_links_by_joints_agree_with_differences(tmp_path: Path) -> None:
-    twists_agree_with_differences(loaded(BUNDLED), np.array([0.3, -0.4, 0.6]))
-    body = box_link("roll_link") + box_link("slider") + box_link("follower")
-    body += joint("slide", "prismatic", "roll_link", "slider", '<axis xyz="0 0 2"/>')
-    body += joint("turn", "revolute", "slider", "follower", '<origin xyz="0 0.1 0"/><axis xyz="0 1 0"/>')
-    twists_agree_with_differences(load_instrument(write_urdf(tmp_path, body)), np.array([0.2, 0.5]))
 
 
 def test_wrong_number_of_joint_values_is_refused() -> None:

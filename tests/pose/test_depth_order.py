@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from helpers.crossing_tools import APART, FAR, NEAR, CrossingTools
 
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.pose.depth_order import OPPOSITE, SharedView, place_of_other
+from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body
 
@@ -20,11 +22,16 @@ def crossing(bundled_body: Body) -> CrossingTools:
     return CrossingTools(bundled_body)
 
 
-def place(tools: CrossingTools, results: tuple[Result, Result] | None = None, *more: SharedView) -> Place:
+def seen(camera: Camera, place: np.ndarray, masks: tuple[np.ndarray, np.ndarray]) -> list[SeenView]:
+    """Give a view at a place with the mask of each of two tools."""
+    return [SeenView("view", camera, place, mask) for mask in masks]
+
+
+def place(tools: CrossingTools, results: tuple[Result, Result] | None = None, *more: list[SeenView]) -> Place:
     """Give where the second tool is, as seen by the first."""
-    views = [SharedView(tools.camera, np.eye(4), tools.masks), *more]
+    first, second = zip(seen(tools.camera, np.eye(4), tools.masks), *more, strict=True)
     found = (tools.result(0), tools.result(1)) if results is None else results
-    return place_of_other(found, (tools.body, tools.body), views, least_probability=0.8)
+    return place_of_other(found, (tools.body, tools.body), (first, second), least_probability=0.8)
 
 
 def swapped(tools: CrossingTools) -> CrossingTools:
@@ -96,13 +103,13 @@ def test_tools_that_do_not_meet_are_apart(bundled_body: Body) -> None:
 
 def test_a_view_in_which_they_do_not_meet_says_nothing(crossing: CrossingTools) -> None:
     empty = np.zeros_like(crossing.masks[0])
-    aside = SharedView(crossing.camera, transform(np.eye(3), [10.0, 0.0, 0.0]), (empty, empty))
+    aside = seen(crossing.camera, transform(np.eye(3), [10.0, 0.0, 0.0]), (empty, empty))
     assert place(crossing, None, aside) == "behind"
 
 
 def test_views_that_contradict_each_other_do_not_tell_it(crossing: CrossingTools) -> None:
     """Seen from the opposite side, the farther tool is in front."""
     turned = transform(np.diag([-1.0, 1.0, -1.0]), [0.0, 0.0, 0.24])
-    seen = replace(crossing, poses=tuple(turned @ pose for pose in crossing.poses))
-    other_side = SharedView(crossing.camera, turned, seen.masks)
+    behind = replace(crossing, poses=tuple(turned @ pose for pose in crossing.poses))
+    other_side = seen(crossing.camera, turned, behind.masks)
     assert place(crossing, None, other_side) == "unclear"

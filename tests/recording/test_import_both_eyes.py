@@ -46,7 +46,6 @@ def test_images_of_both_eyes_are_paired(imported: Import, tmp_path: Path, kind: 
     ran = imported(write_bag(tmp_path / "bag", kind, both()))
     assert ran.code == 0, ran.err
     session = read_session("session", rectified=True)
-    assert session.rig is not None
     assert session.rig.views[1].view_from_camera[0, 3] == pytest.approx(-BASELINE)
     for k, frame in enumerate(session.frames):
         right = frame.others["right"].image

@@ -102,7 +102,7 @@ def test_interrupted_search_of_the_lag_says_how_to_go_on(bundled_body: Body, tmp
 
     def interrupted(some: Session, out: Path) -> BatchSummary:
         assert len(some.frames) == len(NAMES)
-        setup = BatchSetup(instrument, some.camera, QUICK_CONFIG)
+        setup = BatchSetup(instrument, some.rig, QUICK_CONFIG)
         return BatchSummary(out, {}, 0, interrupted=True, document={}, results={}, setup=setup, frames={})
 
     with pytest.raises(DvrkCmaesError, match="interrupted while the lag was searched; the same command goes on"):

@@ -10,16 +10,16 @@ import pytest
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.estimation import image_frame
+from dvrk_cmaes.estimation.image_frame import SegmentedFrame, segment_and_estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import FrameFiles, FrameImage, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs import image_frame
 from dvrk_cmaes.runs.frame import estimate_frame, read_any_frame, run_frame
-from dvrk_cmaes.runs.image_frame import SegmentedFrame, segment_and_estimate
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.silhouette import Body
 
@@ -32,9 +32,8 @@ def session() -> Session:
 
 
 def solve_image(session: Session, files: FrameFiles, body: Body) -> SegmentedFrame:
-    frame = read_any_frame(replace(files, mask=None), session.camera)
-    assert isinstance(frame, FrameImage)
-    return segment_and_estimate(frame, files.name, files.readings, body, keypoints=files.keypoints)
+    files = replace(files, mask=None)
+    return segment_and_estimate(read_any_frame(files, session.rig), files, body)
 
 
 def both_ways(session: Session, files: FrameFiles, body: Body) -> Found:
@@ -119,9 +118,9 @@ def test_guessed_mask_makes_pose_doubtful(
 def test_unrefined_mask_is_estimated_once(
     session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solved: list[np.ndarray] = []
-    estimate = image_frame.estimate
-    monkeypatch.setattr(image_frame, "estimate", lambda mask, *a, **k: solved.append(mask) or estimate(mask, *a, **k))
+    solved: list[object] = []
+    estimate = image_frame.estimate_views
+    monkeypatch.setattr(image_frame, "estimate_views", lambda v, *a, **k: solved.append(v) or estimate(v, *a, **k))
     monkeypatch.setattr(image_frame, "segment_again", lambda *_, **__: None)
     result = solve_image(session, session.frames[0], bundled_body).result
     assert len(solved) == 1

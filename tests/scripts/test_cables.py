@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
-from dvrk_cmaes.joints.play import lags_of
+from dvrk_cmaes.joints.play import play_of
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
@@ -24,7 +24,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     waves = 0.7 * np.sin(2 * np.pi * time[:, None] / [23.0, 17.0, 13.0] + phases)
     waves += 0.3 * np.sin(2 * np.pi * time[:, None] / [5.0, 7.0, 3.0])
     truth = measured_cables(NAMES)[0]
-    errors = truth.errors(waves, lags_of(waves, truth.width)) + np.deg2rad(0.1) * rng.standard_normal(waves.shape)
+    errors = truth.errors(waves, play_of(waves, truth.width)) + np.deg2rad(0.1) * rng.standard_normal(waves.shape)
     commanded = np.concatenate([np.zeros((len(time), 3)), waves], axis=1)
     measured = commanded + np.concatenate([np.zeros((len(time), 3)), errors], axis=1)
     measured[100] = 0.0  # not measured

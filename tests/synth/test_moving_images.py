@@ -12,9 +12,8 @@ import pytest
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes.cli import main
-from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS, moving_arm
@@ -188,13 +187,11 @@ def test_left_eye_is_that_of_a_recording_of_one_view(bundled_body: Body, stereo:
 
 def test_masks_of_both_eyes_show_the_true_pose(bundled_body: Body, stereo: Path) -> None:
     session = read_session(stereo)
-    assert session.rig is not None
     for files in session.frames:
         truth = session.truth.frames[files.name]
         joints = np.array([[truth.joints[name] for name in bundled_body.instrument.joint_names]])
-        data = read_views(files, session.rig)
-        assert isinstance(data, FrameData)
-        for view, mask in zip(session.rig.views, (data.mask, data.others["right"].mask), strict=True):
+        data = read_frame(files, session.rig)
+        for view, mask in zip(session.rig.views, [view.mask for view in data.views], strict=True):
             pose = view.view_from_camera @ truth.camera_from_root
             drawn = Renderer(bundled_body, view.camera).masks(pose[None], joints)[0]
             assert (drawn & mask).sum() > 0.85 * mask.sum()

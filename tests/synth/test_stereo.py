@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.session import SessionPlan, write_session
@@ -35,14 +34,12 @@ def folder(plan: SessionPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_both_masks_show_the_true_pose(folder: Path, plan: SessionPlan) -> None:
     session = read_session(folder)
-    assert session.rig is not None
     assert session.rig.view("right").view_from_camera[0, 3] == pytest.approx(-BASELINE)
     for files in session.frames:
         truth = session.truth.frames[files.name]
         joints = np.array([[truth.joints[name] for name in plan.body.instrument.joint_names]])
-        data = read_views(files, session.rig)
-        assert isinstance(data, FrameData)
-        for view, seen in zip(session.rig.views, (data, data.others["right"]), strict=True):
+        data = read_frame(files, session.rig)
+        for view, seen in zip(session.rig.views, data.views, strict=True):
             pose = view.view_from_camera @ truth.camera_from_root
             drawn = Renderer(plan.body, view.camera).masks(pose[None], joints)[0]
             counts = np.ones_like(drawn) if seen.ignore is None else ~seen.ignore

@@ -13,13 +13,12 @@ from helpers.commands import run_command
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes.camera.ros import write_camera_info
-from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
-from dvrk_cmaes.frames.view_frames import read_views
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
@@ -66,11 +65,9 @@ def truths_of(folder: Path, body: Body) -> list[list[Truth]]:
 def test_both_eyes_see_each_tool_where_its_truth_says(folder: Path, plan: SessionPlan) -> None:
     for arm, truths in zip(ARMS, truths_of(folder, plan.body), strict=True):
         session = session_of(folder, arm)
-        assert session.rig is not None
         for files, truth in zip(session.frames, truths, strict=True):
-            data = read_views(files, session.rig)
-            assert isinstance(data, FrameData)
-            for view, seen in zip(session.rig.views, (data, data.others["right"]), strict=True):
+            data = read_frame(files, session.rig)
+            for view, seen in zip(session.rig.views, data.views, strict=True):
                 pose = view.view_from_camera @ truth.camera_from_root
                 drawn = Renderer(plan.body, view.camera).masks(pose[None], truth.values[None])[0]
                 counts = np.ones_like(drawn) if seen.ignore is None else ~seen.ignore

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from helpers.page_calibrations import cables_of, calibration, solved
 
-from dvrk_cmaes.joints.play import lags_of
+from dvrk_cmaes.joints.play import play_of
 from dvrk_cmaes.track.cables import CableMemory
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 
@@ -24,7 +24,7 @@ def test_expected_errors_are_the_models_given_all_readings_before() -> None:
     memory = CableMemory.of(CALIBRATED)
     assert memory is not None
     rows = np.cumsum(np.random.default_rng(0).normal(0, 0.1, (30, 4)), axis=0)
-    expected = memory.model.errors(rows, lags_of(rows, memory.model.width))
+    expected = memory.model.errors(rows, play_of(rows, memory.model.width))
     np.testing.assert_allclose([memory.expected(reading(row)) for row in rows], expected)
 
 

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 import numpy as np
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_file import Video
-from dvrk_cmaes.io.video_file import whole_video
+from dvrk_cmaes.frames.video_frames import Video
+from dvrk_cmaes.io.video_writer import whole_video
 
 path = Path("video.mp4")
 with whole_video(path, (64, 48), 25.0) as video:

@@ -17,7 +17,7 @@ from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.image_header import MOST_PIXELS
-from dvrk_cmaes.io.video_file import quiet_ffmpeg
+from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
 Layout = Literal["mono", "side-by-side", "top-bottom"]

@@ -1,0 +1,178 @@
+"""Frames that have images and no mask: segmentation and pose estimation in alternation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.estimation.one_tool import estimate_views
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
+from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.segment import Segmentation
+from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.field_of_view import outside_view
+from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Bool = NDArray[np.bool_]
+
+_ITERATIONS = 2  # segmentations after the first
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentedFrame:
+    """A frame whose masks were found in its images, how that of its first view was found, and the pose estimate."""
+
+    data: FrameData
+    segmentation: Segmentation
+    result: Result
+
+
+@dataclass(frozen=True, eq=False)
+class _FoundMask:
+    """A view with the mask found in its image, how it was found, notes, and the result of the mask if it is known.
+
+    ``result`` is that of this view alone, without jaw tips and session.
+    """
+
+    view: SeenView
+    segmentation: Segmentation
+    notes: tuple[str, ...]
+    result: Result | None
+
+
+def segment_and_estimate(
+    data: FrameData,
+    files: FrameFiles,
+    body: Body,
+    *,
+    arm: Arm = "classic",
+    session: SessionCalibration | None = None,
+    config: EstimateConfig | None = None,
+    settings: SegmentSettings | None = None,
+    hints: Hints | None = None,
+) -> SegmentedFrame:
+    """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
+
+    Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
+    silhouette as prior, up to two times. A learned model's mask is kept as it is. The result of a frame of one view is
+    doubtful if the mask's confidence is low; if it is doubtful, it states whether the mask or the pose is likely to be
+    wrong.
+
+    Parameters
+    ----------
+    data, files
+        The frame, whose first view has an image; its name, time, readings and paths.
+    body, arm, session, config
+        As in `estimate`.
+    settings
+        The model that segments the images.
+    hints
+        Prompts in the first view: a box, points on the instrument and points beside it.
+
+    Raises
+    ------
+    InputError
+        As `estimate` and `segment`.
+    DvrkCmaesError
+        Nothing was found that could be the instrument; names the image's file.
+    """
+    settings, config = settings or SegmentSettings(), config or EstimateConfig()
+    started = perf_counter()
+
+    def solve(views: Sequence[SeenView], session: SessionCalibration | None = None) -> Result:
+        return estimate_views(
+            views,
+            files.readings,
+            body,
+            named=len(views) > 1,
+            arm=arm,
+            session=session,
+            frame=files.name,
+            time=files.time,
+            config=config,
+        )
+
+    found = []
+    for view in data.views:
+        own = hints if view is data.views[0] else None
+        try:
+            found.append(_find_mask(view, body, solve, settings, own or Hints(), config.threads))
+        except DvrkCmaesError as error:
+            raise type(error)(f"{image_path(files.others.get(view.name, files))}: {error}") from None
+    first, alone = found[0], len(found) == 1
+    data = FrameData(tuple(each.view for each in found), (*data.notes, *first.notes))
+    seconds = perf_counter() - started
+    result = first.result if alone and first.view.keypoints is None and session is None else None
+    if result is None:
+        result = solve(data.views, session)
+        seconds += result.seconds
+    result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
+    if alone:
+        calibrated = data.camera if session is None else session.corrected(data.camera)
+        result = _with_doubts(result, data.with_camera(calibrated).views[0], first.segmentation, body)
+    return SegmentedFrame(data, first.segmentation, result)
+
+
+def _find_mask(
+    view: SeenView,
+    body: Body,
+    solve: Callable[[Sequence[SeenView]], Result],
+    settings: SegmentSettings,
+    hints: Hints,
+    threads: int,
+) -> _FoundMask:
+    """Find the mask in the image of a view; a view without an image stays as it is."""
+    image = view.image
+    if image is None:
+        return _FoundMask(view, Segmentation(view.mask), (), None)
+    outside = outside_view(image)
+    notes: tuple[str, ...] = ()
+    if outside.any():
+        view = replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
+        notes = ("the image is a round picture in black: what is outside of it is ignored",)
+    found = segment_first(image, view.ignore, settings=settings, hints=hints, threads=threads)
+    result = None
+    for _ in range(_ITERATIONS if settings.model == "classic" else 0):
+        own = replace(view, view_from_camera=np.eye(4), mask=found.mask, keypoints=None, given=True)
+        result = solve([own])
+        silhouette = _silhouette(result, view, body)
+        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
+        if again is None:
+            break
+        found, result = again, None
+    how = f"mask found in the image by the {settings.model} model, confidence {found.confidence:.2f}"
+    found = replace(found, notes=(how, *found.notes))
+    return _FoundMask(replace(view, mask=found.mask, given=True), found, (*notes, *found.notes), result)
+
+
+def _with_doubts(result: Result, view: SeenView, found: Segmentation, body: Body) -> Result:
+    """Add to a result the doubts that follow from how its mask was found."""
+    reasons = result.reasons
+    if found.confidence < GUESS:
+        reasons = (*reasons, f"mask is a guess: confidence {found.confidence:.2f}, expected at least {GUESS}")
+    if not reasons:
+        return result
+    assert view.image is not None
+    silhouette = _silhouette(result, view, body)
+    reasons = (*reasons, f"mask or pose: {attribute_doubt(view.image, found, silhouette, view.ignore)}")
+    return replace(result, status="doubtful", reasons=reasons)
+
+
+def _silhouette(result: Result, view: SeenView, body: Body) -> Bool:
+    """Return the silhouette (H, W) of a result's pose in a view, in whose camera it is; empty where it has none."""
+    if result.camera_from_root is None:
+        return np.zeros((view.camera.height, view.camera.width), np.bool_)
+    joints = np.array([result.joints[name] for name in body.instrument.joint_names])
+    return np.asarray(Renderer(body, view.camera, threads=1).masks(result.camera_from_root[None], joints[None])[0])

@@ -1,0 +1,117 @@
+"""A view of a frame in memory: a camera of the rig, and its mask, image, ignored pixels and jaw tips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dvrk_cmaes.camera import Camera, Rig, View
+from dvrk_cmaes.errors import InputError, nearest_first
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+Mask = Bool | Mapping[str, Bool | None]
+"""The mask (H, W) of a camera, or those of a rig's views by name; None for a view without one."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenView(View):
+    """A view of a frame: its camera in the rig, and what that saw.
+
+    ``mask`` and ``ignore`` are (H, W), ``image`` (H', W', 3) BGR of the mask's aspect, ``keypoints`` (2, 2) px the jaw
+    tips. The mask is empty where none is ``given``.
+    """
+
+    mask: Bool
+    ignore: Bool | None = None
+    image: NDArray[np.uint8] | None = None
+    keypoints: Float64 | None = None
+    given: bool = True
+
+    @property
+    def shows(self) -> bool:
+        """Whether some of the instrument is seen where pixels count."""
+        return bool((self.mask if self.ignore is None else self.mask & ~self.ignore).any())
+
+
+def seen_views(
+    mask: Mask,
+    camera: Camera | Rig,
+    ignore: Mask | None = None,
+    keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
+) -> tuple[SeenView, ...]:
+    """Return the views of a frame that is given as arrays: of one camera, or by name of a rig's views.
+
+    Raises
+    ------
+    InputError
+        Masks by view without a rig or the other way round, a name that is no view's, or no mask at all.
+    """
+    rig = Rig.of(camera)
+    if isinstance(camera, Camera) and any(isinstance(each, Mapping) for each in (mask, ignore, keypoints)):
+        raise InputError("mask: expected a rig of cameras with masks by view, got one camera")
+    masks, ignored, tips = (
+        _by_view("mask", mask, rig),
+        _by_view("ignore", ignore, rig),
+        _by_view("keypoints", keypoints, rig),
+    )
+    if not masks:
+        raise InputError(f"mask: expected one for at least one view ({', '.join(rig.names)}), got none")
+    return tuple(
+        seen_by(view, masks.get(view.name), ignore=ignored.get(view.name), keypoints=tips.get(view.name))
+        for view in rig.views
+    )
+
+
+def seen_by(
+    view: View,
+    mask: object,
+    *,
+    ignore: object = None,
+    image: NDArray[np.uint8] | None = None,
+    keypoints: object = None,
+) -> SeenView:
+    """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given."""
+    return SeenView(
+        view.name,
+        view.camera,
+        view.view_from_camera,
+        np.zeros((view.camera.height, view.camera.width), np.bool_) if mask is None else np.asarray(mask, np.bool_),
+        None if ignore is None else np.asarray(ignore, dtype=np.bool_),
+        image,
+        None if keypoints is None else np.asarray(keypoints, dtype=np.float64),
+        mask is not None,
+    )
+
+
+def shown_views(views: Sequence[SeenView]) -> tuple[SeenView, ...]:
+    """Return the views that show some of the instrument, in the rig's order; if none does, the first with a mask.
+
+    A single view is returned whatever its mask shows.
+    """
+    if len(views) == 1:
+        return tuple(views)
+    return tuple(view for view in views if view.shows) or tuple(view for view in views if view.given)[:1]
+
+
+def left_out_views(views: Sequence[SeenView]) -> tuple[str, ...]:
+    """Return texts on the views of a rig that do not show the instrument: those without a mask first."""
+    without = (f"view {view.name}: no mask" for view in views if not view.given)
+    return (*without, *(f"view {view.name}: its mask is empty" for view in views if view.given and not view.shows))
+
+
+def _by_view(name: str, value: object, rig: Rig) -> Mapping[str, object]:
+    """Return the values of an argument by view, without None; a rig of one view takes a value that is not by view."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        if len(rig.views) == 1:
+            return {rig.names[0]: value}
+        raise InputError(f"{name}: expected one by view ({', '.join(rig.names)}), got one array")
+    for key in value:
+        if key not in rig.names:
+            raise InputError(f"{name}: expected views {', '.join(nearest_first(str(key), rig.names))}, got {key!r}")
+    return {key: each for key, each in value.items() if each is not None}
