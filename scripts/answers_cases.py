@@ -18,7 +18,7 @@ from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.bundled import bundled_path
 
-SHARED: Final = Path(__file__).resolve().parents[2] / "shared" / "frames"
+SHARED: Final = (Path(__file__).resolve().parents[2] / "shared" / "frames").resolve()
 
 _ONE: Final = ("--workers", "1")
 _PLAIN: Final = ("--no-video", "--no-page")
