@@ -27,62 +27,54 @@ measures the contribution of each part of the method.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-from accuracy_arms import arms_report
-from accuracy_bound import bound_report
-from accuracy_cables import cables_report
-from accuracy_calibration import calibration_report
-from accuracy_camera import camera_report, wrong_camera_cases
-from accuracy_cases import Case, Run, read_cases, run_cases
-from accuracy_errors import error_report, frame_errors, frame_rows
-from accuracy_halves import halved, halves_report
-from accuracy_lag import find_lags, lag_report
-from accuracy_lies import doubt_report, falsified_cases, load_others
-from accuracy_perturbed import perturbed_report
-from accuracy_rig import rig_report
-from accuracy_session import Outcome, Trial, original_trials, read_bases, run_trials, session_report
-from accuracy_session_lies import falsified_report, falsified_session_cases, falsified_trials
-from accuracy_spread_bound import mask_report
-from accuracy_tables import show, write_features
-from accuracy_track import track_report
-from accuracy_trust import trust_report
+from measure.accuracy.arms import arms_report
+from measure.accuracy.bound import bound_report
+from measure.accuracy.cables import cables_report
+from measure.accuracy.calibration import calibration_report
+from measure.accuracy.camera import measure_camera
+from measure.accuracy.errors import error_report, feature_rows, frame_rows
+from measure.accuracy.halves import halved, halves_report
+from measure.accuracy.lag import find_lags, lag_report
+from measure.accuracy.lies import doubt_report, falsified_cases, load_others
+from measure.accuracy.perturbed import perturbed_report
+from measure.accuracy.rig import rig_report
+from measure.accuracy.session_lies import measure_session_lies
+from measure.accuracy.sessions import original_trials, session_report, solve
+from measure.accuracy.spread_bound import mask_report
+from measure.accuracy.track import track_report
+from measure.accuracy.trust import trust_report
+from measure.cases import Measurement, Run
+from measure.places import SHARED
+from measure.tables import Report, print_report, write_csv
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.toml_file import read_config
-from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.sight import KINDS
 
-Report = Mapping[str, Sequence[Mapping[str, Any]]]
-
-OTHERS: Final = Path(__file__).resolve().parents[2] / "shared" / "instruments" / "dvrk_model" / "urdf"
+OTHERS: Final = SHARED / "instruments" / "dvrk_model" / "urdf"
 QUICK_FRAMES: Final = 2
 
 
 def main() -> int:
     """Run a command and print its report; return the exit code."""
-    arguments = _parser().parse_args()
-    if arguments.quick:
-        arguments.frames = QUICK_FRAMES
-        arguments.sessions = arguments.sessions[:1]
-    try:
-        report = COMMANDS[arguments.command](arguments)
-    except InputError as error:
-        print(f"accuracy.py: {error}", file=sys.stderr)
-        return 2
-    if arguments.json:
-        print(json.dumps(report, indent=1))
-    else:
-        for title, rows in report.items():
-            show(title, rows)
-    return 0
+    options = _parser().parse_args()
+    if options.quick:
+        options.frames, options.cases = QUICK_FRAMES, QUICK_FRAMES // 2
+        options.sessions = options.sessions[:1]
+    return print_report("accuracy.py", lambda: _report(options), as_json=options.json)
+
+
+def _report(options: argparse.Namespace) -> Report:
+    """Return the report of a command."""
+    config = EstimateConfig() if options.config is None else read_config(options.config, EstimateConfig())
+    given = Measurement(options.sessions, options.instrument, config, options.frames, options.workers, options.keep)
+    return COMMANDS[options.command](given, options)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -140,185 +132,84 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _config(arguments: argparse.Namespace) -> EstimateConfig:
-    """Return the settings of the estimates."""
-    default = EstimateConfig()
-    return default if arguments.config is None else read_config(arguments.config, default)
-
-
-def _original(arguments: argparse.Namespace, *, truth: bool = True) -> list[Case]:
-    """Read the frames of all sessions."""
-    return read_cases(arguments.sessions, instrument=arguments.instrument, frames=arguments.frames, truth=truth)
-
-
-def _run(arguments: argparse.Namespace, cases: Sequence[Case], label: str = "frames") -> list[Run]:
-    """Estimate cases."""
-    return run_cases(
-        cases,
-        instrument=arguments.instrument,
-        config=_config(arguments),
-        workers=arguments.workers,
-        keep=arguments.keep,
-        label=label,
-    )
-
-
-def _write_csv(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
+def _write_features(given: Measurement, options: argparse.Namespace, runs: Sequence[Run]) -> None:
     """Write the features and errors of runs if --csv is given."""
-    if arguments.csv is not None:
-        instrument = prepare(arguments.instrument).instrument
-        write_features(arguments.csv, runs, [frame_errors(instrument, run) for run in runs])
+    if options.csv is not None:
+        write_csv(options.csv, feature_rows(given.instrument, runs))
 
 
-def errors(arguments: argparse.Namespace) -> Report:
+def _errors(given: Measurement, options: argparse.Namespace) -> Report:
     """Report the errors of frames."""
-    runs = _run(arguments, _original(arguments, truth=False))
-    instrument = prepare(arguments.instrument).instrument
-    _write_csv(arguments, runs)
-    report = error_report(instrument, runs)
-    if arguments.table:
-        report["frames"] = list(frame_rows(instrument, runs))
-    return report
+    runs = given.runs(truth=False)
+    _write_features(given, options, runs)
+    rows = {"frames": frame_rows(given.instrument, runs)} if options.table else {}
+    return error_report(given.instrument, runs) | rows
 
 
-def calibration(arguments: argparse.Namespace) -> Report:
+def _calibration(given: Measurement, _: argparse.Namespace) -> Report:
     """Report the share of 90 % intervals that contain the truth."""
-    runs = _run(arguments, _original(arguments))
-    instrument = prepare(arguments.instrument).instrument
-    return {"90 % intervals that hold the truth": calibration_report(instrument, runs)}
+    return {"90 % intervals that hold the truth": calibration_report(given.instrument, given.runs())}
 
 
-def trust(arguments: argparse.Namespace) -> Report:
+def _trust(given: Measurement, _: argparse.Namespace) -> Report:
     """Report how well expected errors, probabilities of the mode and statuses agree with the truth."""
-    runs = _run(arguments, _original(arguments))
-    config = _config(arguments)
-    return trust_report(prepare(arguments.instrument).instrument, runs, config.trust.tip_mm)
+    return trust_report(given.instrument, given.runs(), given.config.trust.tip_mm)
 
 
-def lies(arguments: argparse.Namespace) -> Report:
+def _lies(given: Measurement, options: argparse.Namespace) -> Report:
     """Report the share of falsified frames that are doubtful."""
-    original = _original(arguments)
-    others = load_others(arguments.others)
+    original, others = given.cases(), load_others(options.others)
     if not others:
-        print(f"{arguments.others}: no such folder; no lies of other instruments", file=sys.stderr)
-    count = QUICK_FRAMES // 2 if arguments.quick else arguments.cases
-    falsified = falsified_cases(original, others, count, arguments.seed)
-    runs = _run(arguments, [*original, *falsified], label="frames and lies")
-    _write_csv(arguments, runs)
+        print(f"{options.others}: no such folder; no lies of other instruments", file=sys.stderr)
+    runs = given.runs([*original, *falsified_cases(original, others, options.cases, options.seed)], "frames and lies")
+    _write_features(given, options, runs)
     return {"share doubted": doubt_report(runs)}
 
 
-def bound(arguments: argparse.Namespace) -> Report:
+def _bound(given: Measurement, _: argparse.Namespace) -> Report:
     """Report errors and scatter compared with the Cramer-Rao bound."""
-    runs = _run(arguments, _original(arguments, truth=False))
-    body, config = prepare(arguments.instrument), _config(arguments)
-    return {**bound_report(body, runs, config), **mask_report(body, runs, config)}
+    runs = given.runs(truth=False)
+    return bound_report(given.body, runs, given.config) | mask_report(given.body, runs, given.config)
 
 
-def _solve(arguments: argparse.Namespace, trials: Sequence[Trial]) -> list[Outcome]:
-    """Calibrate sessions."""
-    return run_trials(trials, instrument=arguments.instrument, config=_config(arguments), workers=arguments.workers)
-
-
-def sessions(arguments: argparse.Namespace) -> Report:
+def _sessions(given: Measurement, _: argparse.Namespace) -> Report:
     """Report the errors of sessions solved together."""
-    bases = read_bases(arguments.sessions)
-    outcomes = _solve(arguments, original_trials(_run(arguments, _original(arguments)), bases))
-    return session_report(prepare(arguments.instrument).instrument, outcomes)
+    return session_report(given.instrument, solve(given, original_trials(given.runs(given.cases(base=True)))))
 
 
-def halves(arguments: argparse.Namespace) -> Report:
+def _halves(given: Measurement, _: argparse.Namespace) -> Report:
     """Report how far the bases of the halves of each session differ."""
-    cases = _original(arguments, truth=False)
-    bases = dict.fromkeys((case.session for case in cases), np.eye(4))  # not compared
-    return halves_report(_solve(arguments, halved(original_trials(_run(arguments, cases), bases))))
+    return halves_report(solve(given, halved(original_trials(given.runs(truth=False)))))
 
 
-def session_lies(arguments: argparse.Namespace) -> Report:
-    """Report the share of falsified sessions that are reported as such."""
-    bases, cases = read_bases(arguments.sessions), _original(arguments)
-    grouped: dict[str, list[Case]] = {}
-    for case in cases:
-        grouped.setdefault(case.session, []).append(case)
-    runs = _run(arguments, [*cases, *falsified_session_cases(grouped)], label="frames and lies")
-    originals = original_trials(runs[: len(cases)], bases)
-    return falsified_report(_solve(arguments, falsified_trials(originals, runs[len(cases) :])))
-
-
-def lag(arguments: argparse.Namespace) -> Report:
-    """Report the errors of the lags found in synthetic videos."""
-    runs = _run(arguments, _original(arguments))
-    config = _config(arguments)
-    return lag_report(find_lags(arguments.sessions, runs, instrument=arguments.instrument, config=config))
-
-
-def track(arguments: argparse.Namespace) -> Report:
+def _track(given: Measurement, options: argparse.Namespace) -> Report:
     """Report the errors of followed recordings."""
     return track_report(
-        arguments.sessions,
-        arguments.instrument,
-        _config(arguments),
-        frames=arguments.frames,
-        every=arguments.every,
-        calibration=None if arguments.session is None else read_calibration(arguments.session),
-        use_joints=not arguments.no_joints,
-        smooth=arguments.smooth,
-        evidence=arguments.evidence,
+        given,
+        every=options.every,
+        calibration=None if options.session is None else read_calibration(options.session),
+        use_joints=not options.no_joints,
+        smooth=options.smooth,
+        evidence=options.evidence,
     )
 
 
-def perturbed(arguments: argparse.Namespace) -> Report:
-    """Report how often images bring moved poses back."""
-    return perturbed_report(arguments.sessions, arguments.instrument, _config(arguments), frames=arguments.frames)
-
-
-def cables(arguments: argparse.Namespace) -> Report:
-    """Report the errors of joints that the other frames of recordings predict, with and without the cables."""
-    cases = _original(arguments)
-    runs = _run(arguments, cases) if arguments.estimated else []
-    return cables_report(arguments.sessions, arguments.instrument, _config(arguments), runs, cases)
-
-
-def rig(arguments: argparse.Namespace) -> Report:
-    """Report what both eyes of stereo sessions bring, and whether wrong rigs are named."""
-    return rig_report(
-        arguments.sessions,
-        arguments.instrument,
-        _config(arguments),
-        frames=arguments.frames,
-        use_joints=not arguments.no_joints,
-    )
-
-
-def arms(arguments: argparse.Namespace) -> Report:
-    """Report the errors of tools that cross, and of the same tools alone."""
-    return arms_report(arguments.sessions, arguments.instrument, _config(arguments), frames=arguments.frames)
-
-
-def camera(arguments: argparse.Namespace) -> Report:
-    """Report how many sessions contradict their camera file, right and with a focal length that is 10 % off."""
-    bases, cases = read_bases(arguments.sessions), _original(arguments)
-    runs = _run(arguments, [*cases, *wrong_camera_cases(cases)], label="frames with right and wrong cameras")
-    trials = original_trials(runs[: len(cases)], bases) + original_trials(runs[len(cases) :], bases)
-    return camera_report(_solve(arguments, trials))
-
-
-COMMANDS: Final = {
-    "errors": errors,
-    "calibration": calibration,
-    "trust": trust,
-    "lies": lies,
-    "bound": bound,
-    "sessions": sessions,
-    "halves": halves,
-    "session-lies": session_lies,
-    "lag": lag,
-    "track": track,
-    "perturbed": perturbed,
-    "cables": cables,
-    "rig": rig,
-    "arms": arms,
-    "camera": camera,
+COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]]] = {
+    "errors": _errors,
+    "calibration": _calibration,
+    "trust": _trust,
+    "lies": _lies,
+    "bound": _bound,
+    "sessions": _sessions,
+    "halves": _halves,
+    "session-lies": lambda given, _: measure_session_lies(given),
+    "lag": lambda given, _: lag_report(find_lags(given)),
+    "track": _track,
+    "perturbed": lambda given, _: perturbed_report(given),
+    "cables": lambda given, options: cables_report(given, estimated=options.estimated),
+    "rig": lambda given, options: rig_report(given, use_joints=not options.no_joints),
+    "arms": lambda given, _: arms_report(given),
+    "camera": lambda given, _: measure_camera(given),
 }
 
 

@@ -25,9 +25,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from answers_cases import CASES, SHARED, Case
-from answers_compare import accepted, compare, read_answers
-from bench_checkouts import FINISHED, HERE, Checkout
+from measure.answers.cases import CASES, Case
+from measure.answers.compare import accepted, compare, read_answers
+from measure.bench.checkouts import FINISHED, Checkout
+from measure.places import ROOT, SCANNED
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_text
@@ -149,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--against", type=Path, required=True, metavar="DIR", help="the checkout to compare with")
     parser.add_argument(
-        "--checkout", type=Path, default=HERE, metavar="DIR", help="the checkout to compare (default: the script's own)"
+        "--checkout", type=Path, default=ROOT, metavar="DIR", help="the checkout to compare (default: the script's own)"
     )
     parser.add_argument(
         "--keep", type=Path, metavar="FOLDER", help="folder of the other checkout's answers, by its commit"
@@ -158,7 +159,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"cases: {', '.join(names)}")
     parser.add_argument(
         "--instrument",
-        default=str(SHARED.parent / "instruments" / "lnd_400006" / "lnd_400006.urdf"),
+        default=str(SCANNED.resolve()),
         metavar="NAME|URDF",
         help="bundled instrument or URDF, of the cases that are not of the bundled sessions",
     )

@@ -1,4 +1,4 @@
-"""Measure the speed of the renderer and of estimates. To be run by hand on a machine without other load.
+"""Measure the speed of the renderer, of estimates, folders and pages. By hand, on a machine without other load.
 
     python scripts/bench.py render       ms for the loss terms of a candidate, compared with other renderers
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
@@ -9,36 +9,40 @@
     python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
     python scripts/bench.py checkouts    estimates, whole commands and a folder compared with another checkout
+    python scripts/bench.py folder       frames a second of a folder by workers, and memory over time
+    python scripts/bench.py many         a calibration by its number of frames, with all files written
+    python scripts/bench.py live         poses a second over a websocket, and their age from image to pose
 
-The default sessions and instrument are in the folder shared beside the checkout. Alternatives that are compared are run
-alternately in one process; times are medians.
+Each has options of its own: see `bench.py COMMAND --help`. The default sessions and instrument are in the folder shared
+beside the checkout. Alternatives that are compared are run alternately in one process; times are medians.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from bench_calibrate import calibrate_report
-from bench_checkouts import checkouts_report
-from bench_cores import cores_report
-from bench_estimate import estimate_report, workers_report
-from bench_page import page_report
-from bench_render import render_report, scale_report
-from bench_stages import stages_report
-from bench_track import track_report
+from measure.bench import folder, live, many
+from measure.bench.calibrate import calibrate_report
+from measure.bench.checkouts import checkouts_report
+from measure.bench.cores import cores_report
+from measure.bench.estimate import estimate_report, workers_report
+from measure.bench.page import page_report
+from measure.bench.render import render_report, scale_report
+from measure.bench.stages import stages_report
+from measure.bench.track import track_report
+from measure.places import SCANNED, SHARED
+from measure.tables import Report, print_report
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.track.sight import KINDS
 
-SHARED: Final = Path(__file__).resolve().parents[2] / "shared"
 FRAMES: Final = ("made/clean", "made/easy", "made/medium", "made/hard", "real/easy", "real/medium")
 SESSIONS: Final = [SHARED / "frames" / name for name in FRAMES]
 SOLVED: Final = [SHARED / "frames" / "made" / name for name in ("easy", "medium", "hard")]
@@ -47,84 +51,71 @@ RECORDINGS: Final = [SHARED / "frames" / "video" / name for name in ("easy", "ha
 
 def main() -> int:
     """Run a command and print its report; return the exit code."""
-    arguments = _parser().parse_args()
-    try:
-        report = {"machine": [_machine()], **COMMANDS[arguments.command](arguments)}
-    except InputError as error:
-        print(f"bench.py: {error}", file=sys.stderr)
-        return 2
-    except DvrkCmaesError as error:
-        print(f"bench.py: {error}", file=sys.stderr)
-        return 1
-    if arguments.json:
-        print(json.dumps(report, indent=1))
-    else:
-        for title, rows in report.items():
-            _show(title, rows)
-    return 0
+    options = _parser().parse_args()
+    return print_report(
+        "bench.py",
+        lambda: {"machine": [_machine()], **COMMANDS[options.command](options)},
+        as_json=options.json,
+    )
 
 
-def _render(arguments: argparse.Namespace) -> dict[str, Any]:
+def _render(options: argparse.Namespace) -> Report:
     """Report the command render."""
-    return render_report(arguments.instrument, arguments.golden, repeats=3 if arguments.quick else arguments.repeats)
+    return render_report(options.instrument, options.golden, repeats=3 if options.quick else options.repeats)
 
 
-def _estimate(arguments: argparse.Namespace) -> dict[str, Any]:
+def _estimate(options: argparse.Namespace) -> Report:
     """Report the command estimate."""
-    return estimate_report(arguments.instrument, arguments.sessions, frames=1 if arguments.quick else arguments.frames)
+    return estimate_report(options.instrument, options.sessions, frames=1 if options.quick else options.frames)
 
 
-def _stages(arguments: argparse.Namespace) -> dict[str, Any]:
+def _stages(options: argparse.Namespace) -> Report:
     """Report the command stages."""
-    return stages_report(arguments.instrument, arguments.sessions, frames=1 if arguments.quick else arguments.frames)
+    return stages_report(options.instrument, options.sessions, frames=1 if options.quick else options.frames)
 
 
-def _calibrate(arguments: argparse.Namespace) -> dict[str, Any]:
+def _calibrate(options: argparse.Namespace) -> Report:
     """Report the command calibrate."""
-    sessions = arguments.sessions if arguments.sessions is not SESSIONS else SOLVED
-    frames = 5 if arguments.quick else arguments.frames
-    return calibrate_report(arguments.instrument, sessions, frames=frames, results=arguments.results)
+    frames = 5 if options.quick else options.frames
+    return calibrate_report(options.instrument, options.sessions, frames=frames, results=options.results)
 
 
-def _scale(arguments: argparse.Namespace) -> dict[str, Any]:
+def _scale(options: argparse.Namespace) -> Report:
     """Report the command scale."""
-    report = scale_report(arguments.instrument, arguments.golden, repeats=2 if arguments.quick else arguments.repeats)
-    workers = [1, 2] if arguments.quick else [n for n in (1, 2, 4, 8) if n <= max(os.cpu_count() or 1, 2)]
-    frames = 2 if arguments.quick else arguments.frames
-    return report | workers_report(arguments.instrument, arguments.golden, workers=workers, frames=frames)
+    report = scale_report(options.instrument, options.golden, repeats=2 if options.quick else options.repeats)
+    workers = [1, 2] if options.quick else [n for n in (1, 2, 4, 8) if n <= max(os.cpu_count() or 1, 2)]
+    frames = 2 if options.quick else options.frames
+    return report | workers_report(options.instrument, options.golden, workers=workers, frames=frames)
 
 
-def _cores(arguments: argparse.Namespace) -> dict[str, Any]:
+def _cores(options: argparse.Namespace) -> Report:
     """Report the command cores."""
-    return cores_report(arguments.instrument, arguments.golden, repeats=3 if arguments.quick else arguments.repeats)
+    return cores_report(options.instrument, options.golden, repeats=3 if options.quick else options.repeats)
 
 
-def _track(arguments: argparse.Namespace) -> dict[str, Any]:
+def _track(options: argparse.Namespace) -> Report:
     """Report the command track."""
-    sessions = arguments.sessions if arguments.sessions is not SESSIONS else RECORDINGS
-    frames = 5 if arguments.quick else arguments.frames
+    frames = 5 if options.quick else options.frames
     return track_report(
-        arguments.instrument, sessions, frames=frames, steps=arguments.steps, evidence=arguments.evidence
+        options.instrument, options.sessions, frames=frames, steps=options.steps, evidence=options.evidence
     )
 
 
-def _page(arguments: argparse.Namespace) -> dict[str, Any]:
+def _page(options: argparse.Namespace) -> Report:
     """Report the command page."""
-    frames = 300 if arguments.quick else 10_000 if arguments.frames is None else arguments.frames
-    return page_report(frames, 2 if arguments.quick else arguments.repeats)
+    frames = 300 if options.quick else 10_000 if options.frames is None else options.frames
+    return page_report(frames, 2 if options.quick else options.repeats)
 
 
-def _checkouts(arguments: argparse.Namespace) -> dict[str, Any]:
+def _checkouts(options: argparse.Namespace) -> Report:
     """Report the command checkouts."""
-    if arguments.against is None:
+    if options.against is None:
         raise InputError("checkouts: expected --against DIR, the checkout to compare with")
-    frames, repeats = (1, 1) if arguments.quick else (arguments.frames, arguments.repeats)
-    return checkouts_report(
-        arguments.instrument, arguments.sessions, other=arguments.against, frames=frames, repeats=repeats
-    )
+    frames, repeats = (1, 1) if options.quick else (options.frames, options.repeats)
+    return checkouts_report(options.instrument, options.sessions, other=options.against, frames=frames, repeats=repeats)
 
 
-COMMANDS: Final = {
+COMMANDS: Final[Mapping[str, Callable[[argparse.Namespace], Report]]] = {
     "render": _render,
     "estimate": _estimate,
     "stages": _stages,
@@ -134,7 +125,12 @@ COMMANDS: Final = {
     "track": _track,
     "page": _page,
     "checkouts": _checkouts,
+    "folder": folder.folder_report,
+    "many": many.many_report,
+    "live": live.live_report,
 }
+OWN_OPTIONS: Final = {"folder": folder, "many": many, "live": live}
+"""Modules of the commands that take other options than the rest."""
 
 
 def _machine() -> dict[str, Any]:
@@ -143,37 +139,30 @@ def _machine() -> dict[str, Any]:
     return {"cores": os.cpu_count(), "load": load, "python": platform.python_version(), "numpy": np.__version__}
 
 
-def _show(title: str, rows: Sequence[Mapping[str, Any] | str]) -> None:
-    """Print rows as a table under a title, and rows of text below it."""
-    print(f"\n{title}")
-    tables = [row for row in rows if not isinstance(row, str)]
-    columns = list(dict.fromkeys(name for row in tables for name in row))
-    cells = [columns, *([_text(row.get(name)) for name in columns] for row in tables)]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(columns))]
-    for line in cells if columns else []:
-        print("  " + "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
-    for row in rows:
-        if isinstance(row, str):
-            print(f"  {row}")
-
-
-def _text(value: Any) -> str:
-    """Format a cell: ``-`` for None, three significant digits for small numbers."""
-    if value is None:
-        return "-"
-    return f"{value:.3g}" if isinstance(value, float) and abs(value) < 1000 else str(value)
-
-
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=COMMANDS, help="what to measure")
-    parser.add_argument(
-        "--instrument",
-        default=str(SHARED / "instruments" / "lnd_400006" / "lnd_400006.urdf"),
-        metavar="NAME|URDF",
-        help="bundled instrument or URDF",
-    )
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        module = OWN_OPTIONS.get(name)
+        one = commands.add_parser(name, description=module.__doc__ if module else None, formatter_class=formatter)
+        one.add_argument(
+            "--instrument",
+            default=str(SCANNED),
+            metavar="NAME|URDF",
+            help="bundled instrument or URDF",
+        )
+        one.add_argument("--json", action="store_true", help="print JSON")
+        if module is None:
+            _add_options(one, {"calibrate": SOLVED, "track": RECORDINGS}.get(name, SESSIONS))
+        else:
+            module.add_options(one)
+    return parser
+
+
+def _add_options(parser: argparse.ArgumentParser, sessions: list[Path]) -> None:
+    """Add the options of the commands that have none of their own; ``sessions`` are the default."""
     parser.add_argument(
         "--golden",
         type=Path,
@@ -185,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
         "--sessions",
         type=Path,
         nargs="+",
-        default=SESSIONS,
+        default=sessions,
         metavar="SESSION",
         help="sessions, for estimate, stages, calibrate, track and checkouts",
     )
@@ -206,8 +195,6 @@ def _parser() -> argparse.ArgumentParser:
         "--frames", type=int, default=None, metavar="N", help="largest number of frames of each session (default: all)"
     )
     parser.add_argument("--quick", action="store_true", help="few repetitions and frames, to test the script")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    return parser
 
 
 if __name__ == "__main__":

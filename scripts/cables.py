@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from accuracy_tables import show
 from committed_data import refuse_in_ci
+from measure.tables import show
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 

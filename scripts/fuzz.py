@@ -24,11 +24,11 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fuzz_damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
-from fuzz_families import FAMILIES, OPTIONS, Family, write_material
-from fuzz_kills import FAULTS, KillReport, fuzz_kills
-from fuzz_runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
-from fuzz_tracker import TrackerReport, fuzz_tracker
+from measure.fuzz.damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
+from measure.fuzz.families import FAMILIES, OPTIONS, Family, write_material
+from measure.fuzz.kills import FAULTS, KillReport, fuzz_kills
+from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
+from measure.fuzz.tracker import TrackerReport, fuzz_tracker
 
 LARGE = 1500.0  # MB
 _LONGEST_LINE = 1000

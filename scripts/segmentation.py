@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -19,7 +18,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from accuracy_tables import show
+from measure.tables import Report, print_report
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
@@ -43,19 +42,14 @@ NEAR_DEG: Final = 10.0
 
 def main() -> int:
     """Run a command and print its report; return the exit code."""
-    arguments = _parser().parse_args()
-    try:
-        sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in arguments.sessions}
-        report = {"masks": masks_report, "poses": poses_report}[arguments.command](sessions, arguments.instrument)
-    except InputError as error:
-        print(f"segmentation.py: {error}", file=sys.stderr)
-        return 2
-    if arguments.json:
-        print(json.dumps(report, indent=1))
-    else:
-        for title, rows in report.items():
-            show(title, rows)
-    return 0
+    options = _parser().parse_args()
+    return print_report("segmentation.py", lambda: _report(options), as_json=options.json)
+
+
+def _report(options: argparse.Namespace) -> Report:
+    """Return the report of a command."""
+    sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in options.sessions}
+    return {"masks": masks_report, "poses": poses_report}[options.command](sessions, options.instrument)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -84,7 +84,8 @@ def node_of(module: str) -> str | None:
 
 @cache
 def script_names() -> frozenset[str]:
-    return frozenset({"scripts", *(path.stem for path in SCRIPTS.rglob("*.py"))})
+    files = [path.relative_to(SCRIPTS).with_suffix("") for path in SCRIPTS.rglob("*.py")]
+    return frozenset({"scripts", *(part for path in files for part in path.parts)})
 
 
 @pytest.fixture(scope="module")

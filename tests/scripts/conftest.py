@@ -10,7 +10,7 @@ from helpers.places import SCRIPTS
 from dvrk_cmaes.io.bundled import bundled_path
 
 if TYPE_CHECKING:
-    from accuracy_cases import Case
+    from measure.cases import Case
 
 
 @pytest.fixture
@@ -22,6 +22,6 @@ def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def cases(scripts_on_path: None) -> list[Case]:
     """The bundled session's frames as scripts/accuracy.py reads them."""
-    from accuracy_cases import read_cases
+    from measure.cases import Measurement
 
-    return read_cases([str(bundled_path("demo"))], instrument="lnd", frames=None)
+    return Measurement([str(bundled_path("demo"))]).cases()

@@ -22,7 +22,7 @@ from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:
-    from accuracy_cases import Case, Run
+    from measure.cases import Case, Run
 
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 def a_run(case: Case, pose: np.ndarray, joints: Mapping[str, float], spread: np.ndarray | None = None) -> Run:
     """Make a run that ended at a pose, with given standard deviations (9,) of [t, r, joints]."""
-    from accuracy_cases import Run
+    from measure.cases import Run
 
     result: dict[str, Any] = {
         "status": "ok",
@@ -50,7 +50,7 @@ def wrist(case: Case) -> dict[str, float]:
 
 
 def test_error_of_two_std_has_distance_two(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_calibration import distances
+    from measure.accuracy.calibration import distances
 
     instrument, case = bundled_body.instrument, cases[0]
     assert case.truth is not None
@@ -73,7 +73,7 @@ def test_error_of_two_std_has_distance_two(bundled_body: Body, cases: list[Case]
 
 
 def test_share_interval_is_clopper_pearson() -> None:
-    from accuracy_calibration import share_interval
+    from measure.accuracy.figures import share_interval
 
     assert share_interval(9, 10) == pytest.approx((0.5550, 0.9975), abs=1e-4)
     assert share_interval(0, 10)[0] == 0
@@ -81,7 +81,7 @@ def test_share_interval_is_clopper_pearson() -> None:
 
 
 def test_spread_ignores_common_error_along_shaft(cases: list[Case]) -> None:
-    from accuracy_errors import session_spread
+    from measure.accuracy.errors import session_spread
 
     rng = np.random.default_rng(1)
     base = transform(np.eye(3), [0.01, 0.02, 0.2])
@@ -104,22 +104,22 @@ def test_spread_ignores_common_error_along_shaft(cases: list[Case]) -> None:
 
 
 def test_crossing_rates_sum_to_change_of_area(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_bound import find_crossings
+    from measure.accuracy.bound import find_crossings
 
     case = cases[0]
     assert case.truth is not None
-    pose, joints = case.truth.camera_from_root, np.array(list(wrist(case).values()))
-    rates = find_crossings(bundled_body, case, pose, joints).rates.sum(axis=1)
+    true = case.true(bundled_body.instrument)
+    rates = find_crossings(bundled_body, case, true).rates.sum(axis=1)
     renderer = Renderer(bundled_body, case.camera, threads=1)
     steps = np.array([2e-5] * 3 + [2e-4] * 6)
     change = np.concatenate([np.diag(steps), -np.diag(steps)])
-    area = renderer.coverage(moved(pose, change[:, :6]), joints + change[:, 6:], lines_per_pixel=8).sum(axis=(1, 2))
+    area = renderer.coverage(true.moved(change).pose, true.moved(change).joints, lines_per_pixel=8).sum(axis=(1, 2))
     measured = (area[:9] - area[9:]) / (2 * steps)
     assert rates == pytest.approx(measured, rel=0.05, abs=0.02 * np.abs(rates).max())
 
 
 def test_bound_decreases_with_pixels_and_readings(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_bound import least_covariance
+    from measure.accuracy.bound import least_covariance
 
     from dvrk_cmaes.config import EstimateConfig
 
@@ -127,14 +127,14 @@ def test_bound_decreases_with_pixels_and_readings(bundled_body: Body, cases: lis
     with_readings = np.diag(least_covariance(bundled_body, case, config))
     without = np.diag(least_covariance(bundled_body, replace(case, readings={}), config))
     camera = case.camera.scaled(2 * case.camera.width, 2 * case.camera.height)
-    finer = np.diag(least_covariance(bundled_body, replace(case, readings={}, camera=camera), config))
+    finer = np.diag(least_covariance(bundled_body, replace(case, readings={}).with_camera(camera), config))
     assert (with_readings <= without * (1 + 1e-9)).all()
     # twice the rows, each with half the error in px
     assert np.sqrt(without / finer) == pytest.approx(2 * np.sqrt(2), rel=0.15)
 
 
 def test_false_inputs_change_stated_part_only(cases: list[Case]) -> None:
-    from accuracy_lies import FALSIFICATIONS, falsified_cases
+    from measure.accuracy.lies import FALSIFICATIONS, falsified_cases
 
     made = falsified_cases(cases, {}, 4, seed=0)
     kinds = [kind for kind in FALSIFICATIONS if not kind.endswith("needle driver")]
@@ -181,18 +181,18 @@ def test_quick_run_reports_json_and_reuses_results(tmp_path: Path) -> None:
 
 
 def test_frame_with_empty_mask_is_left_out_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from accuracy_cases import read_cases
+    from measure.cases import Measurement
 
     session = tmp_path / "demo"
     shutil.copytree(ROOT / "data" / "demo", session)
     cv2.imwrite(str(session / "masks" / "0002.png"), np.zeros((480, 640), np.uint8))
-    cases = read_cases([str(session)], instrument="lnd", frames=None)
+    cases = Measurement([str(session)]).cases()
     assert [case.frame for case in cases] == ["0000", "0001", "0003", "0004"]
     assert "frame 0002 is left out" in capsys.readouterr().err
     for mask in (session / "masks").iterdir():
         cv2.imwrite(str(mask), np.zeros((480, 640), np.uint8))
     with pytest.raises(InputError, match="a frame that can be used"):
-        read_cases([str(session)], instrument="lnd", frames=None)
+        Measurement([str(session)]).cases()
 
 
 def test_missing_session_is_refused(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:
-    from accuracy_cases import Case, Run
+    from measure.cases import Case, Run
 
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
@@ -25,19 +25,15 @@ pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 def with_mask(body: Body, case: Case, *, wave: float) -> Case:
     """Give a case with its true silhouette as mask, the outline moved by ``wave`` px with a correlation of 20 px."""
-    from accuracy_bound import true_joints
-
-    assert case.truth is not None
-    drawn = Renderer(body, case.camera, threads=1).masks(
-        case.truth.camera_from_root[None], true_joints(body, case)[None]
-    )[0]
+    true = case.true(body.instrument)
+    drawn = Renderer(body, case.camera, threads=1).masks(true.pose[None], true.joints[None])[0]
     noise = cv2.GaussianBlur(np.random.default_rng(2).standard_normal(drawn.shape), (0, 0), 6)
-    return replace(case, mask=signed_distance(drawn) < wave * noise / noise.std())
+    return case.with_mask(signed_distance(drawn) < wave * noise / noise.std())
 
 
 def runs_at(cases: Sequence[Case], poses: Sequence[np.ndarray], spread: float = 1e-3) -> list[Run]:
     """Make runs that ended at poses, with one standard deviation for all of [t, r, joints]."""
-    from accuracy_cases import Run
+    from measure.cases import Run
 
     result: dict[str, Any] = {"status": "ok", "covariance": {"matrix": (np.eye(9) * spread**2).tolist()}}
     return [
@@ -48,7 +44,7 @@ def runs_at(cases: Sequence[Case], poses: Sequence[np.ndarray], spread: float = 
 
 
 def test_bound_grows_with_noise_of_mask(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_spread_bound import MODELS, mask_bound
+    from measure.accuracy.spread_bound import MODELS, mask_bound
 
     bounds = [mask_bound(bundled_body, with_mask(bundled_body, cases[0], wave=w), EstimateConfig()) for w in (0, 1, 2)]
     assert bounds[0].noise.sigma == pytest.approx(0.3, abs=0.1)
@@ -60,8 +56,8 @@ def test_bound_grows_with_noise_of_mask(bundled_body: Body, cases: list[Case]) -
 
 
 def test_exact_mask_bound_is_that_of_pixel_grid(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_bound import least_covariance
-    from accuracy_spread_bound import mask_bound
+    from measure.accuracy.bound import least_covariance
+    from measure.accuracy.spread_bound import mask_bound
 
     case = with_mask(bundled_body, cases[0], wave=0)
     grid = np.sqrt(np.diag(least_covariance(bundled_body, case, EstimateConfig())))
@@ -70,7 +66,7 @@ def test_exact_mask_bound_is_that_of_pixel_grid(bundled_body: Body, cases: list[
 
 
 def test_modelled_correlation_lowers_bound(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_spread_bound import mask_bound
+    from measure.accuracy.spread_bound import mask_bound
 
     bound = mask_bound(bundled_body, with_mask(bundled_body, cases[0], wave=1), EstimateConfig())
     ratio = np.sqrt(np.diag(bound.covariances["smooth"]) / np.diag(bound.covariances["blocks"]))
@@ -78,7 +74,7 @@ def test_modelled_correlation_lowers_bound(bundled_body: Body, cases: list[Case]
 
 
 def test_spreads_agree_with_simulated_errors() -> None:
-    from accuracy_spread_bound import drawn_spreads, spreads, with_common_rcm
+    from measure.accuracy.spread_bound import drawn_spreads, spreads, with_common_rcm
 
     rng = np.random.default_rng(1)
     base = transform(np.eye(3), [0.01, 0.02, 0.2])
@@ -101,7 +97,7 @@ def test_spreads_agree_with_simulated_errors() -> None:
 
 
 def test_wrong_mode_counts_in_spread_of_all_frames_only(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_spread_bound import mask_report
+    from measure.accuracy.spread_bound import mask_report
 
     truth = [case.truth.camera_from_root for case in cases if case.truth is not None]
     true = mask_report(bundled_body, runs_at(cases[1:], truth[1:]), EstimateConfig())
@@ -120,7 +116,7 @@ def test_wrong_mode_counts_in_spread_of_all_frames_only(bundled_body: Body, case
 
 
 def test_results_without_truth_use_their_covariances(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_spread_bound import mask_report
+    from measure.accuracy.spread_bound import mask_report
 
     truth = [case.truth.camera_from_root for case in cases if case.truth is not None]
     off = moved(np.stack(truth), 1e-3 * np.random.default_rng(3).standard_normal((len(truth), 6)))
@@ -138,7 +134,7 @@ def test_results_without_truth_use_their_covariances(bundled_body: Body, cases: 
 
 
 def test_session_without_insertion_has_no_spread(bundled_body: Body, cases: list[Case]) -> None:
-    from accuracy_spread_bound import mask_report
+    from measure.accuracy.spread_bound import mask_report
 
     bare = [
         replace(case, readings={k: v for k, v in case.readings.items() if k != "insertion"})

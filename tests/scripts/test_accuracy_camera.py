@@ -16,8 +16,8 @@ from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 
 if TYPE_CHECKING:
-    from accuracy_cases import Case
-    from accuracy_session import Outcome
+    from measure.accuracy.sessions import Outcome
+    from measure.cases import Case
 
 
 @pytest.fixture(autouse=True)
@@ -28,15 +28,15 @@ def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def cases() -> list[Case]:
-    from accuracy_cases import read_cases
+    from measure.cases import Measurement
 
-    return read_cases([str(ROOT / "data" / "demo")], instrument="lnd", frames=None)
+    return Measurement([str(ROOT / "data" / "demo")]).cases()
 
 
 def outcome(cases: Sequence[Case], focal_scale: float | None, *, contradicts: bool) -> Outcome:
     """Make a calibrated session that states a factor on the focal length, or none."""
-    from accuracy_cases import Run
-    from accuracy_session import Outcome, Trial
+    from measure.accuracy.sessions import Outcome, Trial
+    from measure.cases import Run
 
     camera = None
     if focal_scale is not None:
@@ -58,7 +58,7 @@ def outcome(cases: Sequence[Case], focal_scale: float | None, *, contradicts: bo
 
 
 def test_wrong_file_changes_focal_lengths_alone(cases: list[Case]) -> None:
-    from accuracy_camera import wrong_camera_cases
+    from measure.accuracy.camera import wrong_camera_cases
 
     wrong = wrong_camera_cases(cases)
     assert len(wrong) == len(cases)
@@ -71,7 +71,7 @@ def test_wrong_file_changes_focal_lengths_alone(cases: list[Case]) -> None:
 
 
 def test_named_sessions_are_counted_by_kind(cases: list[Case]) -> None:
-    from accuracy_camera import camera_report, wrong_camera_cases
+    from measure.accuracy.camera import camera_report, wrong_camera_cases
 
     wrong = wrong_camera_cases(cases)
     report = camera_report(

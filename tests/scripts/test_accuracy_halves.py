@@ -16,8 +16,8 @@ STD = np.array([1e-4, 1e-4, 2e-4, 1e-3, 1e-3, 2e-3])
 
 
 def outcome(off: np.ndarray, name: str = "easy1", frames: int = 4) -> object:
-    from accuracy_cases import Run
-    from accuracy_session import Outcome, Trial
+    from measure.accuracy.sessions import Outcome, Trial
+    from measure.cases import Run
 
     calibration = SessionCalibration(
         instrument="lnd",
@@ -33,7 +33,7 @@ def outcome(off: np.ndarray, name: str = "easy1", frames: int = 4) -> object:
 
 
 def test_difference_is_in_standard_deviations_of_each_axis() -> None:
-    from accuracy_halves import halves_report
+    from measure.accuracy.halves import halves_report
 
     off = np.zeros(6)
     off[2] = 4e-4
@@ -47,7 +47,7 @@ def test_difference_is_in_standard_deviations_of_each_axis() -> None:
 
 
 def test_halves_are_the_first_and_the_last_frames() -> None:
-    from accuracy_halves import halved
+    from measure.accuracy.halves import halved
 
     whole = outcome(np.zeros(6), frames=5)
     first, second = halved([whole.trial])  # type: ignore[attr-defined]
@@ -55,8 +55,8 @@ def test_halves_are_the_first_and_the_last_frames() -> None:
 
 
 def test_refused_half_is_reported() -> None:
-    from accuracy_halves import halves_report
-    from accuracy_session import Outcome
+    from measure.accuracy.halves import halves_report
+    from measure.accuracy.sessions import Outcome
 
     good = outcome(np.zeros(6))
     bad = Outcome(good.trial, None, "session: too few frames")  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 
 def test_shares_count_errors_intervals_and_false_claims() -> None:
-    from accuracy_lag import LagTrial, lag_report
+    from measure.accuracy.lag import LagTrial, lag_report
 
     trials = [
         LagTrial("hard1", "hard", 4.0, Lag(4.1, 0.1)),

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.results.result import Result
@@ -18,7 +17,7 @@ POSE = np.array([[1.0, 0, 0, 0.01], [0, 1, 0, 0.02], [0, 0, 1, 0.1], [0, 0, 0, 1
 
 @pytest.mark.usefixtures("scripts_on_path")
 def test_poses_are_moved_by_what_is_said() -> None:
-    from accuracy_perturbed import _moved
+    from measure.accuracy.perturbed import _moved
 
     failed = Result.failed("a", "b", {}, instrument="lnd", root_link="roll_link")
     found = _moved(replace(failed, camera_from_root=POSE, joints=JOINTS), np.random.default_rng(1))
@@ -30,11 +29,12 @@ def test_poses_are_moved_by_what_is_said() -> None:
 
 @pytest.mark.usefixtures("scripts_on_path")
 def test_figures_of_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
-    import accuracy_perturbed
 
-    monkeypatch.setattr(accuracy_perturbed, "TRIALS", 1)
-    folder = str(bundled_path("demo"))
-    ((row,),) = accuracy_perturbed.perturbed_report([folder], "lnd", EstimateConfig(), frames=2).values()
+    from measure.accuracy import perturbed
+    from measure.cases import Measurement
+
+    monkeypatch.setattr(perturbed, "TRIALS", 1)
+    ((row,),) = perturbed.perturbed_report(Measurement([str(bundled_path("demo"))], frames=2)).values()
     assert (row["images"], row["trials"]) == (2, 2)
     assert row["back"] in (0.0, 0.5, 1.0)
     assert 0 <= row["across the view, mm"] <= row["root, mm"] < 10

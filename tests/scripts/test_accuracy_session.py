@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,8 +22,8 @@ BASE = moved(np.eye(4), [0.01, 0.02, 0.15, 0.9, 1.8, -0.4])
 SPREAD = np.array([1e-4, 2e-4, 3e-4, 0.001, 0.002, 0.003])
 
 if TYPE_CHECKING:
-    from accuracy_cases import Case
-    from accuracy_session import Outcome
+    from measure.accuracy.sessions import Outcome
+    from measure.cases import Case
 
 
 @pytest.fixture(autouse=True)
@@ -33,16 +34,16 @@ def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def cases() -> list[Case]:
-    from accuracy_cases import read_cases
+    from measure.cases import Measurement
 
-    demo = read_cases([str(ROOT / "data" / "demo")], instrument="lnd", frames=None)
+    demo = Measurement([str(ROOT / "data" / "demo")]).cases()
     return [replace(demo[k % len(demo)], frame=f"{k:04d}") for k in range(10)]
 
 
 def outcome(cases: Sequence[Case], off: np.ndarray, kind: str = "honest", **fields: Any) -> Outcome:
     """Make a session whose base deviates by a small change ``off`` (6,), in its own axes, from the true one."""
-    from accuracy_cases import Run
-    from accuracy_session import Outcome, Trial
+    from measure.accuracy.sessions import Outcome, Trial
+    from measure.cases import Run
 
     runs = [
         Run(case, {"status": "ok", "camera_from_root": np.eye(4).tolist(), "joints": {}, "seconds": 1.0}, {})
@@ -62,7 +63,7 @@ def outcome(cases: Sequence[Case], off: np.ndarray, kind: str = "honest", **fiel
 
 
 def test_errors_are_in_standard_deviations(cases: list[Case]) -> None:
-    from accuracy_session import base_error, deviations
+    from measure.accuracy.sessions import base_error, deviations
 
     one = outcome(cases, np.array([0, 4e-4, 0, 0, 0, 0]))
     assert deviations(one) == pytest.approx([0, 2, 0, 0, 0, 0, 4, 0], abs=1e-9)
@@ -73,7 +74,7 @@ def test_errors_are_in_standard_deviations(cases: list[Case]) -> None:
 
 
 def test_intervals_are_counted_by_quantity(cases: list[Case]) -> None:
-    from accuracy_session import interval_rows
+    from measure.accuracy.sessions import interval_rows
 
     outcomes = [outcome(cases, SPREAD * times) for times in (0.5, 1.0, 1.5, 3.0)]
     rows = {row["quantity"]: row for row in interval_rows(outcomes)}
@@ -86,9 +87,10 @@ def test_intervals_are_counted_by_quantity(cases: list[Case]) -> None:
 
 
 def test_false_inputs_change_stated_part(cases: list[Case]) -> None:
-    from accuracy_session_lies import FOREIGN_MASKS, LATE, falsified_session_cases
+    from measure.accuracy.session_lies import FOREIGN_MASKS, LATE, falsified_session_cases
 
-    others = [replace(case, session="other", mask=~case.mask) for case in cases]
+    other = replace(cases[0].recording, session=replace(cases[0].recording.session, folder=Path("other")))
+    others = [replace(case.with_mask(~case.mask), recording=other) for case in cases]
     made = [case for case in falsified_session_cases({"demo": cases, "other": others}) if case.session == "demo"]
     strange = [case for case in made if case.kind == FOREIGN_MASKS]
     assert [case.frame for case in strange] == ["0001", "0005", "0008"]
@@ -104,7 +106,7 @@ def test_false_inputs_change_stated_part(cases: list[Case]) -> None:
 
 
 def test_false_input_counts_as_named_by_its_own_message_only(cases: list[Case]) -> None:
-    from accuracy_session_lies import FOREIGN_MASKS, LATE, MOVED, WRONG_ARM, falsified_report, named
+    from measure.accuracy.session_lies import FOREIGN_MASKS, LATE, MOVED, WRONG_ARM, falsified_report, named
 
     still, said = (
         np.zeros(6),

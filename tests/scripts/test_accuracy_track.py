@@ -13,6 +13,7 @@ from helpers.stereo_sessions import make_session_of_two_tools
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.track import Tracker
@@ -31,7 +32,7 @@ def result_of(world: MovingWorld, frame: int, status: TrackStatus = "ok", off_mm
 
 
 def figures(world: MovingWorld, results: list[TrackResult], visible: list[float]) -> dict[str, Any]:
-    from accuracy_track import FollowedSession, truth_figures
+    from measure.accuracy.track import Followed, truth_figures
 
     frames = tuple(FrameFiles(f"{k:04d}", None) for k in range(len(results)))
     golden = {
@@ -46,8 +47,8 @@ def figures(world: MovingWorld, results: list[TrackResult], visible: list[float]
             for k, files in enumerate(frames)
         },
     }
-    done = FollowedSession(None, frames, results, Tracker(world.camera, world.body))  # type: ignore[arg-type]
-    return truth_figures(done, golden, world.body)
+    done = Followed(None, frames, results, Tracker(world.camera, world.body))  # type: ignore[arg-type]
+    return truth_figures(done, golden)
 
 
 @pytest.mark.usefixtures("scripts_on_path")
@@ -82,14 +83,21 @@ def test_twin_is_counted_and_never_forgiven(world: MovingWorld) -> None:
 
 @pytest.mark.usefixtures("scripts_on_path")
 def test_arms_are_read_with_their_own_readings_and_truth(world: MovingWorld, tmp_path: Path) -> None:
-    from accuracy_arms import golden_of, named_arms
-    from accuracy_track import read_recording
+    from measure.accuracy.track import recordings_to_follow
 
     folder = make_session_of_two_tools(tmp_path / "session", world.body)
-    assert named_arms(folder) == ("PSM1", "PSM2")
-    assert named_arms(tmp_path) == ()
-    assert [golden_of(folder, arm).name for arm in (None, "PSM2")] == ["golden.json", "golden_PSM2.json"]
-    settings = TrackSettings(EstimateConfig())
-    sessions = [read_recording(folder, world.body, settings, arm)[0] for arm in ("PSM1", "PSM2")]
-    assert [session.frames[0].label for session in sessions] == [1, 2]
-    assert sessions[0].frames[0].readings != sessions[1].frames[0].readings
+    found = recordings_to_follow(folder, world.body.instrument, TrackSettings(EstimateConfig()))
+    recordings = [recording for recording, _ in found]
+    assert [one.name for one in recordings] == ["session PSM1", "session PSM2"]
+    assert [one.golden.name for one in recordings] == ["golden_PSM1.json", "golden_PSM2.json"]
+    first, second = (one.session.frames[0] for one in recordings)
+    assert (first.label, second.label) == (1, 2)
+    assert first.readings != second.readings
+
+
+@pytest.mark.usefixtures("scripts_on_path")
+def test_session_of_one_arm_is_one_recording(world: MovingWorld) -> None:
+    from measure.cases import read_recordings
+
+    (demo,) = read_recordings(bundled_path("demo"), world.body.instrument)
+    assert (demo.name, demo.level, demo.arm, demo.golden.name) == ("demo", "demo", None, "golden.json")

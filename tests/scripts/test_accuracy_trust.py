@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 if TYPE_CHECKING:
-    from accuracy_trust import Outcomes
+    from measure.accuracy.trust import Outcomes
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 
 def outcomes(count: int = 4000, stated: float = 1.0) -> Outcomes:
     """Make outcomes of normal errors with standard deviations of 0.2 to 3 mm, stated ``stated`` times as large."""
-    from accuracy_trust import Outcomes
+    from measure.accuracy.trust import Outcomes
 
     rng = np.random.default_rng(0)
     sigma, probability = np.exp(rng.uniform(np.log(0.2), np.log(3), count)), rng.uniform(0.5, 1, count)
@@ -32,7 +32,7 @@ def outcomes(count: int = 4000, stated: float = 1.0) -> Outcomes:
 
 
 def test_right_covariance_has_its_share_in_intervals() -> None:
-    from accuracy_trust import interval_rows
+    from measure.accuracy.trust import interval_rows
 
     (row,) = interval_rows(outcomes())
     assert row["held"] == pytest.approx(0.9, abs=0.015)
@@ -41,7 +41,7 @@ def test_right_covariance_has_its_share_in_intervals() -> None:
 
 
 def test_small_covariance_is_seen() -> None:
-    from accuracy_trust import interval_rows, tip_rows
+    from measure.accuracy.trust import interval_rows, tip_rows
 
     (row,) = interval_rows(outcomes(stated=0.5))
     assert row["held"] < 0.65
@@ -50,7 +50,7 @@ def test_small_covariance_is_seen() -> None:
 
 
 def test_reliability_of_tips_and_mode_is_on_diagonal() -> None:
-    from accuracy_trust import mode_rows, tip_rows
+    from measure.accuracy.trust import mode_rows, tip_rows
 
     tips, modes = tip_rows(outcomes()), mode_rows(outcomes())
     assert sum(row["results"] for row in tips) == sum(row["results"] for row in modes) == 4000
@@ -59,7 +59,7 @@ def test_reliability_of_tips_and_mode_is_on_diagonal() -> None:
 
 
 def test_area_under_roc() -> None:
-    from accuracy_trust import area_under_roc
+    from measure.accuracy.trust import area_under_roc
 
     score, positive = np.array([1.0, 2.0, 3.0, 4.0]), np.array([False, False, True, True])
     assert area_under_roc(score, positive) == 1
@@ -69,7 +69,7 @@ def test_area_under_roc() -> None:
 
 
 def test_status_counts_right_mode_within_limit() -> None:
-    from accuracy_trust import Outcomes, status_row
+    from measure.accuracy.trust import Outcomes, status_row
 
     some = Outcomes(
         expected_mm=np.ones(4),

@@ -33,7 +33,7 @@ RESULT: dict[str, Any] = {
 
 
 def row(this: Any, other: Any = RESULT) -> dict[str, Any]:
-    from answers_compare import compare
+    from measure.answers.compare import compare
 
     return compare({"frames/a.json": this}, {"frames/a.json": other})
 
@@ -43,7 +43,7 @@ def changed(**fields: Any) -> dict[str, Any]:
 
 
 def accepted(row: dict[str, Any], largest_change: float | None = None) -> bool:
-    from answers_compare import accepted
+    from measure.answers.compare import accepted
 
     return accepted(row, largest_change)
 
@@ -91,7 +91,7 @@ def test_values_of_other_types(this: Any, equal: bool) -> None:
 
 
 def test_missing_file() -> None:
-    from answers_compare import compare
+    from measure.answers.compare import compare
 
     found = compare({"a.json": {}}, {"a.json": {}, "b.json": {}})
     assert found["missing"] == ["b.json: missing in this checkout"]
@@ -152,7 +152,7 @@ def test_change_of_followed_frames_is_in_their_standard_deviations() -> None:
 
 
 def test_files_of_a_folder(tmp_path: Path) -> None:
-    from answers_compare import read_answers
+    from measure.answers.compare import read_answers
 
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "poses.csv").write_text("frame,x_mm,reasons\n0001,1.50,\n", encoding="utf-8")
@@ -188,7 +188,7 @@ def test_folder_without_package_is_refused(tmp_path: Path) -> None:
 
 def test_answers_are_kept_for_a_commit_and_its_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import answers
-    from answers_cases import Case
+    from measure.answers.cases import Case
 
     runs: list[str] = []
     monkeypatch.setattr(answers, "_commit", lambda folder: "c8c8a2f")

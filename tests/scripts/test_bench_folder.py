@@ -1,4 +1,4 @@
-"""scripts/bench_folder.py: its report of rates and memory."""
+"""scripts/bench.py folder: its report of rates and memory."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ def test_report_has_rates_and_memory(tmp_path: Path) -> None:
     session = make_session(tmp_path / "session", ["a", "b"])
     options = ["--session", session, "--instrument", "lnd", "--frames", "4", "--config", tmp_path / "quick.toml"]
     done = subprocess.run(
-        [sys.executable, SCRIPTS / "bench_folder.py", *options, "--workers", "1", "--json"],
+        [sys.executable, SCRIPTS / "bench.py", "folder", *options, "--workers", "1", "--json"],
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    (row,) = json.loads(done.stdout)
+    (row,) = json.loads(done.stdout)["a folder"]
     assert (row["workers"], row["frames"], row["failed"], row["times one worker's rate"]) == (1, 4, 0, 1)
     assert 20 < row["worker after 2 frames, MB"] < 2000
     assert row["frames a second"] > 0

@@ -11,7 +11,7 @@ import pytest
 from helpers.places import SCRIPTS
 
 if TYPE_CHECKING:
-    from fuzz_runs import Outcome
+    from measure.fuzz.runs import Outcome
 
 TRIES = 12
 """Tries of a family by any of its commands."""
@@ -33,8 +33,8 @@ NAMES = (
 def material(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(SCRIPTS))
-        from fuzz_families import write_material
-        from fuzz_runs import stubbed
+        from measure.fuzz.families import write_material
+        from measure.fuzz.runs import stubbed
 
         folder = tmp_path_factory.mktemp("material")
         write_material(folder)
@@ -45,8 +45,8 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.parametrize("name", NAMES)
 def test_damage_is_refused_in_one_line_or_read_as_valid(material: Path, tmp_path: Path, name: str) -> None:
     from fuzz import attempt
-    from fuzz_families import FAMILIES
-    from fuzz_runs import in_this_process
+    from measure.fuzz.families import FAMILIES
+    from measure.fuzz.runs import in_this_process
 
     (family,) = (one for one in FAMILIES if one.name == name)
     quick = any(command[0] == "inspect" for command in family.commands)
@@ -77,7 +77,7 @@ def test_material_is_restored_after_a_try(material: Path, tmp_path: Path) -> Non
 
 
 def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
-    from fuzz_tracker import fuzz_tracker
+    from measure.fuzz.tracker import fuzz_tracker
 
     report = fuzz_tracker(300, 0)
     assert report.violations == []
@@ -89,7 +89,7 @@ def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
 
 @pytest.mark.parametrize(("command", "fault"), [("batch", "kill both"), ("export", "full disk"), ("track", "kill")])
 def test_command_with_a_fault_ends_with_the_same_files_when_run_again(material: Path, command: str, fault: str) -> None:
-    from fuzz_kills import fuzz_kills
+    from measure.fuzz.kills import fuzz_kills
 
     report = fuzz_kills(1, 0, [command], [fault], material)
     assert report.violations == []
@@ -97,7 +97,7 @@ def test_command_with_a_fault_ends_with_the_same_files_when_run_again(material: 
 
 
 def test_faults_follow_each_other_until_there_are_enough(material: Path) -> None:
-    from fuzz_kills import fuzz_kills
+    from measure.fuzz.kills import fuzz_kills
 
     report = fuzz_kills(3, 1, ["export"], ["clock", "full disk"], material)
     assert report.violations == []
@@ -105,7 +105,7 @@ def test_faults_follow_each_other_until_there_are_enough(material: Path) -> None
 
 
 def test_files_that_are_damaged_or_differ_are_seen(tmp_path: Path) -> None:
-    from fuzz_written import damaged_files, written
+    from measure.fuzz.written import damaged_files, written
 
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "a.json").write_text('{"x": 1, "seconds": 2}')
@@ -125,7 +125,7 @@ def test_files_that_are_damaged_or_differ_are_seen(tmp_path: Path) -> None:
 
 
 def test_all_families_are_tested(material: Path) -> None:
-    from fuzz_families import FAMILIES
+    from measure.fuzz.families import FAMILIES
 
     assert [family.name for family in FAMILIES] == [*NAMES]
 
@@ -135,8 +135,8 @@ def test_undamaged_material_is_accepted(material: Path, tmp_path: Path) -> None:
     import shutil
 
     from fuzz import violation_of
-    from fuzz_families import FAMILIES
-    from fuzz_runs import in_this_process
+    from measure.fuzz.families import FAMILIES
+    from measure.fuzz.runs import in_this_process
 
     for number, family in enumerate(FAMILIES):
         shutil.copytree(material, tmp_path / str(number))
@@ -148,14 +148,14 @@ def test_undamaged_material_is_accepted(material: Path, tmp_path: Path) -> None:
 
 
 def test_command_that_hangs_is_a_violation(material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import fuzz_runs
     from fuzz import violation_of
+    from measure.fuzz import runs
 
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    monkeypatch.setattr(fuzz_runs, "SLOW", 0.5)
+    monkeypatch.setattr(runs, "SLOW", 0.5)
     monkeypatch.setattr("dvrk_cmaes.cli.app.app", lambda *_, **__: pipe.read_text())
-    outcome = fuzz_runs.in_this_process(["inspect"])
+    outcome = runs.in_this_process(["inspect"])
     found = violation_of(outcome, ["inspect"], changed=False, unreadable=False)
     assert found is not None
     assert "not ended after 1 s" in found
@@ -177,7 +177,7 @@ def test_command_that_hangs_is_a_violation(material: Path, tmp_path: Path, monke
 )
 def test_violations_are_seen(material: Path, code: int, out: str, err: str, changed: bool, told: str | None) -> None:
     from fuzz import violation_of
-    from fuzz_runs import Outcome
+    from measure.fuzz.runs import Outcome
 
     outcome: Outcome = Outcome(code, out, err, 1.0)
     found = violation_of(outcome, ["estimate"], changed=changed, unreadable=False)

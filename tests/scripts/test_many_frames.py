@@ -1,4 +1,4 @@
-"""scripts/many_frames.py: sessions and results of many frames, made of a few."""
+"""scripts/measure/bench/many_frames.py: sessions and results of many frames, made of a few."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def scripts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_frames_are_repeated_in_their_order_with_readings(tmp_path: Path) -> None:
-    from many_frames import repeated_session
+    from measure.bench.many_frames import repeated_session
 
     source = make_session(tmp_path / "source", ["a", "b", "c"])
     session = read_session(repeated_session(source, tmp_path / "many", 5, ["a", "c"]))
@@ -31,7 +31,7 @@ def test_frames_are_repeated_in_their_order_with_readings(tmp_path: Path) -> Non
 
 
 def test_small_masks_are_read_with_a_scaled_camera(tmp_path: Path) -> None:
-    from many_frames import small_session
+    from measure.bench.many_frames import small_session
 
     source = make_session(tmp_path / "source", ["a"])
     whole, small = (read_session(folder) for folder in (source, small_session(source, tmp_path / "small", 2)))
@@ -41,7 +41,7 @@ def test_small_masks_are_read_with_a_scaled_camera(tmp_path: Path) -> None:
 
 
 def test_results_are_renamed_and_keep_their_drawings(tmp_path: Path) -> None:
-    from many_frames import repeated_results
+    from measure.bench.many_frames import repeated_results
 
     for name in ("a", "b"):
         write_json(tmp_path / "source" / "frames" / f"{name}.json", {"frame": name, "of": name})

@@ -1,0 +1,92 @@
+"""Two arms that cross: each tool with the other before or beside it, against the same tool alone.
+
+The sessions are those of `dvrk-cmaes synth --arms 2`, which have the masks of each tool without the other as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import ToolInFrame, estimate_tools
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from measure.accuracy.errors import Compared, compared
+from measure.accuracy.figures import percentiles
+from measure.cases import Case, Measurement, Run, grouped, print_progress
+
+CROSSED: Final = "with the other tool"
+ONE_BY_ONE: Final = "with the other tool, by itself"
+ALONE: Final = "alone"
+
+
+def arms_report(given: Measurement) -> dict[str, list[dict[str, Any]]]:
+    """Estimate every tool of the sessions with and without the other, and return tables of their errors.
+
+    With the other tool, both are estimated together, and each by itself, without the pixels of the other.
+
+    Raises
+    ------
+    InputError
+        A session names no tools, has no masks of the tools alone or no truth, or an estimate has no pose.
+    """
+    for one in given.recordings():
+        if one.arm is None:
+            raise InputError(f"{one.session.folder}: expected a session.toml that names several tools, got none")
+    cases = [replace(case, kind=ONE_BY_ONE) for case in given.cases()]
+    alone = [replace(case, kind=ALONE, data=_alone(case)) for case in cases]
+    whole = [replace(case, kind=CROSSED, data=_read(case, other_tools=())) for case in cases]
+    runs = [*_together(given, whole), *given.runs([*cases, *alone])]
+    found = grouped(compared(given.instrument, runs), lambda one: one.run.case.kind)
+    hidden = [1 - float(a.mask.sum() / b.mask.sum()) for a, b in zip(whole, alone, strict=True)]
+    rows = [_summary(kind, found[kind], max(hidden)) for kind in (CROSSED, ONE_BY_ONE, ALONE)]
+    median = rows[-1]["tip_mm"][0]
+    ratios = [{"tool": row["tool"], "tips median": round(row["tip_mm"][0] / median, 3)} for row in rows[:-1]]
+    return {"estimates": rows, "against alone": ratios}
+
+
+def _files(case: Case) -> FrameFiles:
+    """Return the files of a case's frame."""
+    return next(files for files in case.recording.session.frames if files.name == case.frame)
+
+
+def _read(case: Case, **changes: Any) -> FrameData:
+    """Read a case's frame again, in its first view, with other files."""
+    return read_frame(replace(_files(case), keypoints=None, **changes), case.recording.session.camera)
+
+
+def _alone(case: Case) -> FrameData:
+    """Read a case's frame as if the other tools were not there."""
+    session, arm = case.recording.session, case.recording.arm
+    mask = session.folder / "alone" / str(arm) / session.view_names[0] / f"{case.frame}.png"
+    return _read(case, mask=mask, label=None, other_tools=())
+
+
+def _together(given: Measurement, cases: Sequence[Case]) -> Iterator[Run]:
+    """Estimate the tools of each frame together; yields a run for each of them."""
+    frames = grouped(cases, lambda case: f"{case.recording.session.folder} {case.frame}")
+    for count, tools in enumerate(frames.values(), start=1):
+        by_arm: Mapping[str, Case] = {str(case.recording.arm): case for case in tools}
+        shown = {arm: ToolInFrame(case.mask, case.readings, given.body) for arm, case in by_arm.items()}
+        config = replace(given.config, threads=1)
+        found = estimate_tools(shown, tools[0].camera, ignore=tools[0].ignore, config=config)
+        yield from (Run(case, found[arm].to_dict()) for arm, case in by_arm.items())
+        print_progress("frames with both tools", count, len(frames))
+
+
+def _summary(kind: str, found: Sequence[Compared], hidden: float) -> dict[str, Any]:
+    """Return shares, percentiles (50, 90, 100) and means of the errors of estimates of one kind."""
+    return {
+        "tool": kind,
+        "estimates": len(found),
+        "hidden, largest": round(hidden, 3),
+        "right mode": sum(one.right_mode for one in found),
+        "tip_mm": percentiles([one.tip_mm for one in found]),
+        "mean_mm": round(float(np.mean([one.tip_mm for one in found])), 3),
+        "ok": sum(one.run.trusted for one in found),
+        "ok, more than 3 mm off": sum(one.run.trusted and one.tip_mm > 3 for one in found),
+        "solved again": sum("behind" in one.result.other_tools.values() for one in found),
+    }

@@ -1,0 +1,1 @@
+"""The cases of scripts/answers.py, and the comparison of their answers."""

@@ -1,0 +1,217 @@
+"""The speed of this checkout compared with that of another one, each frame, command and folder in turns."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.silhouette.prepare import prepare
+from measure.places import ROOT
+
+FINISHED: Final = (0, 3)  # exit codes of a command that has estimated its frames
+
+_WORKER: Final = """
+import pickle, sys, time
+answers, sys.stdout = sys.stdout.buffer, sys.stderr
+from dvrk_cmaes import Camera, estimate, load_instrument, prepare
+body = prepare(sys.argv[1])
+while True:
+    try:
+        camera, joints, mask, ignore = pickle.load(sys.stdin.buffer)
+    except EOFError:
+        break
+    started = time.perf_counter(), time.process_time()
+    estimate(mask, Camera(**camera), joints, body, ignore=ignore)
+    pickle.dump((time.perf_counter() - started[0], time.process_time() - started[1]), answers)
+    answers.flush()
+"""
+"""Estimates the frames that it reads from stdin with the public names of any release; writes seconds to stdout."""
+
+
+@dataclass(frozen=True)
+class Checkout:
+    """A checkout whose package is imported by processes of their own, compiled into the folder ``compiled``."""
+
+    name: str
+    folder: Path
+    compiled: str
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The environment variables of its processes."""
+        given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        return {**given, **one, "PYTHONPATH": str(self.folder), "PYTHONPYCACHEPREFIX": self.compiled}
+
+
+@contextmanager
+def _worker(checkout: Checkout, instrument: str) -> Iterator[Callable[[dict[str, Any]], tuple[float, float]]]:
+    """Start a process that estimates frames; yields a function of a frame that returns wall and processor seconds."""
+    command = [sys.executable, "-c", _WORKER, instrument]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env=checkout.environment, stdin=pipe, stdout=pipe, cwd=checkout.folder) as process:
+        given, answers = process.stdin, process.stdout
+        assert given is not None
+        assert answers is not None
+
+        def measure(frame: dict[str, Any]) -> tuple[float, float]:
+            pickle.dump((frame["camera"], frame["joints"], frame["mask"], frame["ignore"]), given)
+            given.flush()
+            wall, processor = pickle.load(answers)
+            return float(wall), float(processor)
+
+        yield measure
+        given.close()
+
+
+def _frame(session: Session, files: FrameFiles) -> dict[str, Any]:
+    """Read a frame as arrays and plain values."""
+    data = read_frame(files, session.camera)
+    camera = data.camera
+    names = ("width", "height", "fx", "fy", "cx", "cy", "distortion", "model")
+    return {
+        "camera": {name: getattr(camera, name) for name in names},
+        "joints": dict(files.readings),
+        "mask": data.mask,
+        "ignore": data.ignore,
+    }
+
+
+def checkouts_report(
+    instrument: str, sessions: Sequence[Path], *, other: Path, frames: int | None, repeats: int
+) -> dict[str, Any]:
+    """Measure estimates, whole commands and a folder with two workers, of this checkout and of another one.
+
+    Estimates run in one process for each checkout, and each frame in turns. The first frame and the first command of
+    each checkout are not measured.
+    """
+    if not (other / "dvrk_cmaes" / "__init__.py").is_file():
+        raise InputError(f"--against {other}: expected a checkout with the package dvrk_cmaes")
+    names = prepare(instrument).instrument.joint_names
+    read = [read_session(folder, known=names) for folder in sessions]
+    inputs = [(one, files) for one in read for files in one.frames[:frames]]
+    with tempfile.TemporaryDirectory() as compiled:
+        both = (Checkout("this", ROOT, f"{compiled}/this"), Checkout("other", other.resolve(), f"{compiled}/other"))
+        return {
+            "estimate, seconds a frame": _estimates(both, instrument, inputs),
+            "whole command, seconds": _commands(both, instrument, inputs, repeats),
+            "folder, two workers, seconds": _folders(both, instrument, sessions[len(sessions) // 2], repeats),
+        }
+
+
+def _estimates(
+    both: Sequence[Checkout], instrument: str, inputs: Sequence[tuple[Session, FrameFiles]]
+) -> list[dict[str, Any]]:
+    """Measure each frame in each checkout in turns; returns a row for each checkout and one for their ratio."""
+    with _worker(both[0], instrument) as this, _worker(both[1], instrument) as other:
+        first = _frame(*inputs[0])
+        for measure in (this, other):
+            measure(first)
+        seconds = []
+        for number, one in enumerate(inputs):
+            frame = _frame(*one)
+            order = (this, other) if number % 2 else (other, this)
+            measured = {measure: measure(frame) for measure in order}
+            seconds.append([measured[this], measured[other]])
+    table = np.array(seconds)  # (frames, checkouts, wall and processor)
+    wall, processor = table[..., 0], table[..., 1]
+    rows = [
+        {
+            "checkout": checkout.name,
+            "frames": len(table),
+            "wall, median": float(np.median(wall[:, k])),
+            "wall, most": float(wall[:, k].max()),
+            "processor, median": float(np.median(processor[:, k])),
+            "processor, sum": float(processor[:, k].sum()),
+        }
+        for k, checkout in enumerate(both)
+    ]
+    ratio = {
+        "checkout": "ratio",
+        "wall, median": float(np.median(wall[:, 0] / wall[:, 1])),
+        "wall, most": float(wall[:, 0].max() / wall[:, 1].max()),
+        "processor, median": float(np.median(processor[:, 0] / processor[:, 1])),
+        "processor, sum": float(processor[:, 0].sum() / processor[:, 1].sum()),
+    }
+    return [*rows, ratio]
+
+
+def _run(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:
+    """Run a command of a checkout; returns wall and processor seconds of its processes."""
+    command = [sys.executable, "-m", "dvrk_cmaes", *arguments]
+    before = os.times()
+    started = time.perf_counter()
+    done = subprocess.run(
+        command, env=checkout.environment, cwd=checkout.folder, capture_output=True, text=True, check=False
+    )
+    wall, after = time.perf_counter() - started, os.times()
+    if done.returncode not in FINISHED:
+        raise InputError(f"{checkout.folder}: {' '.join(command[1:])}: {done.stderr.strip()[-300:]}")
+    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    return wall, spent
+
+
+def _commands(
+    both: Sequence[Checkout], instrument: str, inputs: Sequence[tuple[Session, FrameFiles]], repeats: int
+) -> list[dict[str, Any]]:
+    """Measure the command estimate, from start to exit, on frames spread over the sessions."""
+    places = [0, *np.linspace(0, len(inputs) - 1, repeats).round().astype(int)]
+    chosen = [inputs[i] for i in places]
+    measured: dict[str, list[tuple[float, float]]] = {one.name: [] for one in both}
+    for session, files in chosen:
+        folder = session.folder
+        arguments = ["estimate", "--mask", str(files.mask), "--json"]
+        arguments += ["--camera", str(folder / "camera.yaml"), "--joints", str(folder / "joints.csv")]
+        for checkout in both:
+            measured[checkout.name].append(_run(checkout, [*arguments, "--instrument", instrument]))
+    return _rows({name: times[1:] for name, times in measured.items()})
+
+
+def _folders(both: Sequence[Checkout], instrument: str, session: Path, repeats: int) -> list[dict[str, Any]]:
+    """Measure the command batch on a session with two workers, from start to exit."""
+    measured: dict[str, list[tuple[float, float]]] = {one.name: [] for one in both}
+    for _ in range(max(repeats // 5, 1)):
+        for checkout in both:
+            with tempfile.TemporaryDirectory() as out:
+                arguments = ["batch", str(session), "--out", out, "--workers", "2", "--instrument", instrument]
+                measured[checkout.name].append(_run(checkout, arguments))
+    return _rows(measured)
+
+
+def _rows(measured: dict[str, list[tuple[float, float]]]) -> list[dict[str, Any]]:
+    """Return a row of medians for each checkout, and one of their ratios."""
+    medians = {name: np.median(np.array(times), axis=0) for name, times in measured.items()}
+    least = {name: np.array(times).min(axis=0) for name, times in measured.items()}
+    ratio = medians["this"] / medians["other"]
+    return [
+        *(
+            {
+                "checkout": name,
+                "runs": len(measured[name]),
+                "wall, median": float(medians[name][0]),
+                "wall, least": float(least[name][0]),
+                "processor, median": float(medians[name][1]),
+            }
+            for name in medians
+        ),
+        {
+            "checkout": "ratio",
+            "wall, median": float(ratio[0]),
+            "wall, least": float(least["this"][0] / least["other"][0]),
+            "processor, median": float(ratio[1]),
+        },
+    ]

@@ -1,0 +1,222 @@
+"""`dvrk-cmaes live` over a websocket: poses a second, and their age from image to pose.
+
+    python scripts/bench.py live --seconds 60
+
+This needs the extra ros. Another process is the rosbridge server on 127.0.0.1. It sends the images and masks of a
+recorded session at 30 a second, forwards and backwards, and readings of arm and jaw at 100 a second each, and receives
+the poses. The age is from sending an image's mask to receiving its pose there. Memory is the resident set of the
+following process, in MB, after 10 s and at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import multiprocessing
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import psutil
+
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.names import ARM_ORDER
+from dvrk_cmaes.live.follow import LiveSetup, follow
+from dvrk_cmaes.live.inputs import InputTopics
+from dvrk_cmaes.live.rosbridge import RosbridgeConnection
+from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.silhouette import Body
+from measure.places import ROOT, SHARED
+from measure.tables import Report
+
+IMAGES, READINGS = 30, 100  # a second
+BEGIN: Final = 1_795_000_000 * NANOSECONDS
+POSE: Final = "/dvrk_cmaes/PSM1/camera_from_root"
+TOPICS: Final = InputTopics(
+    "/left/image/compressed",
+    "/left/camera_info",
+    ("/PSM1/measured_js", "/PSM1/jaw/measured_js"),
+    "/left/mask/compressed",
+)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument(
+        "--session", type=Path, default=SHARED / "frames/video/easy", help="masks, joints.csv with times"
+    )
+    parser.add_argument("--calibration", type=Path, help="a session.json")
+    parser.add_argument("--lag", type=float, help="lag of the images, s")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--overlay", action="store_true", help="publish overlays too")
+
+
+def live_report(options: argparse.Namespace) -> Report:
+    """Run the measurement and return its figures."""
+    session = read_session(options.session)
+    instrument = load_instrument(options.instrument)
+    calibration = None if options.calibration is None else read_calibration(options.calibration)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    server = context.Process(target=serve, args=(theirs, options.session, options.seconds), daemon=True)
+    server.start()
+    setup = LiveSetup(
+        TOPICS,
+        FrameNames(),
+        Body.prepare(instrument),
+        calibration=calibration,
+        camera=session.camera,
+        lag=options.lag,
+        overlay=options.overlay,
+    )
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    connection = RosbridgeConnection("127.0.0.1", ours.recv(), say)
+    connection.open(timeout=10.0)
+    stop, memory = Event(), list[float]()
+    watch = Thread(target=_watch, args=(stop, memory), daemon=True)
+    watch.start()
+    Thread(target=_end, args=(ours, stop), daemon=True).start()
+    started = time.process_time()
+    counts = follow(setup, connection, say, stop)
+    used = time.process_time() - started
+    figures = ours.recv()
+    connection.close()
+    server.join(10)
+    figures |= {
+        "followed": counts.followed,
+        "refused": counts.refused,
+        "cpu_share": round(used / options.seconds, 2),
+        "memory_mb": [round(memory[0], 1), round(memory[-1], 1)],
+    }
+    return {"live": [figures]}
+
+
+def _end(pipe: Any, stop: Event) -> None:
+    """Set an event when the server has sent its figures, or has ended."""
+    pipe.poll(None)
+    stop.set()
+
+
+def _watch(stop: Event, memory: list[float]) -> None:
+    """Sample the memory of this process, the first time after 10 s."""
+    stop.wait(10)
+    while True:
+        memory.append(psutil.Process().memory_info().rss / 1e6)
+        if stop.wait(1):
+            return
+
+
+# the server's process
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A message to send: its time after the start, s, its topic and its fields."""
+
+    moment: float
+    topic: str
+    fields: dict[str, Any]
+
+
+def serve(pipe: Any, folder: Path, seconds: float) -> None:
+    """Serve a session's messages in real time; send the port, and at the end the figures, through a pipe."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from helpers.rosbridge_server import RosbridgeServer, wait_for  # type: ignore[import-not-found]
+
+    messages = list(_messages(read_session(folder), seconds))
+    server = RosbridgeServer()
+    server.start()
+    pipe.send(server.port)
+    wait_for(lambda: len(server.subscribed) == 5 and POSE in server.advertised, 60)
+    started, sent = time.perf_counter(), dict[tuple[int, int], float]()
+    for one in messages:
+        wait = started + one.moment - time.perf_counter()
+        if wait > 0:
+            time.sleep(wait)
+        if one.topic == TOPICS.mask:
+            sent[_key(one.fields)] = time.perf_counter()
+        server.send(one.topic, one.fields)
+    time.sleep(0.5)
+    elapsed = time.perf_counter() - started - 0.5
+    received = server.received.get(POSE, [])
+    ages = np.array([1e3 * (moment - sent[_key(fields)]) for moment, fields in received])
+    pipe.send(
+        {
+            "seconds": round(elapsed, 2),
+            "images_a_second": round(len(sent) / elapsed, 2),
+            "poses_a_second": round(len(received) / elapsed, 2),
+            **{f"age_ms p{share}": round(float(np.percentile(ages, share)), 1) for share in (50, 95, 99, 100)},
+            "load": round(psutil.getloadavg()[0], 1),
+        }
+    )
+    server.stop()
+
+
+def _key(fields: dict[str, Any]) -> tuple[int, int]:
+    """Return the stamp of a message."""
+    stamp = fields["header"]["stamp"]
+    return stamp["sec"], stamp["nanosec"]
+
+
+def _messages(session: Session, seconds: float) -> Iterator[Sent]:
+    """Yield the messages of a session in the order of their times, forwards and backwards for some seconds."""
+    images = _images(session.folder)
+    masks = [base64.b64encode(frame.mask.read_bytes()).decode() for frame in session.frames if frame.mask is not None]
+    (table,) = read_timed_joints(session.folder / "joints.csv")
+    times = (table.times - table.times[0]) / NANOSECONDS
+    count = min(len(images), len(masks))
+    later = list[Sent]()
+    for k in range(round(seconds * IMAGES)):
+        frame, moment = _back_and_forth(k, count - 1), k / IMAGES
+        later.append(
+            Sent(moment, TOPICS.image, {"header": _header(moment), "format": "jpeg", "data": images[round(frame)]})
+        )
+        later.append(
+            Sent(
+                moment + 1e-4,
+                str(TOPICS.mask),
+                {"header": _header(moment), "format": "png", "data": masks[round(frame)]},
+            )
+        )
+    for k in range(round(seconds * READINGS)):
+        moment = k / READINGS
+        at = _back_and_forth(moment * IMAGES, count - 1) / IMAGES
+        row = dict(zip(table.joints, [float(np.interp(at, times, column)) for column in table.values.T], strict=True))
+        for topic, names in zip(TOPICS.joints, (ARM_ORDER, ("jaw",)), strict=True):
+            fields = {"header": _header(moment), "name": list(names), "position": [row[name] for name in names]}
+            later.append(Sent(moment, topic, fields))
+    yield from sorted(later, key=lambda one: one.moment)
+
+
+def _back_and_forth(k: float, last: int) -> float:
+    """Return a position from 0 to ``last`` that goes forwards and backwards as k grows."""
+    return last - abs(k % (2 * last) - last)
+
+
+def _header(moment: float) -> dict[str, Any]:
+    """Return a header, at a time after the beginning, s."""
+    seconds, rest = divmod(BEGIN + round(moment * NANOSECONDS), NANOSECONDS)
+    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": "camera"}
+
+
+def _images(folder: Path) -> Sequence[str]:
+    """Return the frames of a session's video as JPEG in base64."""
+    video, images = cv2.VideoCapture(str(folder / "video.mp4")), list[str]()
+    while True:
+        found, pixels = video.read()
+        if not found:
+            return images
+        images.append(base64.b64encode(cv2.imencode(".jpg", pixels)[1].tobytes()).decode())

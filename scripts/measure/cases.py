@@ -1,0 +1,416 @@
+"""Cases, of which measurements of accuracy are made: frames with their truth, and the results for them.
+
+A recording is a session, or one arm of a session of several, with its truth. A case is a frame of a recording in
+memory, with what one or more views show of it, original or falsified. A run is the result of a case. Each worker
+process uses one thread.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.frames.session_video import SessionVideo
+from dvrk_cmaes.frames.tool_frames import frames_of_tool
+from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, read_golden
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.prepare import prepare
+from measure.features import measure_features
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+Item = TypeVar("Item")
+
+ORIGINAL: Final = "honest"  # kind of a case that is not falsified
+CRASHED: Final = "crashed"  # status of a run that ended with an unexpected exception
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A session with its truth; of a session of several arms, what one of them sees, reads and truly does."""
+
+    session: Session
+    arm: str | None = None
+
+    @cached_property
+    def name(self) -> str:
+        """Name of the folder, and of the arm if there are several."""
+        return " ".join([self.session.folder.resolve().name, *([] if self.arm is None else [self.arm])])
+
+    @property
+    def level(self) -> str:
+        """The name up to its first digit."""
+        return re.split(r"\d", self.name)[0] or self.name
+
+    @property
+    def golden(self) -> Path:
+        """Path of the truth."""
+        return self.session.folder / ("golden.json" if self.arm is None else f"golden_{self.arm}.json")
+
+    @property
+    def camera_from_base(self) -> Float64:
+        """The true camera_from_base (4, 4); InputError if it is not known."""
+        if self.session.truth.camera_from_base is None:
+            raise InputError(f"{self.golden}: expected the truth of camera_from_base, got none")
+        return self.session.truth.camera_from_base
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Input of one estimate: the views of a frame, and its readings, rad and m.
+
+    ``kind`` states what was falsified; it is ``ORIGINAL`` if nothing was. ``truth`` is that of the original frame.
+    """
+
+    recording: Recording
+    frame: str
+    kind: str
+    data: FrameData
+    readings: Mapping[str, float]
+    truth: FrameTruth | None
+
+    @property
+    def session(self) -> str:
+        """Name of the recording."""
+        return self.recording.name
+
+    @property
+    def level(self) -> str:
+        """Level of the recording."""
+        return self.recording.level
+
+    @property
+    def mask(self) -> Bool:
+        """Mask (H, W) of the first view."""
+        return self.data.mask
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of the first view."""
+        return self.data.camera
+
+    @property
+    def ignore(self) -> Bool | None:
+        """Pixels (H, W) of the first view that count neither way."""
+        return self.data.ignore
+
+    def true(self, instrument: Instrument) -> Posed:
+        """Return the true pose and joints; there must be a truth."""
+        assert self.truth is not None
+        joints = [self.truth.joints[name] for name in instrument.joint_names]
+        return Posed(self.truth.camera_from_root, np.array(joints))
+
+    def with_mask(self, mask: Bool) -> Case:
+        """Return the case with another mask in its only view."""
+        return replace(self, data=FrameData.of(mask, self.camera, self.ignore))
+
+    def with_camera(self, camera: Camera) -> Case:
+        """Return the case with another camera, for a mask of the same size."""
+        return replace(self, data=self.data.with_camera(camera))
+
+    def estimate(self, body: Body, config: EstimateConfig) -> Result:
+        """Estimate the pose and the joints; errors as `dvrk_cmaes.estimate`."""
+        return _estimate(self.frame, self.data, self.readings, body, config)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Result of a case: its JSON, features from which thresholds for doubt are chosen, and seconds of processor time.
+
+    There are no features of several views, and no seconds of a result that was kept.
+    """
+
+    case: Case
+    result: Mapping[str, Any]
+    features: Mapping[str, float] = field(default_factory=dict)
+    cpu_seconds: float = 0.0
+
+    @property
+    def failed(self) -> bool:
+        """Whether the result has no pose."""
+        return self.result["status"] in ("failed", CRASHED)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the status is ok."""
+        return bool(self.result["status"] == "ok")
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the status is doubtful or failed; not for a crash."""
+        return self.result["status"] in ("failed", "doubtful")
+
+    @property
+    def pose(self) -> Float64:
+        """Estimated ``camera_from_root`` (4, 4)."""
+        return np.array(self.result["camera_from_root"], dtype=np.float64)
+
+    @property
+    def joints(self) -> Mapping[str, float]:
+        """Estimated joints by name, rad."""
+        joints: Mapping[str, float] = self.result["joints"]
+        return joints
+
+    def at(self, instrument: Instrument) -> Posed:
+        """Return the estimated pose and joints."""
+        return Posed(self.pose, np.array([self.joints[name] for name in instrument.joint_names]))
+
+    @property
+    def covariance(self) -> Float64:
+        """Covariance (6 + J, 6 + J) of small changes [t, r, joints] in the root's axes, m and rad."""
+        return np.array(self.result["covariance"]["matrix"], dtype=np.float64)
+
+    @property
+    def found(self) -> Result:
+        """The result."""
+        return Result.from_dict(dict(self.result))
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What is measured: the sessions' folders, the instrument in them, settings, numbers of frames and processes.
+
+    ``frames`` is the largest number of each session, evenly spaced; None for all. With ``keep``, results are written to
+    that folder, and those in it are reused.
+    """
+
+    folders: Sequence[str]
+    source: str = "lnd"
+    config: EstimateConfig = field(default_factory=EstimateConfig)
+    frames: int | None = None
+    workers: int = 2
+    keep: Path | None = None
+
+    @property
+    def body(self) -> Body:
+        """The prepared instrument."""
+        return prepare(self.source)
+
+    @property
+    def instrument(self) -> Instrument:
+        """The instrument."""
+        return self.body.instrument
+
+    def recordings(self) -> list[Recording]:
+        """Read the recordings of all folders; InputError if two have the same name."""
+        found: dict[str, Recording] = {}
+        for folder in self.folders:
+            for one in read_recordings(folder, self.instrument):
+                if one.name in found:
+                    raise InputError(f"{folder}: expected sessions of different names, got {one.name} twice")
+                found[one.name] = one
+        return list(found.values())
+
+    def cases(
+        self, *, truth: bool = True, base: bool = False, every_view: bool = False, images: bool = False
+    ) -> list[Case]:
+        """Read the frames of all recordings: their first view or every one, and the first one's image if it is used.
+
+        A frame that cannot be used, for example with an empty mask where the instrument has left the view, is left out
+        with a line on stderr.
+
+        Raises
+        ------
+        InputError
+            A session cannot be read, no frame of it can be used, two sessions have the same name, or with ``truth`` a
+            frame or with ``base`` a session has no truth.
+        """
+        found = []
+        for one in self.recordings():
+            if base:
+                _ = one.camera_from_base
+            cases = [*_cases(one, self.frames, truth=truth, every_view=every_view, images=images)]
+            if not cases:
+                count = len(one.session.frames)
+                raise InputError(f"{one.session.folder}: expected a frame that can be used, got none of {count}")
+            found += cases
+        return found
+
+    def runs(self, cases: Sequence[Case] | None = None, label: str = "frames", *, truth: bool = True) -> list[Run]:
+        """Estimate cases, by default the original ones, and return their results in the same order."""
+        cases = self.cases(truth=truth) if cases is None else cases
+        done: dict[int, Run] = {}
+        for i, case in enumerate(cases):
+            path = self._kept_path(case)
+            if path is not None and path.exists():
+                kept = json.loads(path.read_text(encoding="utf-8"))
+                done[i] = Run(case, kept["result"], kept["features"])
+        left = [i for i in range(len(cases)) if i not in done]
+        tasks = [(cases[i].frame, cases[i].data, cases[i].readings, self.source, self.config) for i in left]
+
+        def on_done(count: int, found: tuple[dict[str, Any], dict[str, float], float]) -> None:
+            case = cases[left[count]]
+            done[left[count]] = Run(case, *found)
+            path = self._kept_path(case)
+            if path is not None:
+                write_json(path, {"result": found[0], "features": found[1]})
+
+        in_processes(_run, tasks, self.workers, label, on_done)
+        return [done[i] for i in range(len(cases))]
+
+    def _kept_path(self, case: Case) -> Path | None:
+        """Return the path of a case's result in the folder ``keep``; None without that folder."""
+        if self.keep is None:
+            return None
+        return self.keep / case.session / case.kind.replace(" ", "_") / f"{case.frame}.json"
+
+
+def read_recordings(folder: str | Path, instrument: Instrument, video: SessionVideo | None = None) -> list[Recording]:
+    """Read a session folder: its recording, or that of each arm if its session.toml names several."""
+    entries = read_session_toml(folder)
+    if entries is None or len(entries.tools) < 2:
+        return [Recording(read_session(folder, known=instrument.joint_names, video=video))]
+    found = []
+    for tool in entries.tools:
+        files = () if tool.joints is None else (tool.joints,)
+        session = read_session(folder, known=instrument.joint_names, joints=files, video=video)
+        one = Recording(frames_of_tool(session, entries, tool.arm), tool.arm)
+        truth = read_golden(one.golden) if one.golden.exists() else SessionTruth()
+        found.append(replace(one, session=replace(one.session, truth=truth)))
+    return found
+
+
+def _cases(recording: Recording, frames: int | None, *, truth: bool, every_view: bool, images: bool) -> Iterable[Case]:
+    """Yield the cases of a recording, at most ``frames``, as `Measurement.cases`."""
+    session = recording.session
+    files = session.frames
+    if frames is not None and frames < len(files):
+        files = tuple(files[i * len(files) // frames] for i in range(frames))
+    for one in files:
+        if truth and one.name not in session.truth.frames:
+            raise InputError(f"{recording.golden}: expected the truth of frame {one.name}, got none")
+        try:
+            data = read_frame(one, session.rig if every_view else session.camera)
+        except InputError as error:
+            print(f"{recording.name}: frame {one.name} is left out: {error}", file=sys.stderr)
+            continue
+        views = (replace(view, image=view.image if images else None, keypoints=None) for view in data.views)
+        seen = FrameData(tuple(views))
+        yield Case(recording, one.name, ORIGINAL, seen, one.readings, session.truth.frames.get(one.name))
+
+
+def in_processes(
+    call: Callable[..., Item],
+    tasks: Sequence[tuple[Any, ...]],
+    workers: int,
+    label: str,
+    on_done: Callable[[int, Item], None],
+) -> None:
+    """Call a function in worker processes with the arguments of each task, and take each result with its number."""
+    if not tasks:
+        return
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"  # inherited by the workers, whose libraries read it when they are loaded
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=_use_one_thread) as pool:
+        futures = {pool.submit(call, *task): number for number, task in enumerate(tasks)}
+        try:
+            for count, future in enumerate(as_completed(futures), start=1):
+                on_done(futures[future], future.result())
+                print_progress(label, count, len(tasks))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def print_progress(label: str, count: int, total: int) -> None:
+    """Print progress on stderr: on a terminal always in the same line, otherwise a line for every 20th item."""
+    if sys.stderr.isatty():
+        print(f"\r{label}: {count}/{total}", end="\n" if count == total else "", file=sys.stderr, flush=True)
+    elif count == total or count % 20 == 0:
+        print(f"{label}: {count}/{total}", file=sys.stderr, flush=True)
+
+
+def _use_one_thread() -> None:
+    """Keep OpenCV in a worker process from using several threads."""
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def _estimate(frame: str, data: FrameData, readings: Mapping[str, float], body: Body, config: EstimateConfig) -> Result:
+    """Estimate a frame in memory."""
+    return estimate_frame(FrameFiles(frame, None, readings=readings), data, body, arm="classic", config=config)
+
+
+def _run(
+    frame: str, data: FrameData, readings: Mapping[str, float], source: str, config: EstimateConfig
+) -> tuple[dict[str, Any], dict[str, float], float]:
+    """Estimate a frame in a worker process; return the result as JSON, the features and seconds of processor time."""
+    body, single = prepare(source), replace(config, threads=1)
+    started = time.process_time()
+    try:
+        result = _estimate(frame, data, readings, body, single)
+    except InputError as error:
+        return {"status": "failed", "reasons": [str(error)], "seconds": 0.0}, {}, 0.0
+    except Exception as error:  # a defect: counted, so that the other cases are still run
+        return {"status": CRASHED, "reasons": [f"crash: {type(error).__name__}: {error}"], "seconds": 0.0}, {}, 0.0
+    seconds = time.process_time() - started
+    if len(data.views) > 1:
+        return result.to_dict(), {}, seconds
+    features = measure_features(result, data.mask, data.camera, body, single, ignore=data.ignore)
+    return result.to_dict(), features, seconds
+
+
+def grouped(items: Iterable[Item], name_of: Callable[[Item], str]) -> dict[str, list[Item]]:
+    """Group items by a name, in order of appearance."""
+    groups: dict[str, list[Item]] = {}
+    for item in items:
+        groups.setdefault(name_of(item), []).append(item)
+    return groups
+
+
+def by_session(runs: Iterable[Run]) -> dict[str, list[Run]]:
+    """Group runs by their recording."""
+    return grouped(runs, lambda run: run.case.session)
+
+
+def by_level(items: Sequence[Item], level_of: Callable[[Item], str]) -> dict[str, list[Item]]:
+    """Group items by their level, and all of them under ``all`` if there are several levels."""
+    groups = grouped(items, level_of)
+    return groups | ({"all": list(items)} if len(groups) > 1 else {})
+
+
+def runs_by_level(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Group runs by the level of their recording, as `by_level`."""
+    return by_level(runs, lambda run: run.case.level)
+
+
+def session_frames(
+    cases: Sequence[Case],
+    results: Sequence[Result],
+    *,
+    names: Sequence[str] | None = None,
+    times: Mapping[str, float] | None = None,
+) -> list[SessionFrame]:
+    """Return the frames of a calibration: cases with their results, by their own or other names, and image times, s."""
+    named = [case.frame for case in cases] if names is None else names
+    return [
+        SessionFrame(name, case.data, replace(result, frame=name), time=(times or {}).get(name))
+        for name, case, result in zip(named, cases, results, strict=True)
+    ]
