@@ -10,10 +10,10 @@ from typing import Final
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import QUANTITIES, Comparison, count_statuses, median_of
 from dvrk_cmaes.io.atomic import write_bytes
-from dvrk_cmaes.report.page_axes import name_axis, value_axis
-from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, thumbnail
+from dvrk_cmaes.report.plots.axes import name_axis, value_axis
+from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.paths import check_frame_name, overlay_path, result_path
 

@@ -25,7 +25,6 @@ from dvrk_cmaes.report.page_frames import (
     frame_card,
 )
 from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture
-from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
 from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
@@ -38,7 +37,8 @@ from dvrk_cmaes.report.page_session import (
 )
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import thumbnail
-from dvrk_cmaes.report.page_tips_plot import speed_plot, tips_plot
+from dvrk_cmaes.report.plots.panels import joint_plot, rcm_plot
+from dvrk_cmaes.report.plots.tips import speed_plot, tips_plot
 from dvrk_cmaes.results.folder import ResultsFolder, read_results, result_paths
 from dvrk_cmaes.results.paths import layers_path, left_out_path, overlay_path
 from dvrk_cmaes.results.result import Result

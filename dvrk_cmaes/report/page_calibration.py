@@ -19,14 +19,14 @@ from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.report.page_cables_plot import cables_plot
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
-from dvrk_cmaes.report.page_lag_plot import LagPlot, lag_plot
 from dvrk_cmaes.report.page_layers import embedded_picture
-from dvrk_cmaes.report.page_offsets_plot import OffsetPanel, offset_estimates, offset_panels
-from dvrk_cmaes.report.page_plots import Plot
 from dvrk_cmaes.report.page_session import KeyFigure, correction
-from dvrk_cmaes.report.page_shafts_plot import ShaftsPlot, shafts_plot
+from dvrk_cmaes.report.plots.cables import cables_plot
+from dvrk_cmaes.report.plots.lag import LagPlot, lag_plot
+from dvrk_cmaes.report.plots.offsets import OffsetPanel, offset_estimates, offset_panels
+from dvrk_cmaes.report.plots.panels import Plot
+from dvrk_cmaes.report.plots.shafts import ShaftsPlot, shafts_plot
 from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
 from dvrk_cmaes.results.paths import left_out_path
 from dvrk_cmaes.results.result import Result

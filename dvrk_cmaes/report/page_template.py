@@ -15,8 +15,8 @@ import jinja2.bccache
 
 from dvrk_cmaes.io.cache_folder import cache_folder
 from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
-from dvrk_cmaes.report.page_plots import mark_path, short
 from dvrk_cmaes.report.page_session import reason_kind
+from dvrk_cmaes.report.plots.panels import mark_path, short
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 

@@ -22,7 +22,7 @@ from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.report.page_session import KeyFigure
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
-from dvrk_cmaes.report.track_charts import Chart, Float64, track_charts
+from dvrk_cmaes.report.plots.track import Chart, Float64, track_charts
 from dvrk_cmaes.report.track_events import STATUSES, SWITCHED, TrackEvent, track_events
 from dvrk_cmaes.report.track_pictures import HIGH, MEDIAN
 

@@ -23,8 +23,6 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.report.page import write_page
-from dvrk_cmaes.report.page_axes import name_axis, round_step, value_axis
-from dvrk_cmaes.report.page_plots import joint_plot, rcm_plot
 from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
@@ -35,7 +33,9 @@ from dvrk_cmaes.report.page_session import (
     reason_kind,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
-from dvrk_cmaes.report.page_tips_plot import speed_plot, tips_plot
+from dvrk_cmaes.report.plots.axes import name_axis, round_step, value_axis
+from dvrk_cmaes.report.plots.panels import joint_plot, rcm_plot
+from dvrk_cmaes.report.plots.tips import speed_plot, tips_plot
 from dvrk_cmaes.results.result import Result
 
 JPEG = "data:image/jpeg;base64,"

@@ -28,8 +28,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page import render_page, write_page
 from dvrk_cmaes.report.page_calibration import MOST_PICTURES, CalibrationView, calibration_view, left_out_views
-from dvrk_cmaes.report.page_lag_plot import lag_plot
-from dvrk_cmaes.report.page_shafts_plot import ShaftsView, shafts_plot
+from dvrk_cmaes.report.plots.lag import lag_plot
+from dvrk_cmaes.report.plots.shafts import ShaftsView, shafts_plot
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.result import Quality, Result
 

@@ -14,7 +14,7 @@ import pytest
 from helpers.track_rows import JOINTS, recording, row
 
 from dvrk_cmaes.draw.track_overlay import TrackView
-from dvrk_cmaes.report.track_charts import track_charts
+from dvrk_cmaes.report.plots.track import track_charts
 from dvrk_cmaes.report.track_events import SWITCHED, track_events
 from dvrk_cmaes.report.track_page import render_track_page, write_track_page
 from dvrk_cmaes.report.track_pictures import TrackPictures, chosen_frames, contour_distances

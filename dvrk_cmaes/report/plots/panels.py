@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.report.page_axes import Axis, centred_axis, frame_axis, value_axis
 from dvrk_cmaes.report.page_session import FrameBases, correction
+from dvrk_cmaes.report.plots.axes import Axis, centred_axis, frame_axis, value_axis
 from dvrk_cmaes.results.result import Result
 
 _OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {

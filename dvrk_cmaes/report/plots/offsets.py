@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.report.page_axes import Axis, value_axis
-from dvrk_cmaes.report.page_plots import Mark, mark_size
+from dvrk_cmaes.report.plots.axes import Axis, value_axis
+from dvrk_cmaes.report.plots.panels import Mark, mark_size
 
 _WIDTH, _LEFT = 560.0, 96.0  # width of the drawing, and start of its axis
 _ROW, _TOP = 50.0, 6.0  # height of a row, and top of the first

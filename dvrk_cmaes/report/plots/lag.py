@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.report.page_axes import Axis, value_axis
+from dvrk_cmaes.report.plots.axes import Axis, value_axis
 
 _WIDTH, _HEIGHT = 560.0, 260.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 546.0, 8.0, 204.0

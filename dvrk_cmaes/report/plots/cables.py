@@ -11,9 +11,9 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_cables import SessionCables
-from dvrk_cmaes.report.page_axes import Axis, value_axis
-from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.report.page_session import correction
+from dvrk_cmaes.report.plots.axes import Axis, value_axis
+from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.results.result import Result
 
 _WIDTH, _HEIGHT = 350.0, 230.0

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dvrk_cmaes.report.page_axes import frame_axis, value_axis
-from dvrk_cmaes.report.page_plots import SHAPES, Mark, Panel, Plot, Series, mark_size
+from dvrk_cmaes.report.plots.axes import frame_axis, value_axis
+from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.results.result import Result
 
 _LEAST_SPAN = 1.0  # mm

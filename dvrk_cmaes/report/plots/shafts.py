@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.report.page_axes import Axis, centred_axis
+from dvrk_cmaes.report.plots.axes import Axis, centred_axis
 
 Float64 = NDArray[np.float64]
 

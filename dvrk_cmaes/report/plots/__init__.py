@@ -1,0 +1,1 @@
+"""Plots of the pages as SVG: axes, panels of marks and lines, and what each plot shows."""
