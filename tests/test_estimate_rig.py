@@ -12,6 +12,7 @@ import pytest
 from dvrk_cmaes import Camera, EstimateConfig, Result, Rig, estimate
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, rotation_angle, transform
+from dvrk_cmaes.io.encode import encoded
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -138,7 +139,7 @@ def test_result_of_views_is_read_again(both: Result) -> None:
     document = json.loads(json.dumps(both.to_dict()))
     again = Result.from_dict(document)
     assert again.views == both.views
-    assert [fit.to_dict() for fit in again.view_fits] == document["view_fits"]
+    assert encoded(again.view_fits) == document["view_fits"]
 
 
 @pytest.mark.parametrize(

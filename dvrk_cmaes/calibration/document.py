@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,9 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, rounded_values
+from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
 from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
@@ -148,11 +149,7 @@ class SessionCalibration:
         std = np.sqrt(np.diag(self.covariance))
         return {
             "schema": SCHEMA,
-            "status": self.status,
-            "instrument": self.instrument,
-            "camera_from_base": rounded_array(self.camera_from_base),
-            "rcm": rounded_array(self.rcm),
-            "offsets": rounded_values(self.offsets),
+            **encoded_fields(self, "status", "instrument", "camera_from_base", "rcm", "offsets"),
             "std": {
                 "base_translation_mm": rounded_array(std[:3] * 1e3),
                 "base_rotation_deg": rounded_array(np.degrees(std[3:6])),
@@ -163,20 +160,16 @@ class SessionCalibration:
                 "matrix": rounded_matrix(self.covariance),
                 "given_camera": rounded_matrix(self.covariance_given_camera),
             },
-            "spreads": rounded_values(self.spreads),
-            "untold": list(self.untold),
-            "warnings": list(self.warnings),
-            "frames": list(self.frames),
+            **encoded_fields(self, "spreads", "untold", "warnings", "frames"),
             "left_out": [{"frame": name, "reason": reason} for name, reason in self.left_out.items()],
             "leave_one_out": {
                 name: {"iou": rounded(iou), "contour_px": rounded(px)} for name, (iou, px) in self.leave_one_out.items()
             },
-            "quality": {"iou": rounded(self.iou), "contour_px_95": rounded(self.contour_px_95)},
+            "quality": encoded_fields(self, "iou", "contour_px_95"),
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
-            "cables": None if self.cables is None else self.cables.to_dict(),
-            "camera": None if self.camera is None else self.camera.to_dict(),
-            "arm": self.arm,
+            "cables": None if self.cables is None else asdict(self.cables),
+            **encoded_fields(self, "camera", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
-from dvrk_cmaes.io.rounding import rounded_matrix
+from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
 
 Float64 = NDArray[np.float64]
 
@@ -24,8 +24,8 @@ class RelativeBase:
     axes, m and rad.
     """
 
-    reference_from_base: Float64
-    covariance: Float64
+    reference_from_base: Float64 = field(metadata=SIGNIFICANT)
+    covariance: Float64 = field(metadata=SIGNIFICANT)
 
     @classmethod
     def between(cls, reference: SessionCalibration, other: SessionCalibration) -> RelativeBase:
@@ -41,10 +41,7 @@ class RelativeBase:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the values in the documented schema, ready for JSON."""
-        return {
-            "reference_from_base": rounded_matrix(self.reference_from_base),
-            "covariance": rounded_matrix(self.covariance),
-        }
+        return encoded_fields(self, "reference_from_base", "covariance")
 
     def describe(self) -> str:
         """Describe distance and angle in words, with standard deviations."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,11 +130,6 @@ class SessionCables:
             raise refused(where, "cables.seconds", "numbers above 0", found.seconds)
         return found
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as plain values for JSON."""
-        plain = {name: _plain(value) for name, value in vars(self).items()}
-        return plain | {"alone": {name: _plain(value) for name, value in vars(self.alone).items()}}
-
     def model(self, offset: Float64) -> CableModel:
         """Return the model of the errors with the session's offsets (C,), rad."""
         return CableModel(
@@ -193,10 +187,3 @@ def _row(values: Float64) -> Row:
 
 def _table(values: Float64) -> Table:
     return tuple(_row(row) for row in values)
-
-
-def _plain(value: Any) -> Any:
-    """Return tuples as lists."""
-    if isinstance(value, tuple):
-        return [_plain(one) for one in value]
-    return {name: _plain(one) for name, one in value.items()} if isinstance(value, dict) else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.io.typed_document import Count, Number
 
 Float64 = NDArray[np.float64]
@@ -74,18 +72,6 @@ class SessionCamera:
             applied=applied,
             width=width,
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the values in the documented schema, ready for JSON."""
-        return {
-            "focal_scale": rounded(self.focal_scale),
-            "std_focal_scale": rounded(self.std_focal_scale),
-            "principal_point_px": [rounded(value) for value in self.principal_point_px],
-            "std_principal_point_px": [rounded(value) for value in self.std_principal_point_px],
-            "contradicts": self.contradicts,
-            "applied": self.applied,
-            "width": self.width,
-        }
 
     def corrected(self, camera: Camera) -> Camera:
         """Return the camera of the file with the change, for images of any size; unchanged if it was not applied."""

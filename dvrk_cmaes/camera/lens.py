@@ -77,14 +77,6 @@ class Lens:
             out *= scale[..., None]
         return out
 
-    def distort_along(
-        self, xy: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distort points (N, 2), and compute the gradients (N, 2) of their coordinates along directions (N, 2)."""
-        value, (xx, xy_, yx, yy) = self._value_and_jacobian(xy[:, 0], xy[:, 1])
-        a, b = directions.T
-        return np.stack(value, axis=1), np.stack([a * xx + b * yx, a * xy_ + b * yy], axis=1)
-
     def undistort(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
         """Invert ``distort`` on float64 points (..., 2), by Newton's method, to 1e-9 or better."""
         points = distorted.reshape(-1, 2)

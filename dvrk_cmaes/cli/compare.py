@@ -93,25 +93,25 @@ def _sets(comparison: Comparison) -> Iterator[Line]:
     """Yield a row for each set: label, path, kind, statuses, overlap."""
     from dvrk_cmaes.evaluate.comparison import median_of
 
-    width = max(len(str(one.path)) for one in comparison.sets)
+    width = max(len(str(compared.path)) for compared in comparison.sets)
     yield Line(f"   {'results':<{width}}  {'what':<18}  frames    ok  doubtful  failed  IoU, median", "bold")
-    for label, one in zip(comparison.labels, comparison.sets, strict=True):
-        overlap = median_of(frame.iou for frame in one.frames.values())
+    for label, compared in zip(comparison.labels, comparison.sets, strict=True):
+        overlap = median_of(frame.iou for frame in compared.frames.values())
         cells = (
-            f"{len(one.frames):>6d}",
-            f"{_count(one, 'ok'):>4}",
-            f"{_count(one, 'doubtful'):>8}",
-            f"{_count(one, 'failed', 'lost'):>6}",
+            f"{len(compared.frames):>6d}",
+            f"{_count(compared, 'ok'):>4}",
+            f"{_count(compared, 'doubtful'):>8}",
+            f"{_count(compared, 'failed', 'lost'):>6}",
             f"{'-' if overlap is None else f'{overlap:.4f}':>11}",
         )
-        yield Line(f"{label}  {one.path!s:<{width}}  {one.kind:<18}  " + "  ".join(cells))
+        yield Line(f"{label}  {compared.path!s:<{width}}  {compared.kind:<18}  " + "  ".join(cells))
 
 
-def _count(one: ComparedSet, *statuses: str) -> str:
+def _count(compared: ComparedSet, *statuses: str) -> str:
     """Return the number of frames with one of some statuses; a dash for a set without statuses."""
     from dvrk_cmaes.evaluate.comparison import count_statuses
 
-    counts = count_statuses(one)
+    counts = count_statuses(compared)
     return str(sum(counts.get(status, 0) for status in statuses)) if counts else "-"
 
 
@@ -131,7 +131,7 @@ def _sums(comparison: Comparison) -> Iterator[Line]:
                 heading = QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg")
                 numbers = f"{spread.median:>10.3f}{spread.percentile_95:>10.3f}{spread.largest:>10.3f}"
                 yield Line(f"  {heading:<20}{numbers}  {spread.frame}")
-        twins = sorted(frame for frame, one in found.items() if one.is_twin)
+        twins = sorted(frame for frame, difference in found.items() if difference.is_twin)
         if twins:
             yield Line(f"  mirror twin of {reference}: {', '.join(twins)}", "yellow")
         within = comparison.within_90(k)
@@ -151,12 +151,12 @@ def _frames(comparison: Comparison, most: int) -> Iterator[Line]:
     yield Line(f"{'frame':<{width}}  set  {'status':<8}  {columns}", "bold")
     for frame in chosen:
         for k in comparison.others:
-            one, found = comparison.sets[k].frames.get(frame), comparison.differences[k].get(frame)
-            if one is None or found is None:
+            entry, found = comparison.sets[k].frames.get(frame), comparison.differences[k].get(frame)
+            if entry is None or found is None:
                 continue
-            overlap = "-" if one.iou is None else f"{one.iou:.4f}"
+            overlap = "-" if entry.iou is None else f"{entry.iou:.4f}"
             yield Line(
-                f"{frame:<{width}}  {comparison.labels[k]:<3}  {one.status or '-':<8}  {overlap:>6}  {_row(found)}",
+                f"{frame:<{width}}  {comparison.labels[k]:<3}  {entry.status or '-':<8}  {overlap:>6}  {_row(found)}",
                 "yellow" if found.is_twin else "",
             )
     if len(chosen) < len(comparison.by_size):
@@ -173,15 +173,17 @@ def _csv_text(comparison: Comparison) -> str:
     """Format all frames as a table, the columns of each set after its label; cells without a value are blank."""
     from dvrk_cmaes.evaluate.comparison import QUANTITIES
 
-    joints = list(dict.fromkeys(n for by in comparison.differences for one in by.values() for n in one.joints_deg))
+    joints = list(
+        dict.fromkeys(n for by in comparison.differences for difference in by.values() for n in difference.joints_deg)
+    )
     columns = ["status", "iou", *QUANTITIES, *(f"{name}_deg" for name in joints)]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)])
     for frame in comparison.frames:
         cells: list[object] = [frame]
-        for one, by_frame in zip(comparison.sets, comparison.differences, strict=True):
-            entry, found = one.frames.get(frame), by_frame.get(frame)
+        for compared, by_frame in zip(comparison.sets, comparison.differences, strict=True):
+            entry, found = compared.frames.get(frame), by_frame.get(frame)
             values: list[object] = [None, None] if entry is None else [entry.status, entry.iou]
             if found is None:
                 values += [None] * (len(columns) - 2)

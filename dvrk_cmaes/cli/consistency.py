@@ -83,14 +83,14 @@ def consistency(
     ]
     if json:
         paper = {level: asdict(row) for level, row in TABLE_ONE.items()}
-        print(json_text({"sets": [one.to_dict() for one in found], "paper": paper}), end="")
+        print(json_text({"sets": [spread.to_dict() for spread in found], "paper": paper}), end="")
     else:
         show(_table(found))
-    for one in found:
-        if one.results.by_construction:
-            instead = f"; one by one: {one.results.alone}" if one.results.alone else ""
+    for spread in found:
+        if spread.results.by_construction:
+            instead = f"; one by one: {spread.results.alone}" if spread.results.alone else ""
             warn(
-                f"{one.results.name}: solved {one.results.solved}: such frames agree by construction, which says "
+                f"{spread.results.name}: solved {spread.results.solved}: such frames agree by construction, which says "
                 f"nothing about accuracy; no comparison with the paper's{instead}"
             )
     if picture is not None:  # after the table, which needs no matplotlib
@@ -104,7 +104,7 @@ def _table(found: Sequence[Agreement]) -> Iterator[Line]:
     """Yield a table with one row for each set of results, then the paper's rows and the frames without a pose."""
     from dvrk_cmaes.evaluate.paper import TABLE_ONE
 
-    names = [one.results.name for one in found] + [f"paper, {level}, PnP" for level in TABLE_ONE]
+    names = [spread.results.name for spread in found] + [f"paper, {level}, PnP" for level in TABLE_ONE]
     width = max(len(name) for name in names)
     yield Line("How well frames agree: sigma as the paper's Table I, the rest in mm and degrees", "bold")
     yield Line(
@@ -112,8 +112,8 @@ def _table(found: Sequence[Agreement]) -> Iterator[Line]:
         "base, median  largest  x* in the camera",
         "bold",
     )
-    for one in found:
-        results, axes, rcm, base = one.results, one.axes, one.rcm, one.base
+    for spread in found:
+        results, axes, rcm, base = spread.results, spread.axes, spread.rcm, spread.base
         cells = (
             f"{results.name:<{width}}",
             f"{len(results.frames):>6d}",
@@ -130,8 +130,8 @@ def _table(found: Sequence[Agreement]) -> Iterator[Line]:
     for level, row in TABLE_ONE.items():
         for name, sigma in ((f"paper, {level}", row.sigma_m), (f"paper, {level}, PnP", row.pnp_sigma_m)):
             yield Line(f"{name:<{width}}  {10:>6d}  {'one by one':<10s}  {sigma:>8.5f}")
-    for one in found:
-        if one.results.failed:
-            yield Line(f"{one.results.name}: without a pose, left out: {', '.join(one.results.failed)}", "yellow")
-        if one.results.doubtful:
-            yield Line(f"{one.results.name}: doubtful, counted: {', '.join(one.results.doubtful)}", "yellow")
+    for spread in found:
+        if spread.results.failed:
+            yield Line(f"{spread.results.name}: without a pose, left out: {', '.join(spread.results.failed)}", "yellow")
+        if spread.results.doubtful:
+            yield Line(f"{spread.results.name}: doubtful, counted: {', '.join(spread.results.doubtful)}", "yellow")

@@ -122,19 +122,19 @@ def _table(outcomes: Sequence[DemoOutcome], tolerance: dict[str, float], out: Pa
     """Yield the table of the frames' errors, the messages, and the folders of the files written."""
     yield Line("Found less true, bundled session (tip and root in mm, angles in deg)", "bold")
     yield Line("frame  status      tip   root  shaft  rotation  pitch    yaw    jaw    IoU      s", "bold")
-    for one in outcomes:
-        result, error, joints = one.result, one.error, one.error.joints_deg
+    for outcome in outcomes:
+        result, error, joints = outcome.result, outcome.error, outcome.error.joints_deg
         iou = float("nan") if result.quality is None else result.quality.iou
         yield Line(
             f"{result.frame:<6s} {result.status:<8s} {error.tip_mm or 0.0:>6.2f} {error.root_mm:>6.2f} "
             f"{error.shaft_deg:>6.2f} {error.rotation_deg:>9.2f} {joints['wrist_pitch']:>+6.2f} "
             f"{joints['wrist_yaw']:>+6.2f} {joints['jaw']:>+6.2f} {iou:>6.3f} {result.seconds:>6.2f}",
-            "" if one.expected else STATUS_STYLES["failed"],
+            "" if outcome.expected else STATUS_STYLES["failed"],
         )
-    for one in outcomes:
-        for text in (*one.result.reasons, *(f"beyond tolerance: {text}" for text in one.beyond)):
-            yield Line(f"{one.result.frame}: {text}", "yellow")
-    right = sum(one.expected for one in outcomes)
+    for outcome in outcomes:
+        for text in (*outcome.result.reasons, *(f"beyond tolerance: {text}" for text in outcome.beyond)):
+            yield Line(f"{outcome.result.frame}: {text}", "yellow")
+    right = sum(outcome.expected for outcome in outcomes)
     stated = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {most:g}" for name, most in tolerance.items())
     yield Line(f"{right} of {len(outcomes)} frames as expected (at most: {stated})")
     yield Line(f"Overlays: {out / 'overlays'}   results: {out / 'frames'}")

@@ -55,8 +55,8 @@ class BagOptions:
 
         if self.times is not None:
             return read_image_times(self.times / "images.csv" if self.times.is_dir() else self.times)
-        named = {one.frame: time_in_name(one.frame) for one in results}
-        stated = {one.frame: None if one.time is None else round(one.time * NANOSECONDS) for one in results}
+        named = {result.frame: time_in_name(result.frame) for result in results}
+        stated = {result.frame: None if result.time is None else round(result.time * NANOSECONDS) for result in results}
         for times in (named, stated):
             known = {frame: time for frame, time in times.items() if time is not None}
             if len(known) == len(results):

@@ -247,20 +247,22 @@ def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checke
     """Yield one line of errors for each frame, then all errors of each frame that is not within tolerance."""
     from dvrk_cmaes.evaluate.pose_check import table
 
-    quantities = list(dict.fromkeys(row.measured.quantity for one in checks for row in one.check.rows))
-    width = max(6, *(len(one.result.frame) for one in checks))
+    quantities = list(dict.fromkeys(row.measured.quantity for checked in checks for row in checked.check.rows))
+    width = max(6, *(len(checked.result.frame) for checked in checks))
     yield Line("Errors against the golden poses (root and tip in mm, all else in deg; ! is off)", "bold")
     yield Line(f"{'frame':<{width}}  {'status':<8}" + "".join(f"{name:>12}" for name in quantities), "bold")
-    for one in checks:
-        cells = {row.measured.quantity: row.measured for row in one.check.rows}
+    for checked in checks:
+        cells = {row.measured.quantity: row.measured for row in checked.check.rows}
         shown = "".join(f"{_error_cell(cells.get(name)):>12}" for name in quantities if cells)
-        style = "" if one.check.right else STATUS_STYLES["failed"]
-        yield Line(f"{one.result.frame:<{width}}  {one.result.status:<8}{shown}{one.check.no_pose}".rstrip(), style)
-    for one in checks:
-        if not one.check.right:
-            yield Line(f"{one.result.frame}: not as the golden pose", STATUS_STYLES["failed"])
-            yield from (Line(f"  {text}") for text in table(one.check))
-    right = sum(one.check.right for one in checks)
+        style = "" if checked.check.right else STATUS_STYLES["failed"]
+        yield Line(
+            f"{checked.result.frame:<{width}}  {checked.result.status:<8}{shown}{checked.check.no_pose}".rstrip(), style
+        )
+    for checked in checks:
+        if not checked.check.right:
+            yield Line(f"{checked.result.frame}: not as the golden pose", STATUS_STYLES["failed"])
+            yield from (Line(f"  {text}") for text in table(checked.check))
+    right = sum(checked.check.right for checked in checks)
     most = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in tolerance.items())
     yield Line(f"{right} of {len(checks)} frames within tolerance (at most: {most})")
     if not_checked:

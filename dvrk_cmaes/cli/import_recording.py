@@ -158,9 +158,11 @@ def import_recording(
             lag=taken,
             overwrite=overwrite,
         )
-    for one in summary.readings:
-        if one.without:
-            warn(f"{one.source}: {one.without} of {summary.frames} frames have no readings within {tolerance:g} s")
+    for source in summary.readings:
+        if source.without:
+            warn(
+                f"{source.source}: {source.without} of {summary.frames} frames have no readings within {tolerance:g} s"
+            )
     if said:
         warn(said)
     if json:
@@ -186,7 +188,7 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
         return None, ""
     found = read_calibration(calibration)
     if found.lag is None:
-        why = next((one for one in found.untold if one.startswith("lag")), "lag: not told")
+        why = next((text for text in found.untold if text.startswith("lag")), "lag: not told")
         return None, f"{calibration}: {why}: none is taken out"
     if found.applied_lag is None:
         said = f"zero within its standard deviation ({found.lag.describe()}): none is taken out"
@@ -272,7 +274,7 @@ def _lines(summary: ImportSummary) -> Iterator[Line]:
     yield Line(f"{summary.frames} frames of {summary.images} images, {width} x {height}", "bold")
     for note in summary.notes:
         yield Line(f"  {note}")
-    for one in summary.readings:
-        far = "" if one.farthest_s is None else f", from readings at most {1e3 * one.farthest_s:.1f} ms away"
-        yield Line(f"  {one.source}: {one.frames} frames with readings, {one.without} without{far}")
+    for source in summary.readings:
+        far = "" if source.farthest_s is None else f", from readings at most {1e3 * source.farthest_s:.1f} ms away"
+        yield Line(f"  {source.source}: {source.frames} frames with readings, {source.without} without{far}")
     yield Line(f"written: {summary.session}")

@@ -18,6 +18,7 @@ from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
 from dvrk_cmaes.evaluate.pose_error import compare_rotations
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.rounding import rounded
 
 Float64 = NDArray[np.float64]
@@ -63,9 +64,7 @@ class Difference:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        numbers = {name: getattr(self, name) for name in QUANTITIES}
-        joints = {name: rounded(value) for name, value in self.joints_deg.items()}
-        return {name: None if v is None else rounded(v) for name, v in numbers.items()} | {"joints_deg": joints}
+        return encoded_fields(self, *QUANTITIES, "joints_deg")
 
 
 @dataclass(frozen=True)
@@ -88,8 +87,7 @@ class Spread:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        numbers = {"median": self.median, "percentile_95": self.percentile_95, "largest": self.largest}
-        return {name: rounded(value) for name, value in numbers.items()} | {"frame": self.frame}
+        return encoded_fields(self, "median", "percentile_95", "largest", "frame")
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,10 +74,14 @@ def _record(
 ) -> None:
     """Write messages to an open recording."""
     connections: dict[str, Any] = {}
-    for one in messages:
-        if one.topic not in connections:
-            connections[one.topic] = writer.add_connection(one.topic, one.kind, typestore=store)
-        writer.write(connections[one.topic], one.time, serialize(_built(store, one.kind, one.fields), one.kind))
+    for message in messages:
+        if message.topic not in connections:
+            connections[message.topic] = writer.add_connection(message.topic, message.kind, typestore=store)
+        writer.write(
+            connections[message.topic],
+            message.time,
+            serialize(_built(store, message.kind, message.fields), message.kind),
+        )
 
 
 def _built(store: Typestore, kind: str, fields: dict[str, Any]) -> Any:
@@ -88,8 +92,8 @@ def _built(store: Typestore, kind: str, fields: dict[str, Any]) -> Any:
         value = fields.get(name, 0)
         if isinstance(value, dict):
             value = _built(store, described, value)
-        elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
-            value = [_built(store, described[0][1], one) for one in value]
+        elif isinstance(value, list) and any(isinstance(element, dict) for element in value):
+            value = [_built(store, described[0][1], element) for element in value]
         elif name in _ARRAYS:
             value = np.array(value, dtype=np.float64)
         values[name] = value

@@ -56,7 +56,7 @@ class FramePicture:
 def write_arms_page(out: Path, folders: Mapping[str, ResultsFolder]) -> Path:
     """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
     names = sorted({name for folder in folders.values() for name in folder.frames})
-    pictures = [one for name in spread(names) if (one := _picture(out, name, folders)) is not None]
+    pictures = [picture for name in spread(names) if (picture := _picture(out, name, folders)) is not None]
     return _write_page(out, [_row(arm, folder) for arm, folder in folders.items()], len(names), pictures)
 
 
@@ -70,7 +70,7 @@ def write_followed_arms_page(
 
 def _write_page(out: Path, arms: Sequence[ArmRow], frames: int, pictures: Sequence[FramePicture]) -> Path:
     """Write the page of arms that have a number of frames together."""
-    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in arm_colours([one.arm for one in arms]).values()]
+    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in arm_colours([page.arm for page in arms]).values()]
     page = render_template(
         "arms.html",
         scripts=("tiles.js", "arms.js"),

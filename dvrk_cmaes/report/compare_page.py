@@ -36,8 +36,8 @@ def write_compare_page(out: Path, comparison: Comparison) -> Path:
         comparison=comparison,
         quantities=_headings(comparison),
         spreads={label: comparison.spreads(k) for k, label in enumerate(comparison.labels)},
-        statuses=[count_statuses(one) for one in comparison.sets],
-        overlaps=[median_of(frame.iou for frame in one.frames.values()) for one in comparison.sets],
+        statuses=[count_statuses(compared) for compared in comparison.sets],
+        overlaps=[median_of(frame.iou for frame in compared.frames.values()) for compared in comparison.sets],
         plots=[plot for plot in (tips_plot(comparison), overlap_plot(comparison)) if plot is not None],
         pictures=_pictures(comparison),
     )
@@ -67,8 +67,8 @@ def overlap_plot(comparison: Comparison) -> Plot | None:
     """Plot the overlap (IoU) of each set over the frames; None if none states it."""
 
     def overlap(index: int, frame: str) -> float | None:
-        one = comparison.sets[index].frames.get(frame)
-        return None if one is None else one.iou
+        entry = comparison.sets[index].frames.get(frame)
+        return None if entry is None else entry.iou
 
     return _plot("overlap", "overlap (IoU)", comparison, overlap, least=0.02)
 
@@ -115,11 +115,14 @@ def _pictures(comparison: Comparison) -> list[FramePictures]:
     chosen = [
         FramePictures(
             frame,
-            {label: _picture(one.path, frame) for label, one in zip(comparison.labels, comparison.sets, strict=True)},
+            {
+                label: _picture(compared.path, frame)
+                for label, compared in zip(comparison.labels, comparison.sets, strict=True)
+            },
         )
         for frame in comparison.by_size[:_PICTURES]
     ]
-    return [one for one in chosen if any(one.pictures.values())]
+    return [row for row in chosen if any(row.pictures.values())]
 
 
 def _picture(folder: Path, frame: str) -> Thumbnail | None:

@@ -23,7 +23,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
     places = {frame: place for place, frame in enumerate(comparison.frames)}
     for k in comparison.others:
         found = comparison.differences[k]
-        sizes = np.array([one.size[0] for one in found.values()])
+        sizes = np.array([pair.size[0] for pair in found.values()])
         colour = _COLOURS[k % len(_COLOURS)]
         label = f"{comparison.labels[k]}: {comparison.sets[k].path}"
         by_frame.plot([places[frame] for frame in found], sizes, "o", color=colour, markersize=4, label=label)

@@ -127,7 +127,9 @@ def calibration_view(
     results = list(folder.frames.values())
     used = frozenset(place for place, name in enumerate(folder.frames) if name in calibration.frames)
     unsure = frozenset(place for place, result in enumerate(results) if result.status != "ok")
-    predictions = sorted(_predictions(folder.frames, calibration, left_out), key=lambda one: (one.iou, one.frame))
+    predictions = sorted(
+        _predictions(folder.frames, calibration, left_out), key=lambda prediction: (prediction.iou, prediction.frame)
+    )
     poses = {place: r.camera_from_root for place, r in enumerate(results) if r.camera_from_root is not None}
     posed = {place: pose for place, pose in poses.items() if place in used or results[place].frame in left_out}
     return CalibrationView(
@@ -139,7 +141,9 @@ def calibration_view(
         offset_panels=offset_panels(calibration, _corrections(results, calibration, used), unsure),
         shafts=shafts_plot(calibration, posed, used),
         predictions=tuple(predictions),
-        pictures=_with_pictures(folder, [one for one in predictions if one.picture][:MOST_PICTURES]),
+        pictures=_with_pictures(
+            folder, [prediction for prediction in predictions if prediction.picture][:MOST_PICTURES]
+        ),
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
         lag=_lag(calibration),
         cables=() if calibration.cables is None else tuple(calibration.cables.in_words()),
@@ -161,8 +165,11 @@ def _predictions(
 
 def _with_pictures(folder: ResultsFolder, predictions: Sequence[Prediction]) -> tuple[Prediction, ...]:
     """Return predictions with small pictures within the page; the address of one that cannot be read stays."""
-    small = (embedded_picture(left_out_path(folder.folder, one.frame), _SMALL) for one in predictions)
-    return tuple(replace(one, picture=own or one.picture) for one, own in zip(predictions, small, strict=True))
+    small = (embedded_picture(left_out_path(folder.folder, prediction.frame), _SMALL) for prediction in predictions)
+    return tuple(
+        replace(prediction, picture=own or prediction.picture)
+        for prediction, own in zip(predictions, small, strict=True)
+    )
 
 
 def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:
@@ -176,13 +183,13 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         worst = predictions[0]
         yield KeyFigure(
             "Predicted by the others, IoU",
-            f"{np.mean([one.iou for one in predictions]):.3f}",
+            f"{np.mean([prediction.iou for prediction in predictions]):.3f}",
             f"mean; lowest {worst.iou:.3f} ({worst.frame})",
         )
-        far = max(predictions, key=lambda one: one.contour_px)
+        far = max(predictions, key=lambda prediction: prediction.contour_px)
         yield KeyFigure(
             "Predicted by the others, outline",
-            f"{np.median([one.contour_px for one in predictions]):.1f} px",
+            f"{np.median([prediction.contour_px for prediction in predictions]):.1f} px",
             f"median; worst {far.contour_px:.1f} px ({far.frame})",
         )
     std = np.sqrt(np.diag(calibration.covariance))

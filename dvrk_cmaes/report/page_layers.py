@@ -40,7 +40,7 @@ class DrawnLayers:
     @property
     def bytes(self) -> int:
         """Size in the page."""
-        return len(self.picture or "") + sum(len(one.path) for one in self.outlines)
+        return len(self.picture or "") + sum(len(outline.path) for outline in self.outlines)
 
 
 def embedded_picture(path: Path, widest: int = 1280) -> str | None:
@@ -64,7 +64,11 @@ def embedded_layers(path: Path) -> DrawnLayers | None:
     except InputError:
         return None
     picture = None if layers.picture is None else _jpeg_address(layers.picture)
-    outlines = (DrawnOutline(one.name, k % _COLOURS, _path(one)) for k, one in enumerate(layers.outlines) if one.rings)
+    outlines = (
+        DrawnOutline(outline.name, k % _COLOURS, _path(outline))
+        for k, outline in enumerate(layers.outlines)
+        if outline.rings
+    )
     return DrawnLayers(layers.width, layers.height, picture, tuple(outlines))
 
 

@@ -109,9 +109,9 @@ def offset_panels(
 
 
 def _axis(unit: str, joints: Mapping[str, OffsetEstimate]) -> Axis:
-    reach = [max(1.2 * one.std, _DEVIATIONS * one.frame_std) for one in joints.values()]
-    low = min(0.0, *(one.offset - by for one, by in zip(joints.values(), reach, strict=True)))
-    high = max(0.0, *(one.offset + by for one, by in zip(joints.values(), reach, strict=True)))
+    reach = [max(1.2 * joint.std, _DEVIATIONS * joint.frame_std) for joint in joints.values()]
+    low = min(0.0, *(joint.offset - by for joint, by in zip(joints.values(), reach, strict=True)))
+    high = max(0.0, *(joint.offset + by for joint, by in zip(joints.values(), reach, strict=True)))
     least = max(0.0, 0.5 - (high - low)) / 2
     return value_axis(f"offset, {unit}", low - least, high + least, start=_LEFT, end=_WIDTH - 14, most=8)
 

@@ -38,7 +38,7 @@ def scene_of(results: Sequence[Result], base: FrameBases | None) -> str | None:
     axes = None
     known = [result.camera_from_base for result in results if result.camera_from_base is not None]
     if base is not None and known:
-        middle = min(known, key=lambda one: float(np.linalg.norm(one[:3, 3] - base.centre)))
+        middle = min(known, key=lambda base_of_frame: float(np.linalg.norm(base_of_frame[:3, 3] - base.centre)))
         axes = [_millimetres(base.centre + _AXIS * axis) for axis in middle[:3, :3].T] + [_millimetres(base.centre)]
     return json.dumps({"frames": frames, "base": axes}, separators=(",", ":"))
 

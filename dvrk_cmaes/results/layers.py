@@ -48,7 +48,9 @@ class FrameLayers:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document of the layers, ready for JSON."""
-        outlines = [{"name": one.name, "rings": [list(ring) for ring in one.rings]} for one in self.outlines]
+        outlines = [
+            {"name": outline.name, "rings": [list(ring) for ring in outline.rings]} for outline in self.outlines
+        ]
         size = {"width": self.width, "height": self.height}
         return {"schema": SCHEMA, **size, "outlines": outlines, "picture": self.picture}
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, rounded_values
+from dvrk_cmaes.io.encode import SIGNIFICANT
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
 
 Relation = Literal["mirror twin", "other mode"]
@@ -27,17 +27,6 @@ class Alternative:
     iou: Number
     relation: Relation
     reading_distance_deg: Number | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the alternative in the result's schema."""
-        return {
-            "camera_from_root": rounded_array(self.camera_from_root),
-            "joints": rounded_values(self.joints),
-            "loss": rounded(self.loss),
-            "iou": rounded(self.iou),
-            "relation": self.relation,
-            "reading_distance_deg": None if self.reading_distance_deg is None else rounded(self.reading_distance_deg),
-        }
 
 
 @dataclass(frozen=True)
@@ -60,19 +49,6 @@ class Quality:
     steady_share: Number = 0.0
     distal_px: Number = 0.0
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the quality in the result's schema."""
-        return {
-            "iou": rounded(self.iou),
-            "loss": rounded(self.loss),
-            "terms": rounded_values(self.terms),
-            "contour_px_median": rounded(self.contour_px_median),
-            "contour_px_95": rounded(self.contour_px_95),
-            "bend_px": rounded(self.bend_px),
-            "steady_share": rounded(self.steady_share),
-            "distal_px": rounded(self.distal_px),
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class ViewCheck:
@@ -85,7 +61,7 @@ class ViewCheck:
     name: str
     quality: Quality
     rotation_deg: Point
-    covariance_deg2: SquareOfThree
+    covariance_deg2: SquareOfThree = field(metadata=SIGNIFICANT)
 
     @property
     def significance(self) -> float:
@@ -93,15 +69,6 @@ class ViewCheck:
         if not self.rotation_deg.any():
             return 0.0
         return float(np.sqrt(self.rotation_deg @ np.linalg.solve(self.covariance_deg2, self.rotation_deg)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the view in the result's schema."""
-        return {
-            "name": self.name,
-            "quality": self.quality.to_dict(),
-            "rotation_deg": rounded_array(self.rotation_deg),
-            "covariance_deg2": rounded_matrix(self.covariance_deg2),
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +98,3 @@ class ExpectedError:
         """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``."""
         digits = 2 if self.tip_90_mm < 1 else 1
         return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as they are in ``std`` of a result."""
-        return {
-            "tip_mm": rounded_values(self.tip_mm),
-            "tip_axes_mm": {name: rounded_array(axes) for name, axes in self.tip_axes_mm.items()},
-            "tip_90_mm": rounded(self.tip_90_mm),
-            "shaft_deg": rounded(self.shaft_deg),
-        }

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix, rounded_values
+from dvrk_cmaes.io.encode import encoded, encoded_fields
+from dvrk_cmaes.io.rounding import rounded_array, rounded_matrix, rounded_values
 from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
@@ -217,47 +218,26 @@ class Result:
                 "translation_mm": rounded_array(self.std_translation_mm),
                 "rotation_deg": rounded_array(self.std_rotation_deg),
                 "joints_deg": rounded_values(self.std_joints_deg or {}),
-                **({} if self.expected_error is None else self.expected_error.to_dict()),
+                **(encoded(self.expected_error) or {}),
             }
         covariance = None
         if self.covariance is not None:
             axes = [*POSE_AXES, *self.joints]
             covariance = {"axes": axes, "matrix": rounded_matrix(self.covariance)}
+        of_rig = ("views", "view_fits") if self.views else ()
         return {
             "schema": SCHEMA,
-            "frame": self.frame,
-            "time": None if self.time is None else rounded(self.time),
-            "status": self.status,
-            "reasons": list(self.reasons),
-            "instrument": self.instrument,
-            "root_link": self.root_link,
-            "camera_from_root": None if self.camera_from_root is None else rounded_array(self.camera_from_root),
-            "joints": rounded_values(self.joints),
-            "readings": rounded_values(self.readings),
-            "tips": [rounded_array(tip) for tip in self.tips],
-            "tips_px": [rounded_array(tip) for tip in self.tips_px],
-            "warnings": list(self.warnings),
-            "unused": list(self.unused),
-            "camera_from_base": None if self.camera_from_base is None else rounded_array(self.camera_from_base),
-            "source": self.source,
+            **encoded_fields(self, "frame", "time", "status", "reasons", "instrument", "root_link"),
+            **encoded_fields(self, "camera_from_root", "joints", "readings", "tips", "tips_px", "warnings", "unused"),
+            **encoded_fields(self, "camera_from_base", "source"),
             "change": self.change,
-            "quality": None if self.quality is None else self.quality.to_dict(),
+            "quality": encoded(self.quality),
             "std": std,
             "covariance": covariance,
-            "mode_probability": None if self.mode_probability is None else rounded(self.mode_probability),
-            "alternatives": [a.to_dict() for a in self.alternatives],
+            **encoded_fields(self, "mode_probability", "alternatives"),
             "seconds": round(self.seconds, 4),
-            "evaluations": self.evaluations,
-            "rays": self.rays,
-            "seed": self.seed,
-            "version": self.version,
+            **encoded_fields(self, "evaluations", "rays", "seed", "version"),
             "config": self.config,
-            **self._of_views(),
+            **encoded_fields(self, *of_rig),
             **({"other_tools": self.other_tools} if self.other_tools else {}),
         }
-
-    def _of_views(self) -> dict[str, Any]:
-        """Return the fields of a frame that was taken by a rig."""
-        if not self.views:
-            return {}
-        return {"views": list(self.views), "view_fits": [fit.to_dict() for fit in self.view_fits]}

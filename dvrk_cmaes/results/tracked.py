@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
 
 Float64 = NDArray[np.float64]
@@ -51,19 +52,14 @@ class TrackResult:
                 "translation_mm": rounded_array(sigma[:3] * 1e3),
                 "rotation_deg": rounded_array(np.degrees(sigma[3:6])),
                 "joints_deg": rounded_values(dict(zip(self.joints, np.degrees(sigma[6:]).tolist(), strict=True))),
-                "tip_mm": None if self.tip_std_mm is None else rounded(self.tip_std_mm),
+                "tip_mm": encoded(self.tip_std_mm),
             }
         return {
             "frame": frame,
             "time": rounded(self.time) if timed else None,
-            "status": self.status,
-            "reasons": list(self.reasons),
-            "camera_from_root": None if self.camera_from_root is None else rounded_array(self.camera_from_root),
-            "joints": rounded_values(self.joints),
+            **encoded_fields(self, "status", "reasons", "camera_from_root", "joints"),
             "std": std,
-            "offsets": rounded_values(self.offsets),
-            "tips": None if self.tips is None else rounded_array(self.tips),
+            **encoded_fields(self, "offsets", "tips"),
             "seconds": round(self.seconds, 5),
-            "searched": self.searched,
-            "residual_px": None if self.residual_px is None else rounded(self.residual_px),
+            **encoded_fields(self, "searched", "residual_px"),
         }

@@ -87,15 +87,15 @@ def _places_in_frame(name: str, batches: Mapping[str, BatchSummary]) -> Places:
     """
     arms = [arm for arm, batch in batches.items() if _has_pose(batch, name)]
     places: Places = {arm: {} for arm in arms} if len(arms) > 1 else {}
-    for one, other in combinations(places, 2):
-        first, second = batches[one].results[name], batches[other].results[name]
+    for arm, other in combinations(places, 2):
+        first, second = batches[arm].results[name], batches[other].results[name]
         if other in first.other_tools:
-            places[one][other] = first.other_tools[other]
-        elif one in second.other_tools:
-            places[one][other] = OPPOSITE[second.other_tools[one]]
+            places[arm][other] = first.other_tools[other]
+        elif arm in second.other_tools:
+            places[arm][other] = OPPOSITE[second.other_tools[arm]]
         else:
-            places[one][other] = _place(name, batches[one], batches[other])
-        places[other][one] = OPPOSITE[places[one][other]]
+            places[arm][other] = _place(name, batches[arm], batches[other])
+        places[other][arm] = OPPOSITE[places[arm][other]]
     return places
 
 

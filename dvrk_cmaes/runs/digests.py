@@ -99,12 +99,12 @@ def _parts(value: Any) -> Iterator[bytes]:
             yield field.name.encode()
             yield from _parts(getattr(value, field.name))
     elif isinstance(value, Mapping):
-        for key, one in value.items():
+        for key, part in value.items():
             yield str(key).encode()
-            yield from _parts(one)
+            yield from _parts(part)
     elif isinstance(value, list | tuple):
         yield str(len(value)).encode()
-        for one in value:
-            yield from _parts(one)
+        for part in value:
+            yield from _parts(part)
     else:
         yield repr(value).encode()

@@ -119,8 +119,8 @@ class Processes:
         source = _Source(tasks, stop or threading.Event())
         done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = queue.SimpleQueue()
         threads = [
-            threading.Thread(target=_drive, args=(one, source, call, time_limit, done.put), daemon=True)
-            for one in self._processes
+            threading.Thread(target=_drive, args=(process, source, call, time_limit, done.put), daemon=True)
+            for process in self._processes
         ]
         for thread in threads:
             thread.start()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.encode import encoded_fields
 
 Pixel = tuple[float, float]
 Box = tuple[float, float, float, float]
@@ -53,11 +54,7 @@ class Hints:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
-        return {
-            "box": None if self.box is None else list(self.box),
-            "points": [list(point) for point in self.points],
-            "not_points": [list(point) for point in self.not_points],
-        }
+        return encoded_fields(self, "box", "points", "not_points")
 
 
 def check_prompts(

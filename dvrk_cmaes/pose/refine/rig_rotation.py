@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
+from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, DrawnContour
@@ -160,7 +161,12 @@ def _about_rotation(informations: Sequence[Float64], view: int, by_rotation: Flo
     of_view, whole = informations[view], np.sum(informations, axis=0)
     diagonal = np.diag(whole)
     whole = whole + np.diag(1e-9 * diagonal + 1e-12 * max(float(diagonal.max()), 1.0))  # of joints that nothing tells
-    reduced = by_rotation.T @ (of_view - of_view @ np.linalg.solve(whole, of_view)) @ by_rotation
+    cross = of_view @ by_rotation
+    both = Quadratic.zero(1, len(whole) + 3)
+    both.information[0] = np.block([[whole, cross], [cross.T, by_rotation.T @ cross]])
+    nothing = np.zeros((1, len(whole)))
+    left = eliminate(both, nothing, np.zeros((1, *whole.shape)), np.zeros(3)).left
+    reduced = left.information[0, len(whole) :, len(whole) :]
     return np.asarray(reduced + 1e-6 * np.trace(reduced) * np.eye(3))
 
 

@@ -1,0 +1,40 @@
+"""Values as documents: what JSON has, with numbers rounded, so that files are the same on every run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
+
+SIGNIFICANT: Final = {"significant": True}
+"""Metadata of a field with a matrix whose numbers are rounded to significant digits, as those of covariances."""
+
+
+def encoded(value: Any) -> Any:
+    """Return a value as JSON has it.
+
+    Dataclasses and mappings become mappings, sequences and arrays lists; numbers that are not whole are rounded to nine
+    decimals.
+    """
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, np.ndarray):
+        return rounded_array(value)
+    if isinstance(value, float):
+        return rounded(value)
+    if is_dataclass(value):
+        return encoded_fields(value, *(field.name for field in fields(value)))
+    if isinstance(value, Mapping):
+        return {name: encoded(part) for name, part in value.items()}
+    return [encoded(part) for part in value]
+
+
+def encoded_fields(value: Any, *names: str) -> dict[str, Any]:
+    """Return some fields of a dataclass, in the order of their names, as JSON has them."""
+    matrices = {field.name for field in fields(value) if field.metadata.get("significant")}
+    parts = {name: getattr(value, name) for name in names}
+    return {name: rounded_matrix(part) if name in matrices else encoded(part) for name, part in parts.items()}
