@@ -16,7 +16,8 @@ from dvrk_cmaes.estimation import ToolInFrame, estimate_tools
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from measure.accuracy.errors import Compared, compared
 from measure.accuracy.figures import percentiles
-from measure.cases import Case, Measurement, Run, grouped, print_progress
+from measure.cases import Case, Measurement, Run, grouped
+from measure.processes import print_progress
 
 CROSSED: Final = "with the other tool"
 ONE_BY_ONE: Final = "with the other tool, by itself"

@@ -19,7 +19,8 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from measure.cases import Case, Measurement, grouped, print_progress, session_frames
+from measure.cases import Case, Measurement, grouped, session_frames
+from measure.processes import print_progress
 
 Float64 = NDArray[np.float64]
 

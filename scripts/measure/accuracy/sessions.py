@@ -26,7 +26,8 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette.prepare import prepare
 from measure.accuracy.errors import error_of
 from measure.accuracy.figures import RIGHT_MODE_DEG, held_share, median_z, rms_z
-from measure.cases import Measurement, Run, by_level, by_session, in_processes, session_frames
+from measure.cases import Measurement, Run, by_level, by_session, session_frames
+from measure.processes import in_processes
 
 Float64 = NDArray[np.float64]
 

@@ -27,7 +27,8 @@ from dvrk_cmaes.runs.track_frames import TrackSettings, followed, used_session
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track import Tracker
 from measure.accuracy.figures import RIGHT_MODE_DEG
-from measure.cases import Measurement, Recording, read_recordings
+from measure.cases import Measurement
+from measure.recordings import Recording, read_recordings
 
 Float64 = NDArray[np.float64]
 
