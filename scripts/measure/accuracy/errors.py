@@ -6,6 +6,7 @@ motion (RCM): the point in which the shafts' axes meet, and the RCM computed fro
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -130,11 +131,8 @@ def error_report(instrument: Instrument, runs: Sequence[Run]) -> dict[str, list[
 
 def reason_shares(runs: Sequence[Run]) -> dict[str, float]:
     """Return the share of runs that have each kind of reason, the most frequent first."""
-    counts: dict[str, int] = {}
-    for run in runs:
-        for reason in dict.fromkeys(reason_kind(text) for text in run.result["reasons"]):
-            counts[reason] = counts.get(reason, 0) + 1
-    return {name: count / len(runs) for name, count in sorted(counts.items(), key=lambda item: -item[1])}
+    counts = Counter(kind for run in runs for kind in dict.fromkeys(map(reason_kind, run.result["reasons"])))
+    return {name: count / len(runs) for name, count in counts.most_common()}
 
 
 def reason_kind(text: str) -> str:

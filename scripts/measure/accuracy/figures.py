@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
+from dvrk_cmaes.geometry import rotation_angle
+
 Float64 = NDArray[np.float64]
 
 RIGHT_MODE_DEG = 30.0  # largest rotation error of a pose in the right mode
@@ -16,6 +18,11 @@ RIGHT_MODE_DEG = 30.0  # largest rotation error of a pose in the right mode
 def percentiles(values: Sequence[float], at: Sequence[float] = (50, 90, 100)) -> list[float]:
     """Return percentiles of errors, to three decimals."""
     return [round(float(np.percentile(values, share)), 3) for share in at]
+
+
+def base_errors(found: Float64, true: Float64) -> tuple[float, float]:
+    """Return the errors of a camera_from_base (4, 4): rotation, deg, and origin, mm."""
+    return float(np.degrees(rotation_angle(found, true))), float(1e3 * np.linalg.norm(found[:3, 3] - true[:3, 3]))
 
 
 def share_interval(held: int, count: int, confidence: float = 0.95) -> tuple[float, float]:

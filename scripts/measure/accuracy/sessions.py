@@ -19,13 +19,13 @@ from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import PoseError
-from dvrk_cmaes.geometry import change_between, rotation_angle
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette.prepare import prepare
 from measure.accuracy.errors import error_of
-from measure.accuracy.figures import RIGHT_MODE_DEG, held_share, median_z, rms_z
+from measure.accuracy.figures import RIGHT_MODE_DEG, base_errors, held_share, median_z, rms_z
 from measure.cases import Measurement, Run, by_level, by_session, session_frames
 from measure.processes import in_processes
 
@@ -90,11 +90,7 @@ def base_error(outcome: Outcome) -> tuple[float, float]:
     """Return the error of camera_from_base: rotation, deg, and origin, mm."""
     assert outcome.solved is not None
     assert outcome.trial.base is not None
-    found, true = outcome.solved.calibration.camera_from_base, outcome.trial.base
-    return (
-        float(np.degrees(rotation_angle(found, true))),
-        float(1e3 * np.linalg.norm(found[:3, 3] - true[:3, 3])),
-    )
+    return base_errors(outcome.solved.calibration.camera_from_base, outcome.trial.base)
 
 
 def frame_errors(instrument: Instrument, trial: Trial, results: Sequence[Result]) -> list[PoseError]:
