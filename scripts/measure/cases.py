@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -39,7 +40,7 @@ Float64 = NDArray[np.float64]
 Item = TypeVar("Item")
 
 ORIGINAL: Final = "honest"  # kind of a case that is not falsified
-CRASHED: Final = "crashed"  # status of a run that ended with an unexpected exception
+_CRASH: Final = "crash: "  # begins the reason of a result that ended with an unexpected exception
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,55 +103,51 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Result of a case: its JSON, features from which thresholds for doubt are chosen, and seconds of processor time.
+    """Result of a case, features from which thresholds for doubt are chosen, and seconds of processor time.
 
     There are no features of several views, and no seconds of a result that was kept.
     """
 
     case: Case
-    result: Mapping[str, Any]
+    result: Result
     features: Mapping[str, float] = field(default_factory=dict)
     cpu_seconds: float = 0.0
 
     @property
     def failed(self) -> bool:
         """Whether the result has no pose."""
-        return self.result["status"] in ("failed", CRASHED)
+        return self.result.camera_from_root is None
+
+    @property
+    def status(self) -> str:
+        """The result's status, or ``crashed`` after an unexpected exception."""
+        return "crashed" if any(reason.startswith(_CRASH) for reason in self.result.reasons) else self.result.status
 
     @property
     def trusted(self) -> bool:
         """Whether the status is ok."""
-        return bool(self.result["status"] == "ok")
+        return self.status == "ok"
 
     @property
     def doubted(self) -> bool:
         """Whether the status is doubtful or failed; not for a crash."""
-        return self.result["status"] in ("failed", "doubtful")
+        return self.status in ("failed", "doubtful")
 
     @property
     def pose(self) -> Float64:
         """Estimated ``camera_from_root`` (4, 4)."""
-        return np.array(self.result["camera_from_root"], dtype=np.float64)
-
-    @property
-    def joints(self) -> Mapping[str, float]:
-        """Estimated joints by name, rad."""
-        joints: Mapping[str, float] = self.result["joints"]
-        return joints
-
-    def at(self, instrument: Instrument) -> Posed:
-        """Return the estimated pose and joints."""
-        return Posed(self.pose, np.array([self.joints[name] for name in instrument.joint_names]))
+        assert self.result.camera_from_root is not None
+        return self.result.camera_from_root
 
     @property
     def covariance(self) -> Float64:
         """Covariance (6 + J, 6 + J) of small changes [t, r, joints] in the root's axes, m and rad."""
-        return np.array(self.result["covariance"]["matrix"], dtype=np.float64)
+        assert self.result.covariance is not None
+        return self.result.covariance
 
-    @property
-    def found(self) -> Result:
-        """The result."""
-        return Result.from_dict(dict(self.result))
+    def at(self, instrument: Instrument) -> Posed:
+        """Return the estimated pose and joints."""
+        return Posed(self.pose, np.array([self.result.joints[name] for name in instrument.joint_names]))
 
 
 @dataclass(frozen=True)
@@ -221,13 +218,13 @@ class Measurement:
             path = self._kept_path(case)
             if path is not None and path.exists():
                 kept = json.loads(path.read_text(encoding="utf-8"))
-                done[i] = Run(case, kept["result"], kept["features"])
+                done[i] = Run(case, Result.from_dict(kept["result"]), kept["features"])
         left = [i for i in range(len(cases)) if i not in done]
         tasks = [(cases[i].frame, cases[i].data, cases[i].readings, self.source, self.config) for i in left]
 
         def on_done(count: int, found: tuple[dict[str, Any], dict[str, float], float]) -> None:
             case = cases[left[count]]
-            done[left[count]] = Run(case, *found)
+            done[left[count]] = Run(case, Result.from_dict(found[0]), *found[1:])
             path = self._kept_path(case)
             if path is not None:
                 write_json(path, {"result": found[0], "features": found[1]})
@@ -271,13 +268,20 @@ def _run(
 ) -> tuple[dict[str, Any], dict[str, float], float]:
     """Estimate a frame in a worker process; return the result as JSON, the features and seconds of processor time."""
     body, single = prepare(source), replace(config, threads=1)
+    failed = partial(
+        Result.failed,
+        frame,
+        readings=readings,
+        instrument=body.instrument.name,
+        root_link=body.instrument.root_link,
+    )
     started = time.process_time()
     try:
         result = _estimate(frame, data, readings, body, single)
     except InputError as error:
-        return {"status": "failed", "reasons": [str(error)], "seconds": 0.0}, {}, 0.0
+        return failed(str(error)).to_dict(), {}, 0.0
     except Exception as error:  # a defect: counted, so that the other cases are still run
-        return {"status": CRASHED, "reasons": [f"crash: {type(error).__name__}: {error}"], "seconds": 0.0}, {}, 0.0
+        return failed(f"{_CRASH}{type(error).__name__}: {error}").to_dict(), {}, 0.0
     seconds = time.process_time() - started
     if len(data.views) > 1:
         return result.to_dict(), {}, seconds

@@ -79,7 +79,7 @@ def solve(given: Measurement, trials: Sequence[Trial]) -> list[Outcome]:
 def _calibrate(runs: Sequence[Run], arm: Arm, source: str, config: EstimateConfig) -> tuple[SolvedSession | None, str]:
     """Calibrate a session in a worker process; return the solved session, or None and the message of the error."""
     names = [f"{k:04d}" for k in range(len(runs))]
-    frames = session_frames([run.case for run in runs], [run.found for run in runs], names=names)
+    frames = session_frames([run.case for run in runs], [run.result for run in runs], names=names)
     try:
         return calibrate_session(frames, prepare(source), arm=arm, config=replace(config, threads=1)), ""
     except InputError as error:
@@ -105,7 +105,7 @@ def session_row(instrument: Instrument, outcome: Outcome) -> dict[str, Any]:
     row: dict[str, Any] = {"session": trial.session, "kind": trial.kind, "frames": len(trial.runs)}
     if solved is None:
         return {**row, "refused": outcome.refusal}
-    alone = frame_errors(instrument, trial, [run.found for run in trial.runs])
+    alone = frame_errors(instrument, trial, [run.result for run in trial.runs])
     together = frame_errors(instrument, trial, list(solved.results.values()))
     left_out = np.array(list(solved.calibration.leave_one_out.values())).reshape(-1, 2)
     row["base_deg"], row["base_mm"] = base_error(outcome)
