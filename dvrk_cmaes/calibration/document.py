@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +168,7 @@ class SessionCalibration:
             "quality": encoded_fields(self, "iou", "contour_px_95"),
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
-            "cables": None if self.cables is None else asdict(self.cables),
+            "cables": None if self.cables is None else self.cables.to_dict(),
             **encoded_fields(self, "camera", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),

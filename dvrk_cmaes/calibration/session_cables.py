@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,6 +130,10 @@ class SessionCables:
         if min(found.seconds) <= 0:
             raise refused(where, "cables.seconds", "numbers above 0", found.seconds)
         return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON has them; their numbers are rounded already."""
+        return asdict(self)
 
     def model(self, offset: Float64) -> CableModel:
         """Return the model of the errors with the session's offsets (C,), rad."""

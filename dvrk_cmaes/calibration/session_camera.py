@@ -13,6 +13,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
 
 Float64 = NDArray[np.float64]
@@ -36,7 +37,7 @@ _CAUSES = (
 
 
 @dataclass(frozen=True)
-class SessionCamera:
+class SessionCamera(Document):
     """Change of the camera that a session's frames fit, with standard deviations.
 
     focal_scale : factor on the focal lengths of the camera file.

@@ -38,3 +38,11 @@ def encoded_fields(value: Any, *names: str) -> dict[str, Any]:
     matrices = {field.name for field in fields(value) if field.metadata.get("significant")}
     parts = {name: getattr(value, name) for name in names}
     return {name: rounded_matrix(part) if name in matrices else encoded(part) for name, part in parts.items()}
+
+
+class Document:
+    """A dataclass whose fields are a document, in their order."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON has them."""
+        return encoded_fields(self, *(field.name for field in fields(self)))  # type: ignore[arg-type]  # of a dataclass

@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from dvrk_cmaes.io.encode import SIGNIFICANT
+from dvrk_cmaes.io.encode import SIGNIFICANT, Document
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
 
 Relation = Literal["mirror twin", "other mode"]
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class Alternative(Document):
     """Another mode of the frame's pose.
 
     camera_from_root : (4, 4), m. joints : rad. loss, iou : as in `Quality`. relation : to the result's own mode.
@@ -30,7 +30,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Quality:
+class Quality(Document):
     """Agreement of the silhouette with the mask; distances of their contours in px of the full image.
 
     iou : intersection over union. loss : weighted sum of ``terms``, the terms of the search's loss by name.
@@ -51,7 +51,7 @@ class Quality:
 
 
 @dataclass(frozen=True, eq=False)
-class ViewCheck:
+class ViewCheck(Document):
     """Fit of the pose in one view of a rig, and how far the view contradicts the first one.
 
     name : of the view. quality : in this view alone. rotation_deg : (3,) rotation of the view about the first camera's
@@ -72,7 +72,7 @@ class ViewCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedError:
+class ExpectedError(Document):
     """Standard deviations of the tips and of the shaft's direction, from the covariance of pose and joints.
 
     The tips are ``jaw_1``, ``jaw_2`` and their ``mean``, or ``tip`` of an instrument without a pair of jaws.
