@@ -43,11 +43,15 @@ def held_share(squared: Float64, freedom: int, interval: float) -> dict[str, flo
     return {"held": held / len(squared), "from": low, "to": high}
 
 
-def rms_z(squared: Float64, freedom: int) -> dict[str, float]:
-    """Return the root mean square of the error in standard deviations; 1 if the covariances are right."""
-    return {"rms_z": float(np.sqrt(squared.mean() / freedom))}
-
-
 def median_z(squared: Float64, freedom: int) -> dict[str, float]:
     """Return the ratio of the median of the error to the expected median; 1 if the covariances are right."""
     return {"median_z": float(np.sqrt(np.median(squared) / chi2.median(freedom)))}
+
+
+def interval_figures(squared: Float64, freedom: int, interval: float) -> dict[str, float]:
+    """Return `held_share`, the root mean square of the error in standard deviations, and `median_z`.
+
+    The root mean square is 1, too, if the covariances are right.
+    """
+    rms = {"rms_z": float(np.sqrt(squared.mean() / freedom))}
+    return held_share(squared, freedom, interval) | rms | median_z(squared, freedom)

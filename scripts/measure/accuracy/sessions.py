@@ -25,7 +25,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette.prepare import prepare
 from measure.accuracy.errors import error_of
-from measure.accuracy.figures import RIGHT_MODE_DEG, base_errors, held_share, median_z, rms_z
+from measure.accuracy.figures import RIGHT_MODE_DEG, base_errors, interval_figures
 from measure.cases import Measurement, Run, by_level, by_session, session_frames
 from measure.processes import in_processes
 
@@ -168,9 +168,7 @@ def interval_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             freedom = 1 if name in BASE_AXES else 3
             rows.append(
                 {"level": level, "quantity": name, "sessions": len(column)}
-                | held_share(column, freedom, INTERVAL)
-                | rms_z(column, freedom)
-                | median_z(column, freedom)
+                | interval_figures(column, freedom, INTERVAL)
             )
     return rows
 
