@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
         "--frames",
         type=int,
         metavar="N",
-        help="largest number of frames of each session, evenly spaced, or the first for track (default: all)",
+        help="most frames of each session, evenly spaced; of track and perturbed the first (default: all)",
     )
     parser.add_argument(
         "--workers",

@@ -27,7 +27,7 @@ from typing import Any, Final
 
 from measure.answers.cases import CASES, Case
 from measure.answers.compare import accepted, compare, read_answers
-from measure.bench.checkouts import FINISHED, Checkout
+from measure.bench.checkouts import Checkout, two_checkouts
 from measure.places import ROOT, SCANNED
 
 from dvrk_cmaes.errors import InputError
@@ -51,17 +51,9 @@ def main() -> int:
 
 def _report(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Compare all chosen cases, and print each as soon as it is known; returns a row for each by name."""
-    this, other = arguments.checkout, arguments.against
-    for option, folder in (("--checkout", this), ("--against", other)):
-        if not (folder / "dvrk_cmaes" / "__init__.py").is_file():
-            raise InputError(f"{option} {folder}: expected a checkout with the package dvrk_cmaes")
     rows: dict[str, dict[str, Any]] = {}
     chosen = [case for case in CASES if arguments.only is None or case.name in arguments.only]
-    with tempfile.TemporaryDirectory() as compiled:
-        both = (
-            Checkout("this", this.resolve(), f"{compiled}/this"),
-            Checkout("other", other.resolve(), f"{compiled}/other"),
-        )
+    with two_checkouts(arguments.checkout, arguments.against) as both:
         if not arguments.json:
             print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]))
         for case in chosen:
@@ -120,17 +112,11 @@ def _commands(case: Case, instrument: str) -> list[list[str]]:
 
 def _answers(checkout: Checkout, case: Case, instrument: str) -> dict[str, Any]:
     """Run a case's commands in a new folder; returns what they wrote, as `read_answers`, and their exit codes."""
-    codes = []
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made).resolve()
         case.write(folder / "inputs")
-        environment = {**checkout.environment, "DVRK_CMAES_CACHE": f"{checkout.compiled}/cache"}
-        for arguments in _commands(case, instrument):
-            command = [sys.executable, "-m", "dvrk_cmaes", *arguments]
-            done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, check=False)
-            if done.returncode not in FINISHED:
-                raise InputError(f"{checkout.folder}: {' '.join(command[1:])}: {done.stderr.strip()[-300:]}")
-            codes.append(done.returncode)
+        cache = f"{checkout.compiled}/cache"
+        codes = [checkout.run(command, folder, DVRK_CMAES_CACHE=cache) for command in _commands(case, instrument)]
         return {"exit codes": codes, **read_answers(folder)}
 
 

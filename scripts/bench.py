@@ -49,81 +49,66 @@ SOLVED: Final = [SHARED / "frames" / "made" / name for name in ("easy", "medium"
 RECORDINGS: Final = [SHARED / "frames" / "video" / name for name in ("easy", "hard")]
 
 
+QUICK: Final[Mapping[str, Mapping[str, int]]] = {
+    "render": {"repeats": 3},
+    "estimate": {"frames": 1},
+    "stages": {"frames": 1},
+    "calibrate": {"frames": 5},
+    "scale": {"repeats": 2, "frames": 2},
+    "track": {"frames": 5},
+    "page": {"repeats": 2, "frames": 300},
+    "cores": {"repeats": 3},
+    "checkouts": {"repeats": 1, "frames": 1},
+}
+"""Numbers of repetitions and frames with --quick."""
+
+
 def main() -> int:
     """Run a command and print its report; return the exit code."""
     options = _parser().parse_args()
-    return print_report(
-        "bench.py",
-        lambda: {"machine": [_machine()], **COMMANDS[options.command](options)},
-        as_json=options.json,
-    )
+    if getattr(options, "quick", False):
+        vars(options).update(QUICK[options.command])
 
+    def measure() -> Report:
+        return {"machine": [_machine()], **COMMANDS[options.command](options)}
 
-def _render(options: argparse.Namespace) -> Report:
-    """Report the command render."""
-    return render_report(options.instrument, options.golden, repeats=3 if options.quick else options.repeats)
-
-
-def _estimate(options: argparse.Namespace) -> Report:
-    """Report the command estimate."""
-    return estimate_report(options.instrument, options.sessions, frames=1 if options.quick else options.frames)
-
-
-def _stages(options: argparse.Namespace) -> Report:
-    """Report the command stages."""
-    return stages_report(options.instrument, options.sessions, frames=1 if options.quick else options.frames)
-
-
-def _calibrate(options: argparse.Namespace) -> Report:
-    """Report the command calibrate."""
-    frames = 5 if options.quick else options.frames
-    return calibrate_report(options.instrument, options.sessions, frames=frames, results=options.results)
+    return print_report("bench.py", measure, as_json=options.json)
 
 
 def _scale(options: argparse.Namespace) -> Report:
     """Report the command scale."""
-    report = scale_report(options.instrument, options.golden, repeats=2 if options.quick else options.repeats)
     workers = [1, 2] if options.quick else [n for n in (1, 2, 4, 8) if n <= max(os.cpu_count() or 1, 2)]
-    frames = 2 if options.quick else options.frames
-    return report | workers_report(options.instrument, options.golden, workers=workers, frames=frames)
-
-
-def _cores(options: argparse.Namespace) -> Report:
-    """Report the command cores."""
-    return cores_report(options.instrument, options.golden, repeats=3 if options.quick else options.repeats)
-
-
-def _track(options: argparse.Namespace) -> Report:
-    """Report the command track."""
-    frames = 5 if options.quick else options.frames
-    return track_report(
-        options.instrument, options.sessions, frames=frames, steps=options.steps, evidence=options.evidence
+    return scale_report(options.instrument, options.golden, repeats=options.repeats) | workers_report(
+        options.instrument, options.golden, workers=workers, frames=options.frames
     )
-
-
-def _page(options: argparse.Namespace) -> Report:
-    """Report the command page."""
-    frames = 300 if options.quick else 10_000 if options.frames is None else options.frames
-    return page_report(frames, 2 if options.quick else options.repeats)
 
 
 def _checkouts(options: argparse.Namespace) -> Report:
     """Report the command checkouts."""
     if options.against is None:
         raise InputError("checkouts: expected --against DIR, the checkout to compare with")
-    frames, repeats = (1, 1) if options.quick else (options.frames, options.repeats)
-    return checkouts_report(options.instrument, options.sessions, other=options.against, frames=frames, repeats=repeats)
+    return checkouts_report(
+        options.instrument,
+        options.sessions,
+        other=options.against,
+        frames=options.frames,
+        repeats=options.repeats,
+    )
 
 
 COMMANDS: Final[Mapping[str, Callable[[argparse.Namespace], Report]]] = {
-    "render": _render,
-    "estimate": _estimate,
-    "stages": _stages,
-    "calibrate": _calibrate,
+    "render": lambda given: render_report(given.instrument, given.golden, repeats=given.repeats),
+    "estimate": lambda given: estimate_report(given.instrument, given.sessions, frames=given.frames),
+    "stages": lambda given: stages_report(given.instrument, given.sessions, frames=given.frames),
+    "calibrate": lambda given: calibrate_report(
+        given.instrument, given.sessions, frames=given.frames, results=given.results
+    ),
     "scale": _scale,
-    "cores": _cores,
-    "track": _track,
-    "page": _page,
+    "track": lambda given: track_report(
+        given.instrument, given.sessions, frames=given.frames, steps=given.steps, evidence=given.evidence
+    ),
+    "page": lambda given: page_report(given.frames or 10_000, given.repeats),
+    "cores": lambda given: cores_report(given.instrument, given.golden, repeats=given.repeats),
     "checkouts": _checkouts,
     "folder": folder.folder_report,
     "many": many.many_report,

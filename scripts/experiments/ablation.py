@@ -66,18 +66,14 @@ def variants(config: EstimateConfig) -> list[Variant]:
         ),
         Variant("readings: none given", config, readings=False),
     ]
-    for method in SILHOUETTES:
-        if method != config.silhouette.method:
-            silhouette = replace(config.silhouette, method=method)
-            found.append(Variant(f"silhouettes: {method}", replace(config, silhouette=silhouette)))
-    for method in SEARCHES:
-        if method != config.search.method:
-            found.append(Variant(f"search: {method}", replace(config, search=replace(config.search, method=method))))
-    for method in REFINEMENTS:
-        if method != config.refine.method:
-            found.append(
-                Variant(f"refinement: {method}", replace(config, refine=replace(config.refine, method=method)))
-            )
+    for name, part, methods in (
+        ("silhouettes", "silhouette", SILHOUETTES),
+        ("search", "search", SEARCHES),
+        ("refinement", "refine", REFINEMENTS),
+    ):
+        own = getattr(config, part)
+        others = [method for method in methods if method != own.method]
+        found += [Variant(f"{name}: {one}", replace(config, **{part: replace(own, method=one)})) for one in others]
     return found
 
 

@@ -1,22 +1,17 @@
 """Cases, of which measurements of accuracy are made: frames with their truth, and the results for them.
 
-A recording is a session, or one arm of a session of several, with its truth. A case is a frame of a recording in
-memory, with what one or more views show of it, original or falsified. A run is the result of a case. Each worker
-process uses one thread.
+A case is a frame of a recording in memory, with what one or more views show of it, original or falsified. A run is the
+result of a case. Each worker process uses one thread.
 """
 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -28,11 +23,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
-from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.frames.session_video import SessionVideo
-from dvrk_cmaes.frames.tool_frames import frames_of_tool
-from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, read_golden
+from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import write_json
@@ -41,43 +32,15 @@ from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 from measure.features import measure_features
+from measure.processes import in_processes
+from measure.recordings import Recording, read_recordings
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 Item = TypeVar("Item")
 
 ORIGINAL: Final = "honest"  # kind of a case that is not falsified
-CRASHED: Final = "crashed"  # status of a run that ended with an unexpected exception
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A session with its truth; of a session of several arms, what one of them sees, reads and truly does."""
-
-    session: Session
-    arm: str | None = None
-
-    @cached_property
-    def name(self) -> str:
-        """Name of the folder, and of the arm if there are several."""
-        return " ".join([self.session.folder.resolve().name, *([] if self.arm is None else [self.arm])])
-
-    @property
-    def level(self) -> str:
-        """The name up to its first digit."""
-        return re.split(r"\d", self.name)[0] or self.name
-
-    @property
-    def golden(self) -> Path:
-        """Path of the truth."""
-        return self.session.folder / ("golden.json" if self.arm is None else f"golden_{self.arm}.json")
-
-    @property
-    def camera_from_base(self) -> Float64:
-        """The true camera_from_base (4, 4); InputError if it is not known."""
-        if self.session.truth.camera_from_base is None:
-            raise InputError(f"{self.golden}: expected the truth of camera_from_base, got none")
-        return self.session.truth.camera_from_base
+_CRASH: Final = "crash: "  # begins the reason of a result that ended with an unexpected exception
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,55 +103,51 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Result of a case: its JSON, features from which thresholds for doubt are chosen, and seconds of processor time.
+    """Result of a case, features from which thresholds for doubt are chosen, and seconds of processor time.
 
     There are no features of several views, and no seconds of a result that was kept.
     """
 
     case: Case
-    result: Mapping[str, Any]
+    result: Result
     features: Mapping[str, float] = field(default_factory=dict)
     cpu_seconds: float = 0.0
 
     @property
     def failed(self) -> bool:
         """Whether the result has no pose."""
-        return self.result["status"] in ("failed", CRASHED)
+        return self.result.camera_from_root is None
+
+    @property
+    def status(self) -> str:
+        """The result's status, or ``crashed`` after an unexpected exception."""
+        return "crashed" if any(reason.startswith(_CRASH) for reason in self.result.reasons) else self.result.status
 
     @property
     def trusted(self) -> bool:
         """Whether the status is ok."""
-        return bool(self.result["status"] == "ok")
+        return self.status == "ok"
 
     @property
     def doubted(self) -> bool:
         """Whether the status is doubtful or failed; not for a crash."""
-        return self.result["status"] in ("failed", "doubtful")
+        return self.status in ("failed", "doubtful")
 
     @property
     def pose(self) -> Float64:
         """Estimated ``camera_from_root`` (4, 4)."""
-        return np.array(self.result["camera_from_root"], dtype=np.float64)
-
-    @property
-    def joints(self) -> Mapping[str, float]:
-        """Estimated joints by name, rad."""
-        joints: Mapping[str, float] = self.result["joints"]
-        return joints
-
-    def at(self, instrument: Instrument) -> Posed:
-        """Return the estimated pose and joints."""
-        return Posed(self.pose, np.array([self.joints[name] for name in instrument.joint_names]))
+        assert self.result.camera_from_root is not None
+        return self.result.camera_from_root
 
     @property
     def covariance(self) -> Float64:
         """Covariance (6 + J, 6 + J) of small changes [t, r, joints] in the root's axes, m and rad."""
-        return np.array(self.result["covariance"]["matrix"], dtype=np.float64)
+        assert self.result.covariance is not None
+        return self.result.covariance
 
-    @property
-    def found(self) -> Result:
-        """The result."""
-        return Result.from_dict(dict(self.result))
+    def at(self, instrument: Instrument) -> Posed:
+        """Return the estimated pose and joints."""
+        return Posed(self.pose, np.array([self.result.joints[name] for name in instrument.joint_names]))
 
 
 @dataclass(frozen=True)
@@ -259,13 +218,13 @@ class Measurement:
             path = self._kept_path(case)
             if path is not None and path.exists():
                 kept = json.loads(path.read_text(encoding="utf-8"))
-                done[i] = Run(case, kept["result"], kept["features"])
+                done[i] = Run(case, Result.from_dict(kept["result"]), kept["features"])
         left = [i for i in range(len(cases)) if i not in done]
         tasks = [(cases[i].frame, cases[i].data, cases[i].readings, self.source, self.config) for i in left]
 
         def on_done(count: int, found: tuple[dict[str, Any], dict[str, float], float]) -> None:
             case = cases[left[count]]
-            done[left[count]] = Run(case, *found)
+            done[left[count]] = Run(case, Result.from_dict(found[0]), *found[1:])
             path = self._kept_path(case)
             if path is not None:
                 write_json(path, {"result": found[0], "features": found[1]})
@@ -278,21 +237,6 @@ class Measurement:
         if self.keep is None:
             return None
         return self.keep / case.session / case.kind.replace(" ", "_") / f"{case.frame}.json"
-
-
-def read_recordings(folder: str | Path, instrument: Instrument, video: SessionVideo | None = None) -> list[Recording]:
-    """Read a session folder: its recording, or that of each arm if its session.toml names several."""
-    entries = read_session_toml(folder)
-    if entries is None or len(entries.tools) < 2:
-        return [Recording(read_session(folder, known=instrument.joint_names, video=video))]
-    found = []
-    for tool in entries.tools:
-        files = () if tool.joints is None else (tool.joints,)
-        session = read_session(folder, known=instrument.joint_names, joints=files, video=video)
-        one = Recording(frames_of_tool(session, entries, tool.arm), tool.arm)
-        truth = read_golden(one.golden) if one.golden.exists() else SessionTruth()
-        found.append(replace(one, session=replace(one.session, truth=truth)))
-    return found
 
 
 def _cases(recording: Recording, frames: int | None, *, truth: bool, every_view: bool, images: bool) -> Iterable[Case]:
@@ -314,45 +258,6 @@ def _cases(recording: Recording, frames: int | None, *, truth: bool, every_view:
         yield Case(recording, one.name, ORIGINAL, seen, one.readings, session.truth.frames.get(one.name))
 
 
-def in_processes(
-    call: Callable[..., Item],
-    tasks: Sequence[tuple[Any, ...]],
-    workers: int,
-    label: str,
-    on_done: Callable[[int, Item], None],
-) -> None:
-    """Call a function in worker processes with the arguments of each task, and take each result with its number."""
-    if not tasks:
-        return
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"  # inherited by the workers, whose libraries read it when they are loaded
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_use_one_thread) as pool:
-        futures = {pool.submit(call, *task): number for number, task in enumerate(tasks)}
-        try:
-            for count, future in enumerate(as_completed(futures), start=1):
-                on_done(futures[future], future.result())
-                print_progress(label, count, len(tasks))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def print_progress(label: str, count: int, total: int) -> None:
-    """Print progress on stderr: on a terminal always in the same line, otherwise a line for every 20th item."""
-    if sys.stderr.isatty():
-        print(f"\r{label}: {count}/{total}", end="\n" if count == total else "", file=sys.stderr, flush=True)
-    elif count == total or count % 20 == 0:
-        print(f"{label}: {count}/{total}", file=sys.stderr, flush=True)
-
-
-def _use_one_thread() -> None:
-    """Keep OpenCV in a worker process from using several threads."""
-    import cv2
-
-    cv2.setNumThreads(1)
-
-
 def _estimate(frame: str, data: FrameData, readings: Mapping[str, float], body: Body, config: EstimateConfig) -> Result:
     """Estimate a frame in memory."""
     return estimate_frame(FrameFiles(frame, None, readings=readings), data, body, arm="classic", config=config)
@@ -363,13 +268,20 @@ def _run(
 ) -> tuple[dict[str, Any], dict[str, float], float]:
     """Estimate a frame in a worker process; return the result as JSON, the features and seconds of processor time."""
     body, single = prepare(source), replace(config, threads=1)
+    failed = partial(
+        Result.failed,
+        frame,
+        readings=readings,
+        instrument=body.instrument.name,
+        root_link=body.instrument.root_link,
+    )
     started = time.process_time()
     try:
         result = _estimate(frame, data, readings, body, single)
     except InputError as error:
-        return {"status": "failed", "reasons": [str(error)], "seconds": 0.0}, {}, 0.0
+        return failed(str(error)).to_dict(), {}, 0.0
     except Exception as error:  # a defect: counted, so that the other cases are still run
-        return {"status": CRASHED, "reasons": [f"crash: {type(error).__name__}: {error}"], "seconds": 0.0}, {}, 0.0
+        return failed(f"{_CRASH}{type(error).__name__}: {error}").to_dict(), {}, 0.0
     seconds = time.process_time() - started
     if len(data.views) > 1:
         return result.to_dict(), {}, seconds

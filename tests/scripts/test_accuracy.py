@@ -19,6 +19,7 @@ from helpers.places import ROOT, SCRIPTS
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import moved, transform
 from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:
@@ -32,16 +33,10 @@ def a_run(case: Case, pose: np.ndarray, joints: Mapping[str, float], spread: np.
     """Make a run that ended at a pose, with given standard deviations (9,) of [t, r, joints]."""
     from measure.cases import Run
 
-    result: dict[str, Any] = {
-        "status": "ok",
-        "reasons": [],
-        "camera_from_root": pose.tolist(),
-        "joints": dict(joints),
-        "quality": {"iou": 1.0},
-        "seconds": 1.0,
-        "covariance": {"matrix": np.diag((np.ones(9) if spread is None else spread) ** 2).tolist()},
-    }
-    return Run(case, result, {})
+    result = Result.failed("", "", {}, instrument="lnd", root_link="roll_link")
+    covariance = np.diag((np.ones(9) if spread is None else spread) ** 2)
+    result = replace(result, status="ok", camera_from_root=pose, joints=dict(joints), covariance=covariance)
+    return Run(case, result)
 
 
 def wrist(case: Case) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import moved, transform
 from dvrk_cmaes.instrument.arm import base_from_root
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:
@@ -35,9 +36,10 @@ def runs_at(cases: Sequence[Case], poses: Sequence[np.ndarray], spread: float = 
     """Make runs that ended at poses, with one standard deviation for all of [t, r, joints]."""
     from measure.cases import Run
 
-    result: dict[str, Any] = {"status": "ok", "covariance": {"matrix": (np.eye(9) * spread**2).tolist()}}
+    result = Result.failed("", "", {}, instrument="lnd", root_link="roll_link")
+    found = replace(result, status="ok", covariance=np.eye(9) * spread**2)
     return [
-        Run(case, result | {"camera_from_root": pose.tolist(), "joints": dict(case.truth.joints)}, {})
+        Run(case, replace(found, camera_from_root=pose, joints=dict(case.truth.joints)))
         for case, pose in zip(cases, poses, strict=True)
         if case.truth is not None
     ]

@@ -14,6 +14,7 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.results.result import Result
 
 if TYPE_CHECKING:
     from measure.accuracy.sessions import Outcome
@@ -53,7 +54,13 @@ def outcome(cases: Sequence[Case], focal_scale: float | None, *, contradicts: bo
         spreads={},
         camera=camera,
     )
-    trial = Trial(cases[0].session, "demo", cases[0].kind, [Run(case, {}, {}) for case in cases], np.eye(4))
+    trial = Trial(
+        cases[0].session,
+        "demo",
+        cases[0].kind,
+        [Run(case, Result.failed("", "", {}, instrument="lnd", root_link="roll_link")) for case in cases],
+        np.eye(4),
+    )
     return Outcome(trial, SolvedSession(calibration, {}, {}))
 
 

@@ -28,7 +28,7 @@ def outcome(off: np.ndarray, name: str = "easy1", frames: int = 4) -> object:
         covariance_given_camera=np.diag(STD**2),
         spreads={},
     )
-    runs = [Run(None, {}, {})] * frames  # type: ignore[arg-type]
+    runs = [Run(None, None)] * frames  # type: ignore[arg-type]
     return Outcome(Trial(name, "easy", "original", runs, np.eye(4)), SolvedSession(calibration, {}, {}))
 
 

@@ -17,6 +17,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.results.result import Result
 
 BASE = moved(np.eye(4), [0.01, 0.02, 0.15, 0.9, 1.8, -0.4])
 SPREAD = np.array([1e-4, 2e-4, 3e-4, 0.001, 0.002, 0.003])
@@ -45,10 +46,7 @@ def outcome(cases: Sequence[Case], off: np.ndarray, kind: str = "honest", **fiel
     from measure.accuracy.sessions import Outcome, Trial
     from measure.cases import Run
 
-    runs = [
-        Run(case, {"status": "ok", "camera_from_root": np.eye(4).tolist(), "joints": {}, "seconds": 1.0}, {})
-        for case in cases
-    ]
+    runs = [Run(case, Result.failed("", "", {}, instrument="lnd", root_link="roll_link")) for case in cases]
     calibration = SessionCalibration(
         instrument="lnd",
         camera_from_base=BASE,

@@ -97,7 +97,7 @@ def test_arms_are_read_with_their_own_readings_and_truth(world: MovingWorld, tmp
 
 @pytest.mark.usefixtures("scripts_on_path")
 def test_session_of_one_arm_is_one_recording(world: MovingWorld) -> None:
-    from measure.cases import read_recordings
+    from measure.recordings import read_recordings
 
     (demo,) = read_recordings(bundled_path("demo"), world.body.instrument)
     assert (demo.name, demo.level, demo.arm, demo.golden.name) == ("demo", "demo", None, "golden.json")

@@ -16,7 +16,8 @@ from dvrk_cmaes.estimation import ToolInFrame, estimate_tools
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from measure.accuracy.errors import Compared, compared
 from measure.accuracy.figures import percentiles
-from measure.cases import Case, Measurement, Run, grouped, print_progress
+from measure.cases import Case, Measurement, Run, grouped
+from measure.processes import print_progress
 
 CROSSED: Final = "with the other tool"
 ONE_BY_ONE: Final = "with the other tool, by itself"
@@ -73,7 +74,7 @@ def _together(given: Measurement, cases: Sequence[Case]) -> Iterator[Run]:
         shown = {arm: ToolInFrame(case.mask, case.readings, given.body) for arm, case in by_arm.items()}
         config = replace(given.config, threads=1)
         found = estimate_tools(shown, tools[0].camera, ignore=tools[0].ignore, config=config)
-        yield from (Run(case, found[arm].to_dict()) for arm, case in by_arm.items())
+        yield from (Run(case, found[arm]) for arm, case in by_arm.items())
         print_progress("frames with both tools", count, len(frames))
 
 
@@ -88,5 +89,5 @@ def _summary(kind: str, found: Sequence[Compared], hidden: float) -> dict[str, A
         "mean_mm": round(float(np.mean([one.tip_mm for one in found])), 3),
         "ok": sum(one.run.trusted for one in found),
         "ok, more than 3 mm off": sum(one.run.trusted and one.tip_mm > 3 for one in found),
-        "solved again": sum("behind" in one.result.other_tools.values() for one in found),
+        "solved again": sum("behind" in one.run.result.other_tools.values() for one in found),
     }

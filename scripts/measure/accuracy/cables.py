@@ -19,7 +19,8 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from measure.cases import Case, Measurement, grouped, print_progress, session_frames
+from measure.cases import Case, Measurement, grouped, session_frames
+from measure.processes import print_progress
 
 Float64 = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class Predictions(NamedTuple):
 def cables_report(given: Measurement, *, estimated: bool) -> dict[str, list[dict[str, Any]]]:
     """Report the errors of each recording and of all together; unless ``estimated``, results are about the truth."""
     body, cases = given.body, given.cases()
-    results = {run.case: run.found for run in given.runs(cases)} if estimated else {}
+    results = {run.case: run.result for run in given.runs(cases)} if estimated else {}
     rows: list[dict[str, Any]] = []
     every: dict[bool, list[Predictions]] = {True: [], False: []}
     groups = grouped(cases, lambda case: case.session)

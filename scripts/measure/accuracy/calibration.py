@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import INTERVAL, Quantity, jacobian, shaft_direction, tip_position
 from measure.accuracy.errors import frame_errors
-from measure.accuracy.figures import held_share, median_z, rms_z
+from measure.accuracy.figures import interval_figures
 from measure.cases import Run, runs_by_level
 
 Float64 = NDArray[np.float64]
@@ -69,8 +69,6 @@ def calibration_report(instrument: Instrument, runs: Sequence[Run]) -> list[dict
             freedom = measured[0][name][1]
             rows.append(
                 {"level": level, "quantity": name, "frames": len(squared)}
-                | held_share(squared, freedom, INTERVAL)
-                | rms_z(squared, freedom)
-                | median_z(squared, freedom)
+                | interval_figures(squared, freedom, INTERVAL)
             )
     return rows

@@ -6,6 +6,7 @@ motion (RCM): the point in which the shafts' axes meet, and the RCM computed fro
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,10 +25,9 @@ from measure.cases import Run, by_session, runs_by_level
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A run with a pose, its result and the errors of that."""
+    """A run with a pose, and its errors."""
 
     run: Run
-    result: Result
     error: PoseError
     tip_mm: float
 
@@ -46,23 +46,21 @@ def error_of(instrument: Instrument, result: Result, truth: FrameTruth | None) -
 
 
 def compared(instrument: Instrument, runs: Iterable[Run]) -> Iterator[Compared]:
-    """Compare the results of runs with the truth; InputError for a run without a pose, or without the truth of tips."""
+    """Compare runs with the truth; InputError for a run without a pose, or without the truth of tips."""
     for run in runs:
         if run.failed:
-            raise InputError(f"{run.case.session}: frame {run.case.frame}: no pose: {'; '.join(run.result['reasons'])}")
-        result = run.found
-        error = error_of(instrument, result, run.case.truth)
+            raise InputError(f"{run.case.session}: frame {run.case.frame}: no pose: {'; '.join(run.result.reasons)}")
+        error = error_of(instrument, run.result, run.case.truth)
         if error is None or error.tip_mm is None:
             raise InputError(f"{run.case.recording.golden}: expected the truth of frame {run.case.frame}, got none")
-        yield Compared(run, result, error, error.tip_mm)
+        yield Compared(run, error, error.tip_mm)
 
 
 def frame_errors(instrument: Instrument, run: Run) -> dict[str, Any]:
     """Return the errors of a run, mm and degrees, and whether it is in the right mode; empty without pose or truth."""
-    if run.failed or run.case.truth is None:
+    error = error_of(instrument, run.result, run.case.truth)
+    if error is None:
         return {}
-    truth = (run.case.truth.camera_from_root, run.case.truth.joints)
-    error = compare_poses(instrument, (run.pose, run.joints), truth)
     return {
         "right_mode": error.rotation_deg < RIGHT_MODE_DEG,
         "tip_mm": error.tip_mm,
@@ -85,10 +83,15 @@ def summary(instrument: Instrument, runs: Sequence[Run]) -> dict[str, Any]:
             values = [e[name] for e in errors if e[name] is not None]
             row[name] = percentiles(values) if values else None
     if posed:
-        row["iou"] = round(float(np.mean([run.result["quality"]["iou"] for run in posed])), 4)
+        row["iou"] = round(float(np.mean([_iou(run) for run in posed])), 4)
     row["ok"] = sum(run.trusted for run in runs) / len(runs)
-    row["seconds"] = float(np.median([run.result["seconds"] for run in runs]))
+    row["seconds"] = float(np.median([run.result.seconds for run in runs]))
     return row
+
+
+def _iou(run: Run) -> float | None:
+    """Return the overlap of a run's pose and mask; None without a pose."""
+    return None if run.result.quality is None else run.result.quality.iou
 
 
 def session_spread(runs: Sequence[Run]) -> dict[str, float]:
@@ -130,11 +133,8 @@ def error_report(instrument: Instrument, runs: Sequence[Run]) -> dict[str, list[
 
 def reason_shares(runs: Sequence[Run]) -> dict[str, float]:
     """Return the share of runs that have each kind of reason, the most frequent first."""
-    counts: dict[str, int] = {}
-    for run in runs:
-        for reason in dict.fromkeys(reason_kind(text) for text in run.result["reasons"]):
-            counts[reason] = counts.get(reason, 0) + 1
-    return {name: count / len(runs) for name, count in sorted(counts.items(), key=lambda item: -item[1])}
+    counts = Counter(kind for run in runs for kind in dict.fromkeys(map(reason_kind, run.result.reasons)))
+    return {name: count / len(runs) for name, count in counts.most_common()}
 
 
 def reason_kind(text: str) -> str:
@@ -149,10 +149,10 @@ def frame_rows(instrument: Instrument, runs: Sequence[Run]) -> list[dict[str, An
             "session": run.case.session,
             "frame": run.case.frame,
             **frame_errors(instrument, run),
-            "iou": None if run.failed else run.result["quality"]["iou"],
-            "seconds": run.result["seconds"],
-            "status": run.result["status"],
-            "reasons": "; ".join(reason_kind(text) for text in run.result["reasons"]) or "-",
+            "iou": _iou(run),
+            "seconds": run.result.seconds,
+            "status": run.status,
+            "reasons": "; ".join(reason_kind(text) for text in run.result.reasons) or "-",
         }
         for run in runs
     ]
@@ -166,9 +166,9 @@ def feature_rows(instrument: Instrument, runs: Sequence[Run]) -> list[dict[str, 
             "frame": run.case.frame,
             "level": run.case.level,
             "kind": run.case.kind,
-            "status": run.result["status"],
-            "reasons": " | ".join(run.result["reasons"]),
-            "seconds": run.result["seconds"],
+            "status": run.status,
+            "reasons": " | ".join(run.result.reasons),
+            "seconds": run.result.seconds,
             **run.features,
             **frame_errors(instrument, run),
         }

@@ -47,7 +47,7 @@ def find_lags(given: Measurement) -> list[LagTrial]:
         plan = read_json_object(path, expected="the parameters of a synthetic session")
         if plan.get("motion") != "video":
             raise InputError(f"{path}: motion: expected video, got {plan.get('motion')!r}")
-        frames = session_frames([run.case for run in own], [run.found for run in own])
+        frames = session_frames([run.case for run in own], [run.result for run in own])
         lag, _ = find_lag(frames, given.body, series=session.reading_series(), config=given.config)
         trials.append(LagTrial(name, own[0].case.level, float(plan["motion_level"]["lag"]), lag))
     return trials

@@ -86,13 +86,13 @@ def _by_eyes(case: Case, number: int) -> Mapping[str, Case]:
 
 def _disagree(one: Compared) -> bool:
     """Whether a result says that the views disagree."""
-    return any(reason.startswith("views disagree") for reason in one.result.reasons)
+    return any(reason.startswith("views disagree") for reason in one.run.result.reasons)
 
 
 def _within(one: Compared) -> bool:
     """Whether the error of the tips is within the stated 90 %."""
-    assert one.result.expected_error is not None
-    return one.tip_mm <= one.result.expected_error.tip_90_mm
+    assert one.run.result.expected_error is not None
+    return one.tip_mm <= one.run.result.expected_error.tip_90_mm
 
 
 def _summary(kind: str, found: Sequence[Compared]) -> dict[str, Any]:
@@ -121,7 +121,7 @@ def _against(eye: str, one: Sequence[Compared], both: Sequence[Compared]) -> dic
 
 def _probability(kind: str, found: Sequence[Compared]) -> dict[str, Any]:
     """Return the mean stated probability of the mode beside the share that is right, in all and in sure results."""
-    stated = [one.result.mode_probability or 0.0 for one in found]
+    stated = [one.run.result.mode_probability or 0.0 for one in found]
     right = [one.right_mode for one in found]
     sure = [k for k, probability in enumerate(stated) if probability >= 0.8]
     return {
@@ -141,8 +141,11 @@ def _wrong_rigs(right: Sequence[Compared], wrong: Sequence[Compared]) -> Iterato
     """
     pairs = grouped(zip(right, wrong, strict=True), lambda pair: pair[0].run.case.session)
     for session, own in pairs.items():
-        moved = [1e3 * np.linalg.norm(np.mean(a.result.tips, axis=0) - np.mean(b.result.tips, axis=0)) for a, b in own]
-        named = ["yes" if rig_doubts([one.result for one in each]) else "no" for each in zip(*own, strict=True)]
+        moved = [
+            1e3 * np.linalg.norm(np.mean(a.run.result.tips, axis=0) - np.mean(b.run.result.tips, axis=0))
+            for a, b in own
+        ]
+        named = ["yes" if rig_doubts([one.run.result for one in each]) else "no" for each in zip(*own, strict=True)]
         yield {
             "session": session,
             "frames": len(own),

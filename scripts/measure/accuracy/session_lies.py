@@ -6,11 +6,10 @@ the readings are two frames late, the base moves in the middle of the session, o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.frames.frame import FrameData
 from measure.accuracy.sessions import Outcome, Trial, base_error, original_trials, solve
 from measure.cases import Case, Measurement, Run, grouped
@@ -81,35 +80,22 @@ def falsified_trials(originals: Sequence[Trial], runs: Sequence[Run]) -> list[Tr
     return trials
 
 
-def _names_foreign_masks(outcome: Outcome, found: SessionCalibration) -> bool:
-    """Check that exactly the frames with foreign masks were left out."""
-    return list(found.left_out) == [f"{k:04d}" for k in _foreign_frames(len(outcome.trial.runs))]
-
-
-def _names_lag(outcome: Outcome, found: SessionCalibration) -> bool:
-    """Check that the lag was found."""
-    return found.lag is not None and abs(found.lag.in_unit("frames") + _LATE_BY) < 0.5
-
-
-def _names_move(outcome: Outcome, found: SessionCalibration) -> bool:
-    """Check that a warning states between which frames the base moved."""
-    half = len(outcome.trial.runs) // 2
-    return any(f"moved between frames {half - 1:04d} and {half:04d}" in text for text in found.warnings)
-
-
-_NAMES: Final[dict[str, Callable[[Outcome, SessionCalibration], bool]]] = {
-    FOREIGN_MASKS: _names_foreign_masks,
-    LATE: _names_lag,
-    MOVED: _names_move,
-}
-
-
 def named(outcome: Outcome) -> bool:
-    """Whether the calibration reported the falsification correctly."""
+    """Whether the calibration reported the falsification correctly.
+
+    It leaves out exactly the frames with foreign masks, finds the lag, states between which frames the base moved, or
+    refuses the readings of the wrong arm.
+    """
     if outcome.solved is None:
         return outcome.trial.kind == WRONG_ARM and "51 mm" in outcome.refusal
-    check = _NAMES.get(outcome.trial.kind)
-    return check is not None and check(outcome, outcome.solved.calibration)
+    found, count = outcome.solved.calibration, len(outcome.trial.runs)
+    moved = f"moved between frames {count // 2 - 1:04d} and {count // 2:04d}"
+    said = {
+        FOREIGN_MASKS: list(found.left_out) == [f"{k:04d}" for k in _foreign_frames(count)],
+        LATE: found.lag is not None and abs(found.lag.in_unit("frames") + _LATE_BY) < 0.5,
+        MOVED: any(moved in text for text in found.warnings),
+    }
+    return said.get(outcome.trial.kind, False)
 
 
 def falsified_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:

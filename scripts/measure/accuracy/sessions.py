@@ -19,14 +19,15 @@ from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import PoseError
-from dvrk_cmaes.geometry import change_between, rotation_angle
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette.prepare import prepare
 from measure.accuracy.errors import error_of
-from measure.accuracy.figures import RIGHT_MODE_DEG, held_share, median_z, rms_z
-from measure.cases import Measurement, Run, by_level, by_session, in_processes, session_frames
+from measure.accuracy.figures import RIGHT_MODE_DEG, base_errors, interval_figures
+from measure.cases import Measurement, Run, by_level, by_session, session_frames
+from measure.processes import in_processes
 
 Float64 = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ def solve(given: Measurement, trials: Sequence[Trial]) -> list[Outcome]:
 def _calibrate(runs: Sequence[Run], arm: Arm, source: str, config: EstimateConfig) -> tuple[SolvedSession | None, str]:
     """Calibrate a session in a worker process; return the solved session, or None and the message of the error."""
     names = [f"{k:04d}" for k in range(len(runs))]
-    frames = session_frames([run.case for run in runs], [run.found for run in runs], names=names)
+    frames = session_frames([run.case for run in runs], [run.result for run in runs], names=names)
     try:
         return calibrate_session(frames, prepare(source), arm=arm, config=replace(config, threads=1)), ""
     except InputError as error:
@@ -89,11 +90,7 @@ def base_error(outcome: Outcome) -> tuple[float, float]:
     """Return the error of camera_from_base: rotation, deg, and origin, mm."""
     assert outcome.solved is not None
     assert outcome.trial.base is not None
-    found, true = outcome.solved.calibration.camera_from_base, outcome.trial.base
-    return (
-        float(np.degrees(rotation_angle(found, true))),
-        float(1e3 * np.linalg.norm(found[:3, 3] - true[:3, 3])),
-    )
+    return base_errors(outcome.solved.calibration.camera_from_base, outcome.trial.base)
 
 
 def frame_errors(instrument: Instrument, trial: Trial, results: Sequence[Result]) -> list[PoseError]:
@@ -108,7 +105,7 @@ def session_row(instrument: Instrument, outcome: Outcome) -> dict[str, Any]:
     row: dict[str, Any] = {"session": trial.session, "kind": trial.kind, "frames": len(trial.runs)}
     if solved is None:
         return {**row, "refused": outcome.refusal}
-    alone = frame_errors(instrument, trial, [run.found for run in trial.runs])
+    alone = frame_errors(instrument, trial, [run.result for run in trial.runs])
     together = frame_errors(instrument, trial, list(solved.results.values()))
     left_out = np.array(list(solved.calibration.leave_one_out.values())).reshape(-1, 2)
     row["base_deg"], row["base_mm"] = base_error(outcome)
@@ -171,9 +168,7 @@ def interval_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             freedom = 1 if name in BASE_AXES else 3
             rows.append(
                 {"level": level, "quantity": name, "sessions": len(column)}
-                | held_share(column, freedom, INTERVAL)
-                | rms_z(column, freedom)
-                | median_z(column, freedom)
+                | interval_figures(column, freedom, INTERVAL)
             )
     return rows
 

@@ -26,8 +26,9 @@ from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed, used_session
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track import Tracker
-from measure.accuracy.figures import RIGHT_MODE_DEG
-from measure.cases import Measurement, Recording, read_recordings
+from measure.accuracy.figures import RIGHT_MODE_DEG, base_errors
+from measure.cases import Measurement
+from measure.recordings import Recording, read_recordings
 
 Float64 = NDArray[np.float64]
 
@@ -109,22 +110,15 @@ def truth_figures(done: Followed, golden: Mapping[str, Any]) -> dict[str, Any]:
     """Return errors, wrong statuses, times to notice and to come back, and the base's error."""
     truths = [golden["frames"][files.name] for files in done.frames]
     visible = np.array([truth.get("visible", 1.0) for truth in truths])
-    errors = np.array([tip_error_mm(result, truth) for result, truth in zip(done.results, truths, strict=True)])
-    turned = np.array(
-        [
-            0.0
-            if result.camera_from_root is None
-            else np.degrees(rotation_angle(result.camera_from_root, np.array(truth["T_camera_roll_link"])))
-            for result, truth in zip(done.results, truths, strict=True)
-        ]
-    )
+    table = np.array([_errors(result, truth) for result, truth in zip(done.results, truths, strict=True)])
+    errors, turned, bent = table.T
     ok = np.array([result.status == "ok" for result in done.results])
     seen, well = visible >= _VISIBLE, visible >= _WELL_VISIBLE
     median, most, worst = np.percentile(errors[seen], [50, 95, 100])
     wrong = seen & (turned > RIGHT_MODE_DEG)
     said, back = _gone_and_back(visible, ok, errors)
     figures = {
-        "joints, deg": float(np.median(joint_errors_deg(done.results, truths)[seen])),
+        "joints, deg": float(np.median(bent[seen])),
         "tips, mm": float(median),
         "95 %": float(most),
         "worst": float(worst),
@@ -139,29 +133,21 @@ def truth_figures(done: Followed, golden: Mapping[str, Any]) -> dict[str, Any]:
     }
     base, true = done.tracker.camera_from_base, golden.get("camera_from_base")
     if base is not None and true is not None:
-        at = np.array(true)
-        figures["base, deg"] = float(np.degrees(rotation_angle(base, at)))
-        figures["base, mm"] = 1e3 * float(np.linalg.norm(base[:3, 3] - at[:3, 3]))
+        figures["base, deg"], figures["base, mm"] = base_errors(base, np.array(true))
     return figures
 
 
-def joint_errors_deg(results: Sequence[TrackResult], truths: Sequence[Mapping[str, Any]]) -> Float64:
-    """Return the mean of the errors of each frame's joints, (N,) deg; half a turn without a pose."""
-    return np.array(
-        [
-            np.degrees(np.mean([abs(value - truth["joints"][name]) for name, value in result.joints.items()]))
-            if result.camera_from_root is not None
-            else 180.0
-            for result, truth in zip(results, truths, strict=True)
-        ]
-    )
+def _errors(result: TrackResult, truth: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Return a pose's errors: mean distance of the tips, mm, the rotation, deg, and the mean of the joints, deg.
 
-
-def tip_error_mm(result: TrackResult, truth: Mapping[str, Any]) -> float:
-    """Return the mean distance of both tips from their true places, mm; a metre without a pose."""
-    if result.tips is None:
-        return _WITHOUT_POSE_MM
-    return 1e3 * float(np.linalg.norm(result.tips - np.array(truth["tips_camera_m"]), axis=1).mean())
+    Without a pose, it is a metre off and half a turn bent, and in no wrong mode.
+    """
+    if result.camera_from_root is None or result.tips is None:
+        return _WITHOUT_POSE_MM, 0.0, 180.0
+    tips = np.linalg.norm(result.tips - np.array(truth["tips_camera_m"]), axis=1)
+    turned = rotation_angle(result.camera_from_root, np.array(truth["T_camera_roll_link"]))
+    bent = [abs(value - truth["joints"][name]) for name, value in result.joints.items()]
+    return 1e3 * float(tips.mean()), float(np.degrees(turned)), float(np.degrees(np.mean(bent)))
 
 
 def _gone_and_back(visible: Float64, ok: NDArray[np.bool_], errors: Float64) -> tuple[str, str]:

@@ -59,9 +59,11 @@ class Outcomes:
         right = [run for run, error in zip(runs, errors, strict=True) if error["right_mode"]]
         measured = [distances(instrument, run) for run in right]
         names = list(measured[0]) if measured else []
-        stated = [run.result["mode_probability"] for run in runs]
+        stated = [run.result.mode_probability for run in runs]
         return cls(
-            expected_mm=np.array([run.result["std"]["tip_mm"]["mean"] for run in runs]),
+            expected_mm=np.array(
+                [run.result.expected_error.tip_mm["mean"] for run in runs if run.result.expected_error]
+            ),
             mode_probability=np.array([np.nan if value is None else value for value in stated]),
             ok=np.array([run.trusted for run in runs]),
             right_mode=np.array([error["right_mode"] for error in errors]),

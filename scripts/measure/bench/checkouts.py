@@ -22,7 +22,7 @@ from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.silhouette.prepare import prepare
 from measure.places import ROOT
 
-FINISHED: Final = (0, 3)  # exit codes of a command that has estimated its frames
+_FINISHED: Final = (0, 3)  # exit codes of a command that has estimated its frames
 
 _WORKER: Final = """
 import pickle, sys, time
@@ -56,6 +56,34 @@ class Checkout:
         given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         return {**given, **one, "PYTHONPATH": str(self.folder), "PYTHONPYCACHEPREFIX": self.compiled}
+
+    def run(self, arguments: Sequence[str], folder: Path, **variables: str) -> int:
+        """Run a command in a folder, and return its exit code; InputError if it has not estimated its frames."""
+        done = subprocess.run(
+            [sys.executable, "-m", "dvrk_cmaes", *arguments],
+            env=self.environment | variables,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode not in _FINISHED:
+            said = done.stderr.strip()[-300:]
+            raise InputError(f"{self.folder}: -m dvrk_cmaes {' '.join(arguments)}: {said}")
+        return done.returncode
+
+
+@contextmanager
+def two_checkouts(this: Path, other: Path) -> Iterator[tuple[Checkout, Checkout]]:
+    """Yield the checkout of --checkout and that of --against; InputError if one has not the package."""
+    for option, folder in (("--checkout", this), ("--against", other)):
+        if not (folder / "dvrk_cmaes" / "__init__.py").is_file():
+            raise InputError(f"{option} {folder}: expected a checkout with the package dvrk_cmaes")
+    with tempfile.TemporaryDirectory() as compiled:
+        yield (
+            Checkout("this", this.resolve(), f"{compiled}/this"),
+            Checkout("other", other.resolve(), f"{compiled}/other"),
+        )
 
 
 @contextmanager
@@ -99,13 +127,10 @@ def checkouts_report(
     Estimates run in one process for each checkout, and each frame in turns. The first frame and the first command of
     each checkout are not measured.
     """
-    if not (other / "dvrk_cmaes" / "__init__.py").is_file():
-        raise InputError(f"--against {other}: expected a checkout with the package dvrk_cmaes")
     names = prepare(instrument).instrument.joint_names
     read = [read_session(folder, known=names) for folder in sessions]
     inputs = [(one, files) for one in read for files in one.frames[:frames]]
-    with tempfile.TemporaryDirectory() as compiled:
-        both = (Checkout("this", ROOT, f"{compiled}/this"), Checkout("other", other.resolve(), f"{compiled}/other"))
+    with two_checkouts(ROOT, other) as both:
         return {
             "estimate, seconds a frame": _estimates(both, instrument, inputs),
             "whole command, seconds": _commands(both, instrument, inputs, repeats),
@@ -150,19 +175,12 @@ def _estimates(
     return [*rows, ratio]
 
 
-def _run(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:
+def _timed(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:
     """Run a command of a checkout; returns wall and processor seconds of its processes."""
-    command = [sys.executable, "-m", "dvrk_cmaes", *arguments]
-    before = os.times()
-    started = time.perf_counter()
-    done = subprocess.run(
-        command, env=checkout.environment, cwd=checkout.folder, capture_output=True, text=True, check=False
-    )
+    before, started = os.times(), time.perf_counter()
+    checkout.run(arguments, checkout.folder)
     wall, after = time.perf_counter() - started, os.times()
-    if done.returncode not in FINISHED:
-        raise InputError(f"{checkout.folder}: {' '.join(command[1:])}: {done.stderr.strip()[-300:]}")
-    spent = after.children_user + after.children_system - before.children_user - before.children_system
-    return wall, spent
+    return wall, after.children_user + after.children_system - before.children_user - before.children_system
 
 
 def _commands(
@@ -177,7 +195,7 @@ def _commands(
         arguments = ["estimate", "--mask", str(files.mask), "--json"]
         arguments += ["--camera", str(folder / "camera.yaml"), "--joints", str(folder / "joints.csv")]
         for checkout in both:
-            measured[checkout.name].append(_run(checkout, [*arguments, "--instrument", instrument]))
+            measured[checkout.name].append(_timed(checkout, [*arguments, "--instrument", instrument]))
     return _rows({name: times[1:] for name, times in measured.items()})
 
 
@@ -188,30 +206,16 @@ def _folders(both: Sequence[Checkout], instrument: str, session: Path, repeats: 
         for checkout in both:
             with tempfile.TemporaryDirectory() as out:
                 arguments = ["batch", str(session), "--out", out, "--workers", "2", "--instrument", instrument]
-                measured[checkout.name].append(_run(checkout, arguments))
+                measured[checkout.name].append(_timed(checkout, arguments))
     return _rows(measured)
 
 
 def _rows(measured: dict[str, list[tuple[float, float]]]) -> list[dict[str, Any]]:
     """Return a row of medians for each checkout, and one of their ratios."""
-    medians = {name: np.median(np.array(times), axis=0) for name, times in measured.items()}
-    least = {name: np.array(times).min(axis=0) for name, times in measured.items()}
-    ratio = medians["this"] / medians["other"]
-    return [
-        *(
-            {
-                "checkout": name,
-                "runs": len(measured[name]),
-                "wall, median": float(medians[name][0]),
-                "wall, least": float(least[name][0]),
-                "processor, median": float(medians[name][1]),
-            }
-            for name in medians
-        ),
-        {
-            "checkout": "ratio",
-            "wall, median": float(ratio[0]),
-            "wall, least": float(least["this"][0] / least["other"][0]),
-            "processor, median": float(ratio[1]),
-        },
-    ]
+    rows = {}
+    for name, times in measured.items():
+        (wall, processor), (least, _) = np.median(times, axis=0).tolist(), np.min(times, axis=0).tolist()
+        rows[name] = {"wall, median": wall, "wall, least": least, "processor, median": processor}
+    ratio = {figure: rows["this"][figure] / rows["other"][figure] for figure in rows["this"]}
+    counted = [{"checkout": name, "runs": len(measured[name]), **row} for name, row in rows.items()]
+    return [*counted, {"checkout": "ratio", **ratio}]
