@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import rotation_angle, transform
@@ -149,6 +148,8 @@ def median_pose(poses: Float64) -> Float64:
     The geometric median minimises the sum of distances (rotations: angles) to all poses; it is found by Weiszfeld's
     iteration. It is robust to outliers as long as they are fewer than half of the poses.
     """
+    from scipy.spatial.transform import Rotation  # imported late: most exports do without
+
     rotations, points = Rotation.from_matrix(poses[:, :3, :3]), poses[:, :3, 3]
     point, rotation = np.median(points, axis=0), rotations.mean()
     for _ in range(_ITERATIONS):

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import transform
@@ -95,4 +94,6 @@ def _pose(where: str, field: str, position: _Vector, orientation: _Quaternion) -
     quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
     if abs(np.linalg.norm(quaternion) - 1) > _UNIT:
         raise InputError(f"{where}: {field}: expected a unit quaternion x, y, z, w, got {shown(quaternion.tolist())}")
+    from scipy.spatial.transform import Rotation  # imported late: most exports do without
+
     return transform(Rotation.from_quat(quaternion).as_matrix(), [position.x, position.y, position.z])

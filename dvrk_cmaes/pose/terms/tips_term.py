@@ -39,34 +39,27 @@ class TipsTerm(Term):
 
     def cost(self, at: Posed) -> Float64:
         """Return the sum of squares (C,)."""
-        residuals = self._residuals(at.seen_from(self._view.view_from_camera), at)
-        return np.asarray((residuals**2).sum(axis=1))
+        projected = self._projected(at)
+        return np.asarray((((projected - self._paired(projected)) / self._sigma) ** 2).sum(axis=1))
 
     def local(self, at: Posed) -> Quadratic:
         """Return the approximation of half of it, by central differences of the projected tips."""
-        joints = at.joints.shape[1]
-        steps = np.repeat(self._steps, (3, 2, 1, joints))
-        ahead, behind = (
-            np.stack([self._residuals(self._moved(at, change), at) for change in sign * np.diag(steps)], axis=1)
-            for sign in (1.0, -1.0)
-        )
-        jacobian = (ahead - behind) / (2 * steps[:, None])  # (C, D, 4)
-        here = self._residuals(at.seen_from(self._view.view_from_camera), at)
-        return Quadratic(jacobian @ jacobian.swapaxes(1, 2), (jacobian @ here[:, :, None])[:, :, 0])
+        count, steps = len(at), np.repeat(self._steps, (3, 2, 1, at.joints.shape[1]))
+        changes = np.concatenate([np.diag(steps), -np.diag(steps)])
+        around = at[np.repeat(np.arange(count), len(changes))].moved(np.tile(changes, (count, 1)))
+        here = self._projected(at)
+        given = self._paired(here)
+        both = (self._projected(around).reshape(count, 2, len(steps), 4) - given[:, None, None]) / self._sigma
+        jacobian = (both[:, 0] - both[:, 1]) / (2 * steps[:, None])  # (C, D, 4)
+        residuals = (here - given) / self._sigma
+        return Quadratic(jacobian @ jacobian.swapaxes(1, 2), (jacobian @ residuals[:, :, None])[:, :, 0])
 
-    def _moved(self, at: Posed, change: Float64) -> Posed:
-        """Return C poses in the view's camera after one change (6 + J,)."""
-        return at.moved(np.tile(change, (len(at), 1))).seen_from(self._view.view_from_camera)
-
-    def _residuals(self, seen: Posed, paired: Posed) -> Float64:
-        """Compute projected less given tips, in standard deviations, (C, 4), for C poses in the view's camera.
-
-        The tips are paired as is better for the C poses ``paired``, which are in the reference camera.
-        """
+    def _projected(self, at: Posed) -> Float64:
+        """Project the tips of C poses of the reference camera, (C, 4) px."""
         instrument, camera = self._view.renderer.body.instrument, self._view.evidence.camera
-        at = paired.seen_from(self._view.view_from_camera)
-        before = project_tips(instrument, camera, at)
-        straight, crossed = (((before - tips) ** 2).sum(axis=(1, 2)) for tips in (self._tips, self._tips[::-1]))
-        given = np.where((straight <= crossed)[:, None, None], self._tips, self._tips[::-1])
-        projected = project_tips(instrument, camera, seen)
-        return np.asarray((projected - given).reshape(-1, 4) / self._sigma)
+        return project_tips(instrument, camera, at.seen_from(self._view.view_from_camera)).reshape(-1, 4)
+
+    def _paired(self, projected: Float64) -> Float64:
+        """Return the given tips, (C, 4) px, in the order that is nearer to the C projected ones."""
+        given = np.stack([self._tips, self._tips[::-1]]).reshape(2, 4)
+        return np.asarray(given[((projected[:, None] - given) ** 2).sum(axis=2).argmin(axis=1)])
