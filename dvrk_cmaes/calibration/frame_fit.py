@@ -11,20 +11,22 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate, overlap
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
-from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
+from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import sum_of_locals
+from dvrk_cmaes.pose.terms.term import Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
 
 Float64 = NDArray[np.float64]
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
+_LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -114,29 +116,54 @@ def fit_frame(
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
         coverage = _coverage(views, config, own_estimate, shrink)
         if own_estimate is not None:
-            noise = own_estimate.noise if shrink == 1 else None
+            noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_camera) if noise is None else noise)
         steps = Steps.of(config.refine.outline, shrink)
         steps = steps if confirm else replace(steps, tested="long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    best = fits[0]
-    of_priors = sum_of_locals(terms, at[:1])
+    return _without_shared(views, fits[0], coverage, terms, own_estimate, count)
+
+
+def _without_shared(
+    views: Sequence[FrameView],
+    fit: Fit,
+    coverage: Coverage,
+    terms: Sequence[Term],
+    own_estimate: OwnEstimate | None,
+    evaluations: int,
+) -> FrameFit:
+    """Return a fit after one step by which the errors that the masks share are eliminated.
+
+    ``terms`` are those beside the ``coverage``; the other arguments are as in `fit_frame` and `FrameFit`.
+    """
+    drawn = [view.silhouette(fit.at) for view in views]
+    if own_estimate is None:
+        pairs = zip(views, drawn, strict=True)
+        noises = tuple(measure_noise(view.evidence.contour, silhouette) for view, silhouette in pairs)
+    else:
+        noises = own_estimate.noises
+    outline = coverage.near_without_shared(fit.at, noises)
+    whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
+    step = -np.linalg.solve(whole.information[0], whole.slope[0])
+    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
+    at = fit.at.moved(step)
+    for term in terms:
+        at = term.allowed(Posed.stacked([at]))[0]
     return FrameFit(
-        best.at,
-        # At the optimum, the slopes of outline and priors add up to zero.
-        information=best.information - of_priors.information[0],
-        slope=-of_priors.slope[0],
-        score=best.score,
-        evaluations=count,
-        iou=overlap(views, [view.silhouette(best.at) for view in views]),
+        at,
+        information=outline.information[0],
+        slope=outline.slope[0] + outline.information[0] @ at.minus(fit.at),
+        score=fit.score,
+        evaluations=evaluations,
+        iou=overlap(views, drawn),
         own_iou=0.0 if own_estimate is None else own_estimate.iou,
     )
 
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
     """Return a frame's own estimate with the noise of the residuals there; arguments as in `fit_frame`."""
-    return replace(own_estimate, noise=_noise(_coverage(views, config, own_estimate), own_estimate, None))
+    return replace(own_estimate, residual=_noise(_coverage(views, config, own_estimate), own_estimate, None))
 
 
 def _coverage(
@@ -162,13 +189,14 @@ def camera_terms(
     """Compute the outline's information and slope about a pose and about the camera of one view.
 
     ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size; the view has the evidence's
-    own camera. Values are as those of `Coverage.near_with_camera`.
+    own camera. The unknowns of the camera are those of `of_camera`, the last three.
     """
-    own = replace(own_estimate, lengths=own_estimate.lengths[:1])
+    own = replace(own_estimate, noises=own_estimate.noises[:1])
     coverage = _coverage([view], config, own)
-    noise = own_estimate.noise if len(own_estimate.lengths) == 1 else None
+    noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
     noise = _noise(coverage, own, None) if noise is None else noise  # that of this view alone
-    return coverage.with_camera(camera).with_noise(noise).near_with_camera(fitted)
+    near = coverage.with_camera(camera).with_noise(noise).near_without_shared(fitted, own.noises, of_camera)
+    return near.information[0], near.slope[0]
 
 
 def _limits(readings: Readings) -> Readings:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
@@ -105,3 +107,8 @@ class SizedView:
         seen = at.seen_from(self.view_from_camera)
         of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
+
+    def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
+        """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
+        seen = at.seen_from(self.view_from_camera)
+        return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
