@@ -15,12 +15,13 @@ from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
-from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera
+from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Term, sum_of_locals
+from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
 
@@ -86,6 +87,7 @@ def fit_frame(
     own_estimate: OwnEstimate | None,
     own_camera: Camera | None = None,
     *,
+    margin: float = 0.0,
     confirm: bool = True,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
@@ -107,6 +109,8 @@ def fit_frame(
         the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_camera
         The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
+    margin
+        Margin of the masks, px, that is taken off them all round.
     confirm
         Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
@@ -114,7 +118,7 @@ def fit_frame(
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, own_estimate, shrink)
+        coverage = _coverage(views, config, own_estimate, shrink, margin)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_camera) if noise is None else noise)
@@ -167,14 +171,18 @@ def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: Es
 
 
 def _coverage(
-    views: Sequence[FrameView], config: EstimateConfig, own_estimate: OwnEstimate | None, shrink: int = 1
+    views: Sequence[FrameView],
+    config: EstimateConfig,
+    own_estimate: OwnEstimate | None,
+    shrink: int = 1,
+    margin: float = 0.0,
 ) -> Coverage:
     """Return the coverage of a frame's views at 1 / ``shrink`` of the image size.
 
     The correlation lengths are those of the residuals at the own estimate.
     """
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, shrink=shrink) for view in views]
+    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
     return Coverage(sized, outline, correlations=() if own_estimate is None else own_estimate.lengths)
 
 
@@ -183,20 +191,29 @@ def _noise(coverage: Coverage, own_estimate: OwnEstimate, camera: Camera | None)
     return (coverage if camera is None else coverage.with_camera(camera)).noise_at(own_estimate.at)
 
 
-def camera_terms(
-    view: FrameView, config: EstimateConfig, fitted: Posed, own_estimate: OwnEstimate, camera: Camera
-) -> tuple[Float64, Float64]:
-    """Compute the outline's information and slope about a pose and about the camera of one view.
+def terms_of_constants(
+    view: FrameView,
+    config: EstimateConfig,
+    fitted: Posed,
+    own_estimate: OwnEstimate,
+    camera: Camera,
+    margin: float,
+) -> Quadratic:
+    """Compute the outline's terms about a pose and about what all frames share: the camera and the masks' margin.
 
-    ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size; the view has the evidence's
-    own camera. The unknowns of the camera are those of `of_camera`, the last three.
+    ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size, and the mask less ``margin``
+    px; the view has the evidence's own camera. The last four unknowns are those of `of_camera` and the margin, px. The
+    errors that parts of one mask share are eliminated.
     """
     own = replace(own_estimate, noises=own_estimate.noises[:1])
-    coverage = _coverage([view], config, own)
     noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
-    noise = _noise(coverage, own, None) if noise is None else noise  # that of this view alone
-    near = coverage.with_camera(camera).with_noise(noise).near_without_shared(fitted, own.noises, of_camera)
-    return near.information[0], near.slope[0]
+    noise = _noise(_coverage([view], config, own), own, None) if noise is None else noise  # that of this view alone
+    coverage = _coverage([view], config, own, margin=margin).with_camera(camera).with_noise(noise)
+
+    def constants(sized: SizedView, outline: OutlinePoints) -> Float64:
+        return np.column_stack([of_camera(sized, outline), of_margin(outline)])
+
+    return coverage.near_without_shared(fitted, own.noises, constants)
 
 
 def _limits(readings: Readings) -> Readings:

@@ -203,6 +203,11 @@ def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
     return np.column_stack([(outline.normals * from_centre).sum(axis=1), outline.normals])
 
 
+def of_margin(outline: OutlinePoints) -> Float64:
+    """Return the displacements (N,) of an outline's points by a margin of the mask, px, times the normals' lengths."""
+    return np.asarray(np.linalg.norm(outline.normals, axis=1))
+
+
 def _cauchy_loss(residual: Float32, weight: Float32, cauchy: float) -> float:
     """Compute the Cauchy loss of an image of residuals (H, W), whose pixels have weights (H, W)."""
     r = residual.ravel()
