@@ -21,7 +21,7 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
 
-_CLEAR = 3.0  # standard deviations from zero, and ...
+_CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
 _PASSES = 5  # largest number of linearisations of the outlines
 _SETTLED = 0.5  # standard deviations of the margin, below which the outlines are not linearised again
@@ -88,7 +88,7 @@ def estimate_margin(
         solution = solve(model, fits, calibration, padded)
         calibration, at = solution.calibration, at.moved(marginalise(model, fits, solution.calibration).own)
         margin, std = float(calibration.further[0]), float(np.sqrt(solution.covariance[-1, -1]))
-        clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
-        if not clear or abs(margin - before[0]) < _SETTLED * std:
+        if abs(margin - before[0]) < _SETTLED * std:
             break
+    clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
     return MarginEstimate(SessionMasks(margin, std, clear), replace(calibration, further=np.zeros(0)), at)
