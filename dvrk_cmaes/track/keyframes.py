@@ -1,0 +1,97 @@
+"""Choice of a recording's keyframes: frames well in view, far from each other in time and in the arm's pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+MOST_KEYFRAMES: Final = 60
+LEAST_KEYFRAMES: Final = 12
+"""Usable frames from which on a recording is solved by keyframes."""
+
+_LEAST_AREA = 0.5  # of the median area of the masks, from which on a frame is well in view
+_MOST_BORDER = 0.3  # share of a mask's contour that may lie on the image's border
+_UNITS = {"insertion": 0.01, "roll": 0.5, "yaw": 0.05, "pitch": 0.05}  # m and rad, of as different poses as
+_JOINT_UNIT = 0.4  # rad, of the instrument's own joints
+_TIME_UNITS = 8.0  # of the whole recording
+
+
+@dataclass(frozen=True)
+class MaskShape:
+    """Area of a mask, px, and the share of its contour that lies on the image's border."""
+
+    area: float
+    on_border: float
+
+    @classmethod
+    def of(cls, mask: Bool) -> MaskShape:
+        """Measure a mask (H, W)."""
+        area = int(mask.sum())
+        if not area:
+            return cls(0.0, 1.0)
+        border = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+        inside = area - int(inner.sum())
+        return cls(float(area), border / max(border + inside, 1))
+
+
+def well_in_view(shapes: list[MaskShape]) -> Bool:
+    """Return which of N frames (N,) show enough of the instrument, not mostly cut by the image's border."""
+    area = np.array([shape.area for shape in shapes])
+    if not area.any():
+        return np.zeros(len(area), np.bool_)
+    border = np.array([shape.on_border for shape in shapes])
+    return np.asarray((area >= _LEAST_AREA * np.median(area[area > 0])) & (border <= _MOST_BORDER))
+
+
+def choose_keyframes(
+    usable: Bool, times: Float64, joint_names: tuple[str, ...], readings: Float64, most: int = MOST_KEYFRAMES
+) -> list[int]:
+    """Choose at most some frames, greedily that one which is farthest from all chosen before.
+
+    Parameters
+    ----------
+    usable : (N,)
+        The frames that may be chosen.
+    times : (N,)
+        Times of the frames.
+    joint_names, readings : (N, K)
+        The joints that are read, and their readings, rad and m; NaN where there is none.
+    most
+        Largest number of frames.
+
+    Returns
+    -------
+    list of int
+        The frames' numbers, increasing.
+    """
+    candidates = np.flatnonzero(usable)
+    if len(candidates) <= most:
+        return candidates.tolist()
+    units = np.array([_UNITS.get(name, _JOINT_UNIT) for name in joint_names])
+    duration = max(float(np.ptp(times)), 1e-12)
+    place = np.column_stack([np.nan_to_num(readings) / units, (times - times[0]) / duration * _TIME_UNITS])
+    place = place[candidates]
+    chosen = [int(np.argmin(np.linalg.norm(place - np.median(place, axis=0), axis=1)))]
+    distance = np.linalg.norm(place - place[chosen[0]], axis=1)
+    while len(chosen) < most:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
+    return sorted(candidates[chosen].tolist())
+
+
+def has_outer_joints(joint_names: tuple[str, ...], readings: Float64) -> Bool:
+    """Return which of N frames (N,) have readings (N, K) of all outer joints."""
+    if not set(OUTER_JOINTS) <= set(joint_names):
+        return np.zeros(len(readings), np.bool_)
+    index = [joint_names.index(name) for name in OUTER_JOINTS]
+    return np.asarray(~np.isnan(readings[:, index]).any(axis=1))

@@ -1,0 +1,118 @@
+"""Smoothing of what a recording's frames deviate from its calibration's predictions, over time.
+
+The deviations of a frame (slack of the arm, errors of roll and joints) are those of the calibration's model. A part of
+them wanders slowly, the rest changes from frame to frame: both are Gauss-Markov processes of first order. The outline
+tells each frame's deviation by a quadratic term. The most probable deviations of all frames together follow from one
+block-tridiagonal system.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+
+SLOW_SHARE: Final = 0.8
+SLOW_SECONDS: Final = 2.0
+FAST_SECONDS: Final = 0.1
+CORRELATION: Final = 2.0
+
+_JITTER = 1e-9  # of a covariance, so that it can be inverted
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Deviations (N, D) of frames from their predictions, and their covariances (N, D, D).
+
+    ``response`` (N, D, K) is the change of the frames' poses and joints with the calibration.
+    """
+
+    deviations: Float64
+    covariance: Float64
+    response: Float64
+
+
+def smooth(
+    times: Float64,
+    prior: Float64,
+    information: Float64,
+    optimum: Float64,
+    jacobian: Float64,
+    *,
+    slow_share: float = SLOW_SHARE,
+    slow: float = SLOW_SECONDS,
+    fast: float = FAST_SECONDS,
+) -> Smoothed:
+    """Find the most probable deviations of N frames.
+
+    Parameters
+    ----------
+    times : (N,)
+        Times of the frames, s, increasing.
+    prior : (N, D, D)
+        Covariance of each frame's deviation.
+    information : (N, D, D)
+        What each outline tells: the matrix of its quadratic term; zero for a frame without one.
+    optimum : (N, D)
+        The information times the deviation at which that term is least.
+    jacobian : (N, D, K)
+        Change of the predictions with the calibration.
+    slow_share, slow, fast
+        Share of the variance that wanders slowly, and the times, s, over which both parts do.
+    """
+    count, size = optimum.shape
+    both = np.concatenate([np.eye(size), np.eye(size)], axis=1)  # the deviation is the sum of both parts
+    covariance = np.zeros((count, 2 * size, 2 * size))
+    covariance[:, :size, :size] = slow_share * prior
+    covariance[:, size:, size:] = (1 - slow_share) * prior
+    scale = np.repeat([slow, fast], size)
+    steps = np.exp(-np.diff(times)[:, None] / scale)
+    diagonal = np.zeros_like(covariance)
+    beside = np.zeros((count - 1, 2 * size, 2 * size))  # between a frame and the next one
+    diagonal[0] = np.linalg.inv(covariance[0])
+    for k, step in enumerate(steps):
+        root = _carried(covariance[k], covariance[k + 1], step, size)
+        noise = covariance[k + 1] - root @ covariance[k] @ root.T
+        precision = np.linalg.inv(noise + _JITTER * covariance[k + 1])
+        diagonal[k] += root.T @ precision @ root
+        diagonal[k + 1] += precision
+        beside[k] = -root.T @ precision
+    diagonal += both.T @ information @ both
+    right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
+    solution, blocks = _solve(diagonal, beside, both.T @ right)
+    found = both @ solution
+    return Smoothed(found[:, :, 0], both @ blocks @ both.T, jacobian + found[:, :, 1:])
+
+
+def _carried(before: Float64, after: Float64, step: Float64, size: int) -> Float64:
+    """Return the matrix that carries both parts of the deviation to the next frame, as covariances change there."""
+    out = np.zeros_like(before)
+    for part in (slice(0, size), slice(size, None)):
+        lower, upper = np.linalg.cholesky(before[part, part]), np.linalg.cholesky(after[part, part])
+        out[part, part] = step[part][:, None] * (upper @ np.linalg.inv(lower))
+    return out
+
+
+def _solve(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64, Float64]:
+    """Solve a symmetric block-tridiagonal system (N blocks of M x M) for columns (N, M, C).
+
+    Also returns the diagonal blocks (N, M, M) of the inverse.
+    """
+    count = len(diagonal)
+    pivots, sides = np.empty_like(diagonal), right.copy()
+    pivots[0] = np.linalg.inv(diagonal[0])
+    for k in range(1, count):
+        gain = beside[k - 1].T @ pivots[k - 1]
+        pivots[k] = np.linalg.inv(diagonal[k] - gain @ beside[k - 1])
+        sides[k] = right[k] - gain @ sides[k - 1]
+    solution, blocks = np.empty_like(right), np.empty_like(diagonal)
+    solution[-1], blocks[-1] = pivots[-1] @ sides[-1], pivots[-1]
+    for k in range(count - 2, -1, -1):
+        gain = pivots[k] @ beside[k]
+        solution[k] = pivots[k] @ sides[k] - gain @ solution[k + 1]
+        blocks[k] = pivots[k] + gain @ blocks[k + 1] @ gain.T
+    return solution, blocks

@@ -1,0 +1,137 @@
+"""Tasks on the frames of a recording that is followed with its own calibration, which can run in any process.
+
+A frame is fitted with the prediction of the calibration as its prior, which gives the outline's terms about the fit.
+Its pose, once smoothed over the recording, is judged by the rules of `estimate --session`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.seen_view import shown_views
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.joints.prior import split_readings
+from dvrk_cmaes.pose.doubts import doubts_in_views
+from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.results.result import Quality
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Float64 = NDArray[np.float64]
+
+EMPTY = "lost: the mask shows nothing of the instrument"
+_LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
+_ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedFrame:
+    """A frame, the function that reads its data, and what the calibration expects of it."""
+
+    name: str
+    read: Callable[[], FrameData]
+    expected: Expected
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTask:
+    """Arguments of `fit_block`: consecutive frames, and the margin, px, that is taken off their masks."""
+
+    frames: tuple[PredictedFrame, ...]
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class FittedFrame:
+    """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance."""
+
+    stored: StoredFrame
+    fit: FrameFit
+    inflation: float
+    seconds: float
+
+
+def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:
+    """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
+
+    None stands for a frame whose mask shows nothing.
+    """
+    found: list[FittedFrame | None] = []
+    deviation: Float64 | None = None
+    for frame in task.frames:
+        fitted = _fit(body, config, frame, deviation, task.margin)
+        found.append(fitted)
+        deviation = None
+        if fitted is not None and fitted.fit.explains_mask:
+            deviation = fitted.fit.at.minus(frame.expected.mean)
+    return found
+
+
+def _fit(
+    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, margin: float
+) -> FittedFrame | None:
+    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
+    started = time.perf_counter()
+    data, expected = frame.read(), frame.expected
+    shown = shown_views(data.views)
+    if max((int(view.mask.sum()) for view in shown), default=0) < _LEAST_SHOWN:
+        return None
+    views = []
+    for view in shown:
+        evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, seed=config.seed)
+        views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
+    limits = split_readings(body.instrument, {}, config)[0]
+    starts = [expected.mean]
+    if before is not None:
+        apart = float(np.sqrt(before @ expected.information @ before / len(before)))
+        near = expected.mean.moved(before)
+        starts = [near, expected.mean] if apart > _ANOTHER_START else [near]
+    first = fit_frame(views, limits, config, expected, starts, None, margin=margin, confirm=False)
+    own = OwnEstimate.of(views, first.at)
+    fit = fit_frame(views, limits, config, expected, (first.at,), own, margin=margin, confirm=False)
+    stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
+    inflation = views[0].noise_at(fit.at).inflation
+    return FittedFrame(StoredFrame(tuple(stored), data.camera, own), fit, inflation, time.perf_counter() - started)
+
+
+@dataclass(frozen=True, eq=False)
+class JudgeTask:
+    """Arguments of `judge_frame`: a frame's evidence, its pose and the covariance (D, D) of that, and its readings."""
+
+    stored: StoredFrame
+    at: Posed
+    covariance: Float64
+    readings: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedFrame:
+    """The quality of a frame's pose, the reasons to doubt it, and remarks."""
+
+    quality: Quality
+    reasons: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFrame:
+    """Measure how a frame's pose explains the masks, and list the reasons to doubt it."""
+    views: Sequence[FrameView] = [view.restored(body) for view in task.stored.views]
+    readings = split_readings(body.instrument, dict(task.readings), config)[0]
+    of_views, _ = measure_views(views, readings, Posed.stacked([task.at]), config)
+    qualities = [of_view[0] for of_view in of_views]
+    error = expected_error(body.instrument, task.at, task.covariance)
+    doubts, remarks = doubts_in_views(task.at, views, qualities, error, config.trust)
+    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))
