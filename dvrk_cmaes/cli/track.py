@@ -18,6 +18,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
     MOST_SKIPPED,
+    MOST_WORKERS,
     OUTPUT,
     CameraOptions,
     Flag,
@@ -55,7 +56,9 @@ def track(
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     lag: Annotated[str, Parameter(group=FOLDER, allow_leading_hyphen=True)] = AUTO,
     fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
-    smooth: Annotated[Flag, Parameter(group=FOLDER)] = False,
+    causal: Annotated[Flag, Parameter(group=FOLDER)] = False,
+    smooth: Annotated[Flag, Parameter(group=FOLDER, show=False)] = False,
+    workers: Annotated[int | None, Parameter(group=FOLDER)] = None,
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     video: Annotated[bool, Parameter(group=FOLDER)] = True,
     page: Annotated[bool, Parameter(group=FOLDER)] = True,
@@ -72,9 +75,10 @@ def track(
 ) -> int:
     """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
-    The first frame is solved as by `estimate`; the others start from what the readings did since the frame before. No
-    frame's result depends on later frames, unless --smooth is given. A lost instrument is searched for, around the
-    prediction first and then in the whole image. The table [track] of the settings file configures this command.
+    Keyframes over the whole recording are solved together, as by `calibrate`; every frame is then fitted with what
+    that solution and its neighbours expect. With --causal, and where keyframes cannot be solved, the first frame is
+    solved as by `estimate`, and the others start from what the readings did since the frame before: no result depends
+    on later frames, and a lost instrument is searched for. The table [track] of the settings file configures that.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
     lost, 130 interrupted; the same command then goes on.
@@ -108,11 +112,15 @@ def track(
         or found while following.
     fps
         Frames a second of a session whose images have no times.
+    causal
+        Follow from image to image: no frame's result uses later ones. So are recordings without masks or readings, and
+        those of which fewer than 12 keyframes are usable or agree.
     smooth
-        Go through the frames forwards twice and then backwards: each frame's result uses all frames, with one base.
-        An interrupted run begins anew.
+        Was replaced: without --causal, every result uses all frames.
+    workers
+        Number of processes that fit the frames; by default the number of cores. --causal uses one.
     resume
-        --resume goes on after the last frames of an interrupted run; --overwrite begins anew.
+        --resume goes on after the keyframes or the last frames of an interrupted run; --overwrite begins anew.
     video
         --no-video leaves out the overlay video.
     page
@@ -130,7 +138,7 @@ def track(
         The video.
     calibration
         A session.json written by `calibrate` or by this command, or the folder that has one for each of several arms:
-        its base, offsets and lag are the start.
+        it is used instead of the keyframes' solution. With --causal its base, offsets and lag are the start.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -141,6 +149,10 @@ def track(
         Print only the numbers of frames by status, as JSON, on stdout.
     """
     check_range("--every", every, 1, MOST_SKIPPED)
+    if smooth:
+        raise InputError("--smooth: expected no such option: by default, each result uses all frames; leave it out")
+    if workers is not None:
+        check_range("--workers", workers, 1, MOST_WORKERS)
     if not (math.isfinite(fps) and fps > 0):
         raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
     check_range("--fps", fps, 1e-3, 1e6, "frames a second")
@@ -179,9 +191,10 @@ def track(
                 every,
                 joints != "none",
                 fps,
-                smooth,
+                causal,
                 used,
                 prompts.resolve(),
+                workers,
             )
             finished[name] = done = track_folder(
                 arm.session,
@@ -194,6 +207,7 @@ def track(
                 rerun=rerun,
                 stop=stop,
                 progress=_progress(name),
+                notice=_notice(name),
             )
             if done.interrupted:
                 break
@@ -229,6 +243,12 @@ def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | Non
         raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
 
 
+def _notice(arm: str) -> Callable[[str], None]:
+    """Return a function that prints a line on stderr; ``arm`` is named if it is not empty."""
+    name = f"{arm}: " if arm else ""
+    return lambda text: print(f"dvrk-cmaes: {name}{text}", file=sys.stderr, flush=True)
+
+
 def _progress(arm: str) -> Callable[[int, int, TrackResult | None], None]:
     """Return a function that prints the rate on stderr from time to time; ``arm`` is named if it is not empty."""
     started = last = time.monotonic()
@@ -260,7 +280,7 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
         lag = done.calibration.lag
         yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
         offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
-        yield Line(f"offsets at the end, deg (true = reading + offset): {offsets}")
+        yield Line(f"offsets, deg (true = reading + offset): {offsets}")
     yield Line(f"written: {out / 'tracks.jsonl'}")
     if page and not done.interrupted:
         yield Line(f"page: {out / 'report.html'}")

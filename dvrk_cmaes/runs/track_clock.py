@@ -52,12 +52,7 @@ class TrackClock:
         session: Session, frames: Sequence[FrameFiles], frames_a_second: float, *, use_joints: bool = True
     ) -> TrackClock:
         """Find the times of frames and readings: the session's own, or else from the order of its frames."""
-        series = session.reading_series()
-        names = [files.name for files in session.frames]
-        if series is None or any(name not in series.frames for name in names):
-            given = session.image_times
-            times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
-            series = ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
+        series = series_of(session)
         if series is None:
             return TrackClock({files.name: 0.0 for files in frames}, "frames", 1 / frames_a_second, ())
         factor = 1.0 if series.unit == "s" else 1 / frames_a_second
@@ -71,3 +66,14 @@ class TrackClock:
             series.interval * factor,
             tuple((stamp * factor, rows[stamp]) for stamp in sorted(rows)),
         )
+
+
+def series_of(session: Session) -> ReadingSeries | None:
+    """Return all readings of a session with the times of all its frames; None for a single frame without a clock."""
+    series = session.reading_series()
+    names = [files.name for files in session.frames]
+    if series is not None and all(name in series.frames for name in names):
+        return series
+    given = session.image_times
+    times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
+    return ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)

@@ -38,9 +38,11 @@ from dvrk_cmaes.runs.manifest import (
     write_manifest,
 )
 from dvrk_cmaes.runs.output import locked
+from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
+from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
@@ -108,6 +110,7 @@ def track_folder(
     rerun: Path | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
+    notice: Callable[[str], None] = lambda text: None,
 ) -> TrackSummary:
     """Follow an instrument through the frames of a session, and write everything to a folder.
 
@@ -118,7 +121,7 @@ def track_folder(
     out
         Folder of the results.
     resume
-        Go on with the frames that an interrupted run left; if False, begin anew, as smoothing always does.
+        Go on with what an interrupted run left; if False, begin anew.
     video, page
         Whether to draw the overlay video; whether to write the page.
     rerun
@@ -128,6 +131,8 @@ def track_folder(
     progress
         Called after each frame with the number of frames done, that of all, and the frame's result; at the start, with
         the number of frames that are there already and None.
+    notice
+        Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
 
     Raises
     ------
@@ -147,20 +152,26 @@ def track_folder(
             names = list(manifest["frames"])
             check_same_frames(out, old, manifest["frames"], done=names, session=names)
         run = _Run(session, out, body, settings, frames, clock, stop, progress)
-        tracker = settings.tracker(session.rig, body)
-        restored = old is not None and resume and not settings.smooth
-        rows = _restored(out, tracker, body.instrument.joint_names) if restored else []
+        kept = old is not None and resume
+        if not kept:
+            (out / KEYFRAMES).unlink(missing_ok=True)
         (out / SESSION).unlink(missing_ok=True)
         write_manifest(out, manifest)
-        if settings.smooth:
-            rows, tracker = _smoothed(run)
-        else:
+        followed = _by_keyframes(run, notice)
+        if followed is None:
+            tracker = settings.tracker(session.rig, body)
+            rows = _restored(out, tracker, body.instrument.joint_names) if kept else []
             _forwards(run, tracker, rows)
+            calibration = tracker.calibration(clock.interval, clock.unit)
+            late = 0.0 if tracker.lag is None else tracker.lag.seconds
+        else:
+            rows, calibration = followed
+            lag = None if calibration is None else calibration.applied_lag
+            late = 0.0 if lag is None else lag.in_seconds(1 / clock.interval)
         interrupted = len(rows) < len(frames)
-        calibration = tracker.calibration(clock.interval, clock.unit)
         if calibration is not None and rows:
             write_json(out / SESSION, calibration.to_dict())
-        readings = _readings(run, tracker)
+        readings = _readings(run, late)
         if not interrupted:
             write_table(out / TABLE, rows, body.instrument.joint_names)
             if rows and (video or page or rerun is not None):
@@ -184,32 +195,35 @@ def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
                 break
 
 
-def _smoothed(run: _Run) -> tuple[list[dict[str, Any]], Tracker]:
-    """Follow all frames twice, the second time with the lag found the first time, and smooth the second pass.
+def _by_keyframes(
+    run: _Run, notice: Callable[[str], None]
+) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+    """Follow a recording with the calibration of its keyframes, and write the rows, which are none if it is stopped.
 
-    Returns no rows if the run is stopped.
+    Returns None, after a line that says why, if every frame is to be followed from those before it only.
     """
-    rig, total = run.session.rig, len(run.frames)
-    run.progress(0, 2 * total, None)
-    first = run.settings.tracker(rig, run.body)
-    for done, (_, result) in enumerate(run.followed(first), start=1):
-        run.progress(done, 2 * total, result)
-        if run.stopped:
-            return [], first
-    tracker = run.settings.recording_tracker(rig, run.body, None if first.lag is None else first.lag.seconds)
-    for done, (_, result) in enumerate(run.followed(tracker), start=1):
-        run.progress(total + done, 2 * total, result)
-        if run.stopped:
-            return [], tracker
-    rows = [run.row(files, result) for files, result in zip(run.frames, tracker.smoothed(), strict=True)]
-    (run.out / CHECKPOINT).unlink(missing_ok=True)
-    write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
-    return rows, tracker
+    if run.settings.causal:
+        return None
+    because = why_causal(run.settings)
+    if because is None:
+        done = follow_recorded(
+            run.session, run.frames, run.clock, run.body, run.settings, run.out, stop=run.stop, notice=notice
+        )
+        if done is None:
+            return [], None
+        if not isinstance(done, str):
+            rows = [run.row(files, result) for files, result in zip(run.frames, done.results, strict=True)]
+            (run.out / CHECKPOINT).unlink(missing_ok=True)
+            write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
+            run.progress(len(rows), len(rows), done.results[-1] if done.results else None)
+            return rows, done.calibration
+        because = done
+    notice(f"followed from image to image, as by --causal: {because}")
+    return None
 
 
-def _readings(run: _Run, tracker: Tracker) -> dict[str, NDArray[np.float64]]:
-    """Return the readings of each joint at the times of the frames less the lag, NaN where there are none."""
-    late = 0.0 if tracker.lag is None else tracker.lag.seconds
+def _readings(run: _Run, late: float) -> dict[str, NDArray[np.float64]]:
+    """Return the readings of each joint at the times of the frames less a lag, s; NaN where there are none."""
     times = np.array([run.clock.times[files.name] for files in run.frames]) - late
     return run.clock.readings_at(times, run.settings.config.track.reading_gap)
 
@@ -260,7 +274,7 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
         "every": settings.every,
         "joints": settings.use_joints,
         "frames_a_second": settings.frames_a_second,
-        "smooth": settings.smooth,
+        "causal": settings.causal,
         "evidence": settings.evidence,
         "hints": None if settings.hints is None else settings.hints.to_dict(),
     }

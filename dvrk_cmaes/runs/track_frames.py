@@ -29,12 +29,14 @@ Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
 _SAME_TIME = 1e-9  # s
-_FIXED = 1e-9  # mm and deg, drift in a second of a base that does not move
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSettings:
-    """What is followed and how: as the options of ``dvrk-cmaes track``."""
+    """What is followed and how: as the options of ``dvrk-cmaes track``.
+
+    ``workers`` is the number of processes that fit a recording with its own calibration; by default that of the cores.
+    """
 
     config: EstimateConfig
     arm: Arm = "classic"
@@ -43,32 +45,22 @@ class TrackSettings:
     every: int = 1
     use_joints: bool = True
     frames_a_second: float = FRAMES_A_SECOND
-    smooth: bool = False
+    causal: bool = False
     evidence: EvidenceKind | None = None
     hints: Hints | None = None
+    workers: int | None = None
 
     def tracker(self, rig: Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""
-        return self._tracker(rig, body, self.config, self.lag, record=False)
-
-    def recording_tracker(self, rig: Rig, body: Body, lag: float | None) -> Tracker:
-        """Return a tracker whose results can be smoothed, with a given lag and a base that does not move."""
-        track = replace(self.config.track, base_drift_mm=_FIXED, base_drift_deg=_FIXED)
-        config = replace(self.config, track=track)
-        given = self.lag if lag is None else lag
-        return self._tracker(rig, body, config, given, record=True)
-
-    def _tracker(self, rig: Rig, body: Body, config: EstimateConfig, lag: float | None, *, record: bool) -> Tracker:
         return Tracker(
             rig,
             body,
             self.calibration,
-            config,
+            self.config,
             arm=self.arm,
-            lag=lag,
+            lag=self.lag,
             evidence=self.evidence,
             hints=self.hints,
-            record=record,
         )
 
 

@@ -42,7 +42,7 @@ class PredictedFrame:
     """A frame, the function that reads its data, and what the calibration expects of it."""
 
     name: str
-    read: Callable[[], FrameData]
+    read: Callable[[], FrameData | None]
     expected: Expected
 
 
@@ -86,6 +86,8 @@ def _fit(
     """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
     started = time.perf_counter()
     data, expected = frame.read(), frame.expected
+    if data is None:
+        return None
     shown = shown_views(data.views)
     if max((int(view.mask.sum()) for view in shown), default=0) < _LEAST_SHOWN:
         return None

@@ -1,0 +1,107 @@
+"""Every frame of a recording, given the calibration of its keyframes: fitted, smoothed over time, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import Run
+from dvrk_cmaes.calibration.model import Calibration, SessionModel, outer_readings
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
+from dvrk_cmaes.track.recorded_frames import (
+    BlockTask,
+    FittedFrame,
+    PredictedFrame,
+    fit_block,
+)
+
+Float64 = NDArray[np.float64]
+
+BLOCK: Final = 10
+"""Consecutive frames that are fitted one after the other by one process."""
+
+_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What the calibration predicts of N frames.
+
+    ``prior`` (N, D, D) is the covariance of the frames' deviations, ``jacobian`` (N, D, K) the change of the
+    predictions with the calibration, ``readings`` are by frame, less the lag; ``told`` (N,) whether there are those of
+    the outer joints.
+    """
+
+    model: SessionModel
+    calibration: Calibration
+    at: Posed
+    prior: Float64
+    jacobian: Float64
+    readings: list[dict[str, float]]
+    told: NDArray[np.bool_]
+
+
+def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: tuple[str, ...]) -> Prediction:
+    """Predict all frames from their readings less the lag.
+
+    A frame without readings is predicted by those nearest in time, with a wide standard deviation.
+    """
+    readings = _late_readings(recorded.files, recorded.series, session)
+    outer = outer_readings(readings)
+    joints = np.array([[own.get(name, np.nan) for name in joint_names] for own in readings])
+    told = np.asarray(~np.isnan(outer).any(axis=1))
+    known = np.flatnonzero(told)
+    nearest = known[np.abs(np.arange(len(told))[:, None] - known).argmin(axis=1)]
+    model, calibration = session.model(outer[nearest], joints[nearest], joint_names)
+    prior = model.covariance(calibration)
+    wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
+    trusted = told & ~recorded.frozen
+    prior[~trusted] += wide
+    return Prediction(
+        model, calibration, model.predict(calibration), prior, model.jacobian(calibration), readings, told
+    )
+
+
+def _late_readings(
+    files: Sequence[FrameFiles], series: ReadingSeries | None, session: SessionCalibration
+) -> list[dict[str, float]]:
+    """Return the readings of frames at the times of their images less the lag, if that was taken out."""
+    lag = session.applied_lag
+    if lag is None or series is None:
+        return [dict(own.readings) for own in files]
+    return [series.of_frame(own.name, lag) if own.name in series.frames else {} for own in files]
+
+
+def fit_all(
+    recorded: RecordedFrames,
+    session: SessionCalibration,
+    predicted: Prediction,
+    run: Run[Any, Any],
+) -> list[FittedFrame | None]:
+    """Fit every frame with the prediction as its prior."""
+    jacobian = predicted.jacobian
+    spread = predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2)
+    information = np.linalg.inv(spread)
+    frames = [
+        PredictedFrame(own.name, partial(_read, own, recorded, session), Expected(predicted.at[i], information[i]))
+        for i, own in enumerate(recorded.files)
+    ]
+    margin = 0.0 if session.masks is None else session.masks.taken_off
+    tasks = [BlockTask(tuple(frames[k : k + BLOCK]), margin) for k in range(0, len(frames), BLOCK)]
+    return [fitted for block in run(fit_block, tasks) for fitted in block]
+
+
+def _read(files: FrameFiles, recorded: RecordedFrames, session: SessionCalibration) -> FrameData | None:
+    """Read a frame with the camera of the calibration."""
+    data = read_shown(files, recorded.rig)
+    return None if data is None else data.with_camera(session.corrected(data.camera))

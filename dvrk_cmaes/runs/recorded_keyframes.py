@@ -1,0 +1,181 @@
+"""The calibration by which a recording is followed: solved from keyframes, or the reason that there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
+from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.keyframes import (
+    LEAST_KEYFRAMES,
+    MOST_KEYFRAMES,
+    MaskShape,
+    choose_keyframes,
+    has_outer_joints,
+    well_in_view,
+)
+from dvrk_cmaes.track.still_readings import frozen_frames
+
+Float64 = NDArray[np.float64]
+
+KEYFRAMES: Final = "keyframes.json"
+_LARGEST_LOSS = 0.15  # of the overlap, from the frames' fits to their predictions by the others
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrames:
+    """The frames of a recording that are followed, with what is measured once.
+
+    ``shapes`` are those of the masks, ``times`` (N,) s, ``names`` the K joints that are read, ``readings`` (N, K), NaN
+    without one; ``frozen`` (N,) tells where the outer joints' readings stand still while the mask moves.
+    """
+
+    files: tuple[FrameFiles, ...]
+    rig: Rig
+    series: ReadingSeries | None
+    times: Float64
+    shapes: list[MaskShape]
+    names: tuple[str, ...]
+    readings: Float64
+    frozen: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
+    ) -> RecordedFrames:
+        """Measure the masks of frames; InputError names a file that is wrong."""
+        shapes, centres = [], np.full((len(files), 2), np.nan)
+        for i, own in enumerate(files):
+            data = read_shown(own, rig)
+            mask = None if data is None else data.mask
+            shapes.append(MaskShape(0.0, 1.0) if mask is None else MaskShape.of(mask))
+            if mask is not None and mask.any():
+                rows, columns = np.nonzero(mask)
+                centres[i] = columns.mean(), rows.mean()
+        names = tuple(dict.fromkeys(name for own in files for name in own.readings))
+        readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in files])
+        outer = outer_readings([own.readings for own in files])
+        frozen = frozen_frames(outer, centres, rig.views[0].camera.width)
+        return cls(files, rig, series, times, shapes, names, readings, frozen)
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """Which frames (N,) have readings of all outer joints that are not frozen."""
+        return has_outer_joints(self.names, self.readings) & ~self.frozen
+
+    def keyframes(self) -> list[int]:
+        """Choose the keyframes: well in view, with readings that are not frozen, far from each other."""
+        usable = well_in_view(self.shapes) & self.trusted
+        return choose_keyframes(usable, self.times, self.names, self.readings, MOST_KEYFRAMES)
+
+
+def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
+    """Read a frame without its images; None if no view has a mask that shows something."""
+    if files.problem is not None:
+        raise InputError(files.problem)
+    masks = [own.mask for own in files.of_views(rig).values() if own.mask is not None]
+    if not masks:
+        return None
+    without = files.changed(image=None)
+    try:
+        return read_frame(without, rig, blank=True)
+    except InputError as error:
+        if len(rig.views) > 1 and "mask is empty" in str(error):
+            return None
+        raise
+
+
+@dataclass(frozen=True, eq=False)
+class AloneTask:
+    """Arguments of `alone_task`."""
+
+    files: FrameFiles
+    rig: Rig
+    arm: Arm
+
+
+def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
+    """Estimate a keyframe by itself, as `batch` does."""
+    data = read_frame(task.files.changed(image=None), task.rig)
+    return estimate_frame(task.files, data, body, arm=task.arm, config=config)
+
+
+def solve_keyframes(
+    recorded: RecordedFrames,
+    body: Body,
+    arm: Arm,
+    config: EstimateConfig,
+    run: Run[Any, Any],
+    progress: Callable[[str, int], None],
+) -> SessionCalibration | str:
+    """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
+    chosen = recorded.keyframes()
+    if len(chosen) < LEAST_KEYFRAMES:
+        frozen = " (readings are frozen)" if recorded.frozen.any() else ""
+        return f"{len(chosen)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
+    files = [recorded.files[i] for i in chosen]
+    progress("estimating keyframes", len(files))
+    alone: Sequence[Result] = run(alone_task, [AloneTask(own, recorded.rig, arm) for own in files])
+    frames = [
+        SessionFrame(
+            own.name,
+            partial(read_frame, own.changed(image=None), recorded.rig),
+            result,
+            own.keypoints,
+            None if recorded.series is None else recorded.series.frames.get(own.name),
+        )
+        for own, result in zip(files, alone, strict=True)
+    ]
+    try:
+        solved = calibrate_session(
+            frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress
+        )
+    except InputError as error:
+        return str(error)
+    overlap = float(np.mean([iou for iou, _ in solved.calibration.leave_one_out.values()] or [0.0]))
+    if overlap < solved.calibration.iou - _LARGEST_LOSS:
+        return f"the keyframes' calibration predicts left-out frames badly (IoU {overlap:.2f})"
+    return solved.calibration
+
+
+def read_keyframes(out: Path) -> SessionCalibration | str | None:
+    """Read what an interrupted run has found in a folder; None if there is nothing."""
+    path = out / KEYFRAMES
+    if not path.exists():
+        return None
+    document = read_json_object(path, expected="the solution of a recording's keyframes (keyframes.json)")
+    if isinstance(refused := document.get("refused"), str):
+        return refused
+    if not isinstance(calibration := document.get("calibration"), dict):
+        raise InputError(f"{path}: calibration: expected a session's calibration, got none: begin with --overwrite")
+    return SessionCalibration.from_dict(calibration, where=str(path))
+
+
+def write_keyframes(out: Path, found: SessionCalibration | str) -> SessionCalibration | str:
+    """Write what was found, and return it as it is read again."""
+    if isinstance(found, str):
+        write_json(out / KEYFRAMES, {"refused": found, "calibration": None})
+        return found
+    document = found.to_dict()
+    write_json(out / KEYFRAMES, {"refused": None, "calibration": document})
+    return SessionCalibration.from_dict(document)
