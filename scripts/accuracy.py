@@ -10,6 +10,7 @@
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
+    python scripts/accuracy.py fleet FOLDER...         recordings, or folders of them, followed with their calibration
     python scripts/accuracy.py perturbed SESSION...    real images: back from poses that are moved and turned
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
@@ -38,6 +39,7 @@ from measure.accuracy.cables import cables_report
 from measure.accuracy.calibration import calibration_report
 from measure.accuracy.camera import measure_camera
 from measure.accuracy.errors import error_report, feature_rows, frame_rows
+from measure.accuracy.fleet import fleet_report
 from measure.accuracy.halves import halved, halves_report
 from measure.accuracy.lag import find_lags, lag_report
 from measure.accuracy.lies import doubt_report, falsified_cases, load_others
@@ -127,7 +129,7 @@ def _parser() -> argparse.ArgumentParser:
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
     )
     parser.add_argument("--evidence", choices=KINDS, help="for track: follow by masks (default), images or both")
-    parser.add_argument("--smooth", action="store_true", help="for track: smooth")
+    parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
 
@@ -189,7 +191,6 @@ def _track(given: Measurement, options: argparse.Namespace) -> Report:
         every=options.every,
         calibration=None if options.session is None else read_calibration(options.session),
         use_joints=not options.no_joints,
-        smooth=options.smooth,
         evidence=options.evidence,
     )
 
@@ -205,6 +206,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "session-lies": lambda given, _: measure_session_lies(given),
     "lag": lambda given, _: lag_report(find_lags(given)),
     "track": _track,
+    "fleet": lambda given, options: fleet_report(given, causal=options.causal, keep=options.keep),
     "perturbed": lambda given, _: perturbed_report(given),
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),
     "rig": lambda given, options: rig_report(given, use_joints=not options.no_joints),

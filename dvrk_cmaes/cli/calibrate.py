@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    MOST_SKIPPED,
     MOST_WORKERS,
     OUTPUT,
     CameraOptions,
@@ -35,6 +37,7 @@ WORKERS = Group.create_ordered("Workers")
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
+_LEAST_KEYFRAMES = 3
 
 
 def calibrate(
@@ -45,6 +48,8 @@ def calibrate(
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
+    every: Annotated[int, Parameter(group=FOLDER)] = 1,
+    keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     camera: CameraOptions = DEFAULT_CAMERA,
@@ -81,6 +86,10 @@ def calibrate(
     only
         Arm of a session.toml with several tools: calibrate this one only; by default all of them, each in OUT/ARM, and
         the poses of their bases relative to the first one's in OUT/arms.json. May be given several times.
+    every
+        Calibrate only every N-th frame of a recording; the lag is found with all rows of readings.
+    keyframes
+        Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
     refine_camera
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml. Needs at least 10 frames and 5 mm of insertion.
@@ -97,6 +106,11 @@ def calibrate(
     """
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
+    check_range("--every", every, 1, MOST_SKIPPED)
+    if keyframes is not None:
+        check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
+        if every > 1:
+            raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, session_tools
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.arms import write_arms
@@ -106,7 +120,7 @@ def calibrate(
     arms: dict[str, ArmInSession] = {}
     solved: dict[str, SolvedSession] = {}
     for name, tool in session_tools(session, instrument, only).items():
-        arms[name] = tool.read(session, camera, joints=joints)
+        arms[name] = _share(tool.read(session, camera, joints=joints), every, keyframes)
         solution = _calibrate_arm(
             arms[name],
             target / name,
@@ -133,6 +147,15 @@ def calibrate(
         if not json:
             show([Line(f"all arms: {page}")])
     return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
+
+
+def _share(arm: ArmInSession, every: int, keyframes: int | None) -> ArmInSession:
+    """Return an arm with every N-th frame of its session, or with at most some keyframes of it if that is given."""
+    if keyframes is not None:
+        from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
+
+        return replace(arm, session=with_keyframes(arm.session, keyframes))
+    return arm if every == 1 else replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
 
 
 def _calibrate_arm(

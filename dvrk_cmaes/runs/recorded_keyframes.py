@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -19,12 +19,14 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.runs.track_clock import series_of
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.keyframes import (
     LEAST_KEYFRAMES,
@@ -83,10 +85,29 @@ class RecordedFrames:
         """Which frames (N,) have readings of all outer joints that are not frozen."""
         return has_outer_joints(self.names, self.readings) & ~self.frozen
 
-    def keyframes(self) -> list[int]:
-        """Choose the keyframes: well in view, with readings that are not frozen, far from each other."""
+    def keyframes(self, most: int = MOST_KEYFRAMES) -> list[int]:
+        """Choose at most some keyframes: well in view, with readings that are not frozen, far from each other."""
         usable = well_in_view(self.shapes) & self.trusted
-        return choose_keyframes(usable, self.times, self.names, self.readings, MOST_KEYFRAMES)
+        return choose_keyframes(usable, self.times, self.names, self.readings, most)
+
+
+def with_keyframes(session: Session, most: int) -> Session:
+    """Return a session with at most some of its frames: those well in view, far from each other.
+
+    Raises
+    ------
+    InputError
+        A file of a frame is wrong; no frame is well in view and has readings of all outer joints.
+    """
+    series = series_of(session)
+    times = np.array([0.0 if series is None else series.frames[own.name] for own in session.frames])
+    recorded = RecordedFrames.of(session.frames, session.rig, series, times)
+    frames = tuple(session.frames[i] for i in recorded.keyframes(most))
+    if not frames:
+        raise InputError(
+            f"{session.folder}: --keyframes: expected frames well in view with readings of all outer joints, got none"
+        )
+    return replace(session, frames=frames)
 
 
 def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:

@@ -66,21 +66,11 @@ def follow(recording: Recording, body: Body, settings: TrackSettings, *, frames:
     session = recording.session
     chosen = session.frames[:: settings.every][:frames]
     clock = TrackClock.of(session, chosen, settings.frames_a_second, use_joints=settings.use_joints)
-
-    def all_by(tracker: Tracker) -> list[TrackResult]:
-        results = []
-        for _, result in followed(tracker, chosen, clock, session.rig, with_images=settings.evidence != "masks"):
-            results.append(result)
-            if len(results) % _PROGRESS == 0:
-                print(f"{recording.name}: {len(results)} of {len(chosen)} frames", file=sys.stderr, flush=True)
-        return results
-
-    tracker = settings.tracker(session.rig, body)
-    results = all_by(tracker)
-    if settings.smooth:
-        tracker = settings.recording_tracker(session.rig, body, None if tracker.lag is None else tracker.lag.seconds)
-        all_by(tracker)
-        results = tracker.smoothed()
+    tracker, results = settings.tracker(session.rig, body), []
+    for _, result in followed(tracker, chosen, clock, session.rig, with_images=settings.evidence != "masks"):
+        results.append(result)
+        if len(results) % _PROGRESS == 0:
+            print(f"{recording.name}: {len(results)} of {len(chosen)} frames", file=sys.stderr, flush=True)
     return Followed(recording, chosen, results, tracker)
 
 

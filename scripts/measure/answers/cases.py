@@ -209,7 +209,7 @@ CASES: Final = (
         partial(_session, source="video/hard", frames=_numbered(60)),
         (
             ("track", "inputs", "--out", "out", *_PLAIN),
-            ("track", "inputs", "--out", "smooth", "--smooth", "--every", "3", *_PLAIN),
+            ("track", "inputs", "--out", "causal", "--causal", "--every", "3", *_PLAIN),
             ("track", "inputs", "--out", "unread", "--joints", "none", "--every", "2", *_PLAIN),
         ),
     ),

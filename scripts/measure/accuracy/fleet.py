@@ -1,0 +1,135 @@
+"""Many recordings with known truth, each followed with its own calibration: a row of figures for each, and one for all.
+
+Errors are those of the tips in frames in which at least half of the jaws can be seen (``visible`` in golden.json); a
+frame without a pose counts as a metre off. The share of ok frames is that of frames of which 0.8 of the jaws are seen.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+from dvrk_cmaes.runs.track_folder import track_folder
+from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
+from measure.accuracy.figures import base_errors
+from measure.cases import Measurement
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+_VISIBLE, _IN_VIEW = 0.5, 0.8
+_WITHOUT_POSE_MM: Final = 1000.0
+_WRONG_MM: Final = (2.0, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class TipErrors:
+    """Frames of a recording in which the jaws are seen: errors of the tips, mm, and their stated standard deviations.
+
+    ``ok`` tells the status, ``in_view`` whether nearly all of the jaws is seen. All are (F,); ``std`` is NaN without a
+    pose.
+    """
+
+    errors: Float64
+    std: Float64
+    ok: Bool
+    in_view: Bool
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, Any]], golden: Mapping[str, Any]) -> TipErrors:
+        """Compare rows of tracks.jsonl with the truth, the frames of golden.json by name."""
+        table = []
+        for row in rows:
+            truth = golden[row["frame"]]
+            visible = truth.get("visible", 1.0)
+            if visible < _VISIBLE:
+                continue
+            error, std = _WITHOUT_POSE_MM, np.nan
+            if row["tips"] is not None:
+                off = np.array(row["tips"]) - np.array(truth["tips_camera_m"])
+                error, std = 1e3 * float(np.linalg.norm(off, axis=1).mean()), float(row["std"]["tip_mm"])
+            table.append((error, std, row["status"] == "ok", visible >= _IN_VIEW))
+        errors, std, ok, in_view = np.array(table, dtype=np.float64).reshape(-1, 4).T
+        return cls(errors, std, ok > 0, in_view > 0)
+
+    @classmethod
+    def pooled(cls, each: Sequence[TipErrors]) -> TipErrors:
+        """Put the frames of several recordings together."""
+        names = ("errors", "std", "ok", "in_view")
+        return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in names))
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of a row."""
+        median, most, worst = _percentiles(self.errors, 50, 95, 100)
+        ratio = (self.errors / self.std)[~np.isnan(self.std)]
+        usual, large = _percentiles(ratio, 50, 95)
+        trusted = self.errors[self.ok]
+        return {
+            "frames": len(self.errors),
+            "tips, mm": median,
+            "95 %": most,
+            "worst": worst,
+            "ok in view": _share(self.ok[self.in_view]),
+            **{f"ok beyond {limit:g} mm": _share(trusted > limit) for limit in _WRONG_MM},
+            "error / std": usual,
+            "error / std, 95 %": large,
+        }
+
+
+def _percentiles(values: Float64, *shares: float) -> list[float]:
+    """Return percentiles of values (F,); NaN without any."""
+    return np.percentile(values, shares).tolist() if len(values) else [float("nan")] * len(shares)
+
+
+def _share(which: Bool) -> float:
+    """Return the share of values (F,) that are true; NaN without any."""
+    return float(which.mean()) if len(which) else float("nan")
+
+
+def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None = None) -> dict[str, Any]:
+    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given."""
+    rows: list[dict[str, Any]] = []
+    found: list[TipErrors] = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for folder in recordings_in(given.folders):
+            print(f"{folder.name}: following", file=sys.stderr, flush=True)
+            golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))
+            out = (Path(temporary) if keep is None else keep) / folder.name
+            session, evidence = used_session(read_session(folder), None)
+            settings = TrackSettings(given.config, causal=causal, evidence=evidence, workers=given.workers)
+            done = track_folder(session, out, given.body, settings, video=False, page=False, notice=_notice)
+            found.append(TipErrors.of(read_tracks(out / TRACKS), golden["frames"]))
+            row = {"recording": folder.name, **found[-1].figures(), "base, deg": None, "base, mm": None, "lag": None}
+            if done.calibration is not None and golden.get("camera_from_base") is not None:
+                true = np.array(golden["camera_from_base"])
+                row["base, deg"], row["base, mm"] = base_errors(done.calibration.camera_from_base, true)
+            if done.calibration is not None and done.calibration.lag is not None:
+                row["lag"] = done.calibration.lag.frames
+            rows.append(row)
+    pooled = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
+    pooled["worst median"] = max(row["tips, mm"] for row in rows)
+    return {"recordings": rows, "all": [pooled]}
+
+
+def recordings_in(folders: Sequence[str | Path]) -> Iterator[Path]:
+    """Give the recordings with a truth among folders, or in them."""
+    for folder in map(Path, folders):
+        if (folder / "golden.json").exists():
+            yield folder
+        else:
+            yield from sorted(path.parent for path in folder.glob("*/golden.json"))
+
+
+def _notice(text: str) -> None:
+    """Print a line about a recording."""
+    print(f"  {text}", file=sys.stderr, flush=True)

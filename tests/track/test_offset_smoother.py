@@ -1,0 +1,64 @@
+"""Smoothing of frames' deviations from a calibration's predictions, against the dense solution of the same problem."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.track.offset_smoother import smooth
+
+COUNT, SIZE, CONSTANTS = 6, 3, 2
+TIMES = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 1.0])
+
+
+def spread(values: np.ndarray, times: np.ndarray, slow: float, fast: float, share: float) -> np.ndarray:
+    """Return the covariance (N D, N D) of all deviations together."""
+    apart = np.abs(times[:, None] - times)
+    correlation = share * np.exp(-apart / slow) + (1 - share) * np.exp(-apart / fast)
+    return np.asarray(np.kron(correlation, values))
+
+
+def test_result_is_that_of_the_dense_system() -> None:
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((SIZE, SIZE))
+    prior = root @ root.T + np.eye(SIZE)
+    information = np.array([a @ a.T for a in rng.standard_normal((COUNT, SIZE, SIZE))])
+    optimum = rng.standard_normal((COUNT, SIZE))
+    jacobian = rng.standard_normal((COUNT, SIZE, CONSTANTS))
+    stacked = np.tile(prior, (COUNT, 1, 1))
+    found = smooth(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
+    told = np.zeros((COUNT * SIZE, COUNT * SIZE))
+    for k in range(COUNT):
+        told[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] = information[k]
+    covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES, 1.0, 0.1, 0.7)) + told)
+    assert found.deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)
+    blocks = [covariance[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] for k in range(COUNT)]
+    assert found.covariance == pytest.approx(np.array(blocks), abs=1e-6)
+    moved = jacobian.reshape(-1, CONSTANTS)
+    assert found.response.reshape(-1, CONSTANTS) == pytest.approx(moved - covariance @ told @ moved, abs=1e-6)
+
+
+def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
+    information = np.tile(1e6 * np.eye(SIZE), (3, 1, 1))
+    information[1] = 0
+    shown = np.array([0.5, -0.3, 0.1])
+    optimum = information @ shown
+    prior, jacobian = np.tile(np.eye(SIZE), (3, 1, 1)), np.zeros((3, SIZE, CONSTANTS))
+    found = smooth(np.array([0.0, 0.01, 0.02]), prior, information, optimum, jacobian)
+    assert found.deviations[1] == pytest.approx(shown, rel=0.15)
+    assert np.trace(found.covariance[1]) > np.trace(found.covariance[0])
+
+
+def test_without_evidence_the_prediction_and_its_prior_remain() -> None:
+    prior = np.array([(1 + k) * np.eye(SIZE) for k in range(3)])
+    nothing, jacobian = np.zeros((3, SIZE, SIZE)), np.ones((3, SIZE, CONSTANTS))
+    found = smooth(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian)
+    assert found.deviations == pytest.approx(np.zeros((3, SIZE)))
+    assert found.covariance == pytest.approx(prior, rel=1e-6)
+    assert found.response == pytest.approx(jacobian)
+
+
+def test_a_single_frame_is_weighed_with_its_prior() -> None:
+    found = smooth(np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1)))
+    assert found.deviations[0] == pytest.approx([1.0, 0.0])
+    assert found.covariance[0] == pytest.approx(0.5 * np.eye(2))

@@ -1,0 +1,49 @@
+"""Readings that stand still: frozen outer joints while the mask moves, and a wrist whose values are commanded."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dvrk_cmaes.track.still_readings import commanded_joints, describe_frozen, frozen_frames
+
+FRAMES = 30
+
+
+def moving(count: int = FRAMES) -> np.ndarray:
+    return np.linspace(0, 0.3, count)[:, None] * np.array([1.0, -1.0, 0.1, 2.0])
+
+
+def centres(count: int = FRAMES) -> np.ndarray:
+    return np.column_stack([np.linspace(100, 300, count), np.full(count, 200.0)])
+
+
+def test_readings_that_move_are_not_frozen() -> None:
+    assert not frozen_frames(moving(), centres(), 640).any()
+
+
+def test_readings_that_stand_still_from_some_frame_on_while_the_mask_moves_are_frozen_there() -> None:
+    outer = moving()
+    outer[12:] = outer[12]
+    assert np.flatnonzero(frozen_frames(outer, centres(), 640)).tolist() == [*range(12, FRAMES)]
+
+
+def test_an_arm_at_rest_is_not_frozen() -> None:
+    assert not frozen_frames(np.zeros((FRAMES, 4)), np.full((FRAMES, 2), 200.0), 640).any()
+
+
+def test_missing_readings_and_masks_are_not_frozen() -> None:
+    assert not frozen_frames(np.full((FRAMES, 4), np.nan), centres(), 640).any()
+    assert not frozen_frames(np.zeros((FRAMES, 4)), np.full((FRAMES, 2), np.nan), 640).any()
+
+
+def test_reason_names_the_frame_since_which_readings_are_frozen() -> None:
+    texts = describe_frozen(np.array([False, True, True, False, True]), ["a", "b", "c", "d", "e"])
+    since = [None if text is None else text.split(":")[0] for text in texts]
+    assert since == [None, *["readings frozen since frame b"] * 2, None, "readings frozen since frame e"]
+
+
+def test_a_joint_that_is_constant_while_the_arm_moves_is_commanded() -> None:
+    joints = np.column_stack([np.full(FRAMES, 0.4), np.linspace(0, 1, FRAMES), np.full(FRAMES, np.nan)])
+    names = ("wrist_pitch", "wrist_yaw", "jaw")
+    assert commanded_joints(moving(), joints, names) == ["wrist_pitch"]
+    assert commanded_joints(np.zeros((FRAMES, 4)), joints, names) == []
