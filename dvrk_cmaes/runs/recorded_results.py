@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
+from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Posed, apply, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
@@ -26,13 +28,14 @@ from dvrk_cmaes.track.still_readings import commanded_joints, describe_frozen
 
 Float64 = NDArray[np.float64]
 
-CORRELATED_FRAMES = 2.0
+CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
-_OVERLAP_LOSS = 0.03  # as in `dvrk_cmaes.calibration.prediction`
-_CONTOUR_FACTOR, _LARGEST_PX = 1.5, 3.5
+_OVERLAP_LOSS = 0.06  # below that of the keyframes, from which on a mask is not explained; neighbours support the pose,
+_CONTOUR_FACTOR, _LARGEST_PX = 2.0, 3.5  # so the limits are wider than those of a single frame
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _CALIBRATION_ERROR = 2.0  # factor on the calibration's covariance, for errors that all masks of a recording share
+_MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 _MEDIAN_TO_STD = 1.4826
 
 
@@ -49,12 +52,13 @@ class SmoothedFrames:
 
 
 def smooth_frames(
-    times: Float64, predicted: Prediction, fits: Sequence[FittedFrame | None], session: SessionCalibration
+    recorded: RecordedFrames,
+    predicted: Prediction,
+    fits: Sequence[FittedFrame | None],
+    session: SessionCalibration,
+    instrument: Instrument,
 ) -> SmoothedFrames:
-    """Smooth the deviations of N frames from their predictions; a fit that disagrees counts less, or not at all.
-
-    ``times`` (N,) are those of the frames, s.
-    """
+    """Smooth the deviations of N frames from their predictions; a fit that disagrees counts less, or not at all."""
     count, size = predicted.prior.shape[:2]
     information, optimum, misfit = np.zeros((count, size, size)), np.zeros((count, size)), np.zeros(count)
     calibrated = _CALIBRATION_ERROR * session.covariance_given_camera
@@ -72,11 +76,32 @@ def smooth_frames(
             weight = 0.0
         information[i] = weight * fit.information
         optimum[i] = weight * (fit.information @ deviation - fit.slope)
-    smoothed = smooth(times, predicted.prior, information, optimum, predicted.jacobian)
+    smoothed = smooth(recorded.times, predicted.prior, information, optimum, predicted.jacobian)
     response = smoothed.response
     covariance = smoothed.covariance + response @ calibrated @ np.swapaxes(response, 1, 2)
     at = [predicted.at[i].moved(smoothed.deviations[i]) for i in range(count)]
+    camera = session.corrected(recorded.rig.views[0].camera)
+    covariance += np.array([_of_margin(one, session.masks, camera, instrument) for one in at])
     return SmoothedFrames(at, covariance, misfit)
+
+
+def _of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the covariance (D, D) of a pose by a margin that all masks share: the tool seems nearer or farther.
+
+    A shaft that looks wider by twice the margin is nearer in the same proportion.
+    """
+    size = 6 + len(at.joints)
+    if instrument.shaft is None:
+        return np.zeros((size, size))
+    margin = _MARGIN_PX**2
+    if masks is not None:
+        margin += masks.std_margin_px**2 + (masks.margin_px - masks.taken_off) ** 2
+    tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
+    distance = float(np.linalg.norm(tips))
+    width = camera.fx * 2 * instrument.shaft.radius / distance
+    along = np.zeros(size)
+    along[:3] = at.pose[:3, :3].T @ tips * 2 / width
+    return np.asarray(margin * np.outer(along, along))
 
 
 def judge_all(

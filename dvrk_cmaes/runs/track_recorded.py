@@ -112,7 +112,7 @@ def follow_recorded(
             notice(f"fitting {len(frames)} frames")
             predicted = predict(recorded, calibration, body.instrument.joint_names)
             fits = fit_all(recorded, calibration, predicted, run)
-            smoothed = smooth_frames(times, predicted, fits, calibration)
+            smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument)
             judged = judge_all(smoothed, fits, predicted, run)
         except _StoppedError:
             return None

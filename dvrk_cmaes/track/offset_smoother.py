@@ -14,12 +14,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.silhouette.threads import single_blas_thread
+
 Float64 = NDArray[np.float64]
 
 SLOW_SHARE: Final = 0.8
-SLOW_SECONDS: Final = 2.0
+SLOW_SECONDS: Final = 0.5
 FAST_SECONDS: Final = 0.1
-CORRELATION: Final = 2.0
 
 _JITTER = 1e-9  # of a covariance, so that it can be inverted
 
@@ -36,6 +37,7 @@ class Smoothed:
     response: Float64
 
 
+@single_blas_thread()
 def smooth(
     times: Float64,
     prior: Float64,
