@@ -1,4 +1,4 @@
-"""``dvrk-cmaes track``: files, statuses and exit codes, an interrupted run, smoothing, and wrong use."""
+"""``dvrk-cmaes track``: files, statuses and exit codes, an interrupted run, and wrong use."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
 
 FRAMES = 8
-SETTINGS = TrackSettings(EstimateConfig(), lag=0.0)
+SETTINGS = TrackSettings(EstimateConfig(), lag=0.0, causal=True)
 
 
 @pytest.fixture(scope="module")
@@ -127,11 +127,14 @@ def test_interrupted_run_goes_on_with_same_results(recording: Path, tracks: Path
     assert without_seconds(tmp_path) == without_seconds(tracks)
 
 
-def test_smoothing_keeps_one_base(recording: Path, tmp_path: Path) -> None:
-    settings = TrackSettings(EstimateConfig(), lag=0.0, smooth=True)
-    done = track_folder(read_session(recording), tmp_path, prepare("lnd"), settings, video=False)
-    assert done.calibration is not None
-    assert tip_errors_mm(without_seconds(tmp_path), recording).max() < 1.0
+def test_short_recording_is_followed_from_image_to_image_and_one_line_says_why(recording: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    session = read_session(recording)
+    settings = TrackSettings(EstimateConfig(), lag=0.0, every=4, evidence="masks")
+    track_folder(session, tmp_path, prepare("lnd"), settings, video=False, page=False, notice=said.append)
+    assert said == [
+        "followed from image to image, as by --causal: 2 frames are well in view and have readings, fewer than 12"
+    ]
 
 
 def test_results_of_other_settings_are_not_continued(
@@ -140,7 +143,7 @@ def test_results_of_other_settings_are_not_continued(
     out = tmp_path / "out"
     shutil.copytree(tracks, out)
     before = (out / "tracks.jsonl").read_bytes()
-    ran = run_command(capsys, "track", str(recording), "--out", str(out), "--lag", "0.1")
+    ran = run_command(capsys, "track", str(recording), "--out", str(out), "--lag", "0.1", "--causal")
     assert ran.code == 2
     assert "track.lag: 0.0 -> 0.1" in ran.err
     assert (out / "tracks.jsonl").read_bytes() == before
@@ -154,6 +157,8 @@ def test_results_of_other_settings_are_not_continued(
             ["--lag", "soon"],
             "--lag: expected a number of seconds such as 0.13, or of frames such as 4frames, got 'soon'",
         ),
+        (["--smooth"], "--smooth: expected no such option: by default, each result uses all frames; leave it out"),
+        (["--workers", "0"], "--workers: expected a whole number of at least 1, got 0"),
         (["--fps", "0"], "--fps: expected frames a second above 0, got 0"),
         (["--session", "none.json"], "none.json: no such file"),
         (["--rerun", "a.mp4"], "--rerun: expected the name of a file that ends in .rrd, got 'a.mp4'"),

@@ -24,7 +24,11 @@ def test_shape_of_a_mask_tells_area_and_share_on_the_border() -> None:
 
 
 def test_slivers_and_masks_along_the_border_are_not_well_in_view() -> None:
-    large, sliver, strip = box(slice(20, 60), slice(20, 60)), box(slice(5, 10), slice(5, 10)), box(slice(0, 16), slice(None))
+    large, sliver, strip = (
+        box(slice(20, 60), slice(20, 60)),
+        box(slice(5, 10), slice(5, 10)),
+        box(slice(0, 16), slice(None)),
+    )
     assert well_in_view([large, large, sliver, strip]).tolist() == [True, True, False, False]
     assert not well_in_view([MaskShape(0.0, 1.0)] * 3).any()
 

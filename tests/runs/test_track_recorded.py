@@ -1,0 +1,146 @@
+"""A recording followed with the calibration of its keyframes: poses, statuses, resumption, and what is not."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.session_worlds import make_frames_in_memory, write_folder
+
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.results.track_files import read_tracks
+from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
+from dvrk_cmaes.runs.track_folder import track_folder
+from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.runs.track_recorded import why_causal
+from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.synth.truth import Truth
+
+FRAMES = 14
+EMPTY = "0005"
+SETTINGS = TrackSettings(EstimateConfig(), evidence="masks", workers=1)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Truth]]:
+    """A session of an arm that moves from frame to frame; the mask of one frame shows nothing."""
+    folder = tmp_path_factory.mktemp("recorded") / "session"
+    _, truths, frames = make_frames_in_memory(prepare("lnd"), FRAMES, seed=5)
+    names = [frame.name for frame in frames]
+    hidden = names.index(EMPTY)
+    data = frames[hidden].data
+    assert isinstance(data, FrameData)
+    frames[hidden] = replace(frames[hidden], data=FrameData.of(np.zeros_like(data.mask), data.camera, None))
+    write_folder(folder, frames)
+    return folder, dict(zip(names, truths, strict=True))
+
+
+@pytest.fixture(scope="module")
+def tracks(made: tuple[Path, dict[str, Truth]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of the whole recording."""
+    out = tmp_path_factory.mktemp("tracks")
+    done = track_folder(read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=False)
+    assert not done.interrupted
+    return out
+
+
+def tip_error_mm(row: dict[str, object], truth: Truth) -> float:
+    instrument = prepare("lnd").instrument
+    pose = truth.camera_from_root
+    true = instrument.tips(truth.values) @ pose[:3, :3].T + pose[:3, 3]
+    return 1e3 * float(np.linalg.norm(np.array(row["tips"]) - true, axis=1).mean())
+
+
+def test_every_pose_is_near_the_truth_and_within_its_stated_error(
+    made: tuple[Path, dict[str, Truth]], tracks: Path
+) -> None:
+    rows = [row for row in read_tracks(tracks / "tracks.jsonl") if row["frame"] != EMPTY]
+    errors = np.array([tip_error_mm(row, made[1][row["frame"]]) for row in rows])
+    assert len(rows) == FRAMES - 1
+    assert np.median(errors) < 1.5
+    assert (errors / [row["std"]["tip_mm"] for row in rows]).max() < 3.5
+    assert sum(row["status"] == "ok" for row in rows) >= FRAMES // 2
+
+
+def test_frame_that_shows_nothing_is_lost_and_has_the_predicted_pose(
+    made: tuple[Path, dict[str, Truth]], tracks: Path
+) -> None:
+    row = next(row for row in read_tracks(tracks / "tracks.jsonl") if row["frame"] == EMPTY)
+    assert row["status"] == "lost"
+    assert row["reasons"] == ["lost: the mask shows nothing of the instrument"]
+    assert tip_error_mm(row, made[1][EMPTY]) < 10
+    assert row["residual_px"] is None
+
+
+def test_calibration_of_the_keyframes_is_kept_beside_the_tracks(tracks: Path) -> None:
+    calibration = read_calibration(tracks / "session.json")
+    assert EMPTY not in calibration.frames
+    assert len(calibration.frames) >= 10
+
+
+def test_run_that_was_interrupted_after_the_keyframes_does_not_solve_them_again(
+    made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
+) -> None:
+    out, said = tmp_path / "out", []
+    shutil.copytree(tracks, out)
+    (out / "tracks.jsonl").unlink()
+    track_folder(read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=False, notice=said.append)
+    assert said == [f"keyframes: solved by an interrupted run ({out / 'keyframes.json'})", f"fitting {FRAMES} frames"]
+    again, before = (read_tracks(place / "tracks.jsonl") for place in (out, tracks))
+    assert [{**row, "seconds": 0} for row in again] == [{**row, "seconds": 0} for row in before]
+
+
+def test_stopped_run_writes_no_tracks(made: tuple[Path, dict[str, Truth]], tmp_path: Path) -> None:
+    stop = threading.Event()
+    stop.set()
+    done = track_folder(read_session(made[0]), tmp_path, prepare("lnd"), SETTINGS, stop=stop)
+    assert done.interrupted
+    assert not (tmp_path / "tracks.jsonl").exists()
+
+
+def test_damaged_solution_of_keyframes_is_named(
+    made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(tracks, out)
+    write_json(out / "keyframes.json", {"refused": None, "calibration": 3})
+    with pytest.raises(InputError, match=r"keyframes\.json: calibration: expected a session's calibration, got none"):
+        track_folder(read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=False)
+
+
+def test_given_calibration_is_used_instead_of_keyframes(
+    made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
+) -> None:
+    given = replace(SETTINGS, calibration=read_calibration(tracks / "session.json"))
+    said: list[str] = []
+    track_folder(read_session(made[0]), tmp_path, prepare("lnd"), given, video=False, page=False, notice=said.append)
+    assert said == [f"fitting {FRAMES} frames"]
+    assert not (tmp_path / "keyframes.json").exists()
+    pairs = zip(read_tracks(tmp_path / "tracks.jsonl"), read_tracks(tracks / "tracks.jsonl"), strict=True)
+    assert all(np.allclose(own["tips"], other["tips"], atol=2e-4) for own, other in pairs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [({"use_joints": False}, "without readings"), ({"evidence": "images"}, "without masks of all frames")],
+)
+def test_what_keyframes_cannot_solve_is_followed_from_image_to_image(changes: dict[str, object], why: str) -> None:
+    assert why_causal(replace(SETTINGS, **changes)) == why
+    assert why_causal(SETTINGS) is None
+
+
+def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[str, Truth]]) -> None:
+    chosen = with_keyframes(read_session(made[0]), 6)
+    names = [files.name for files in chosen.frames]
+    assert len(names) == 6
+    assert EMPTY not in names
+    assert names == sorted(names)
