@@ -152,7 +152,8 @@ def solve_keyframes(
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
     chosen = recorded.keyframes()
     if len(chosen) < LEAST_KEYFRAMES:
-        frozen = " (readings are frozen)" if recorded.frozen.any() else ""
+        since = recorded.files[int(recorded.frozen.argmax())].name
+        frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return f"{len(chosen)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
     files = [recorded.files[i] for i in chosen]
     progress("estimating keyframes", len(files))

@@ -9,14 +9,14 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
@@ -48,6 +48,9 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 
 CHECKPOINT: Final = "checkpoint.json"
+UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
+"""Reason of every frame of an instrument with a mirror twin that is followed without any readings."""
+
 _SAVED_EVERY: Final = 100  # frames
 
 
@@ -94,7 +97,9 @@ class _Run:
         return followed(tracker, self.frames, self.clock, self.session.rig, done=done, with_images=with_images)
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
-        """Return the row of a frame in tracks.jsonl."""
+        """Return the row of a frame in tracks.jsonl; without any readings, it is not ok."""
+        if not self.clock.readings and self.body.instrument.has_twin and result.status == "ok":
+            result = replace(result, status="doubtful", reasons=(UNREAD,))
         return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 
@@ -155,9 +160,10 @@ def track_folder(
         kept = old is not None and resume
         if not kept:
             (out / KEYFRAMES).unlink(missing_ok=True)
+        followed = _finished(run) if kept else None
         (out / SESSION).unlink(missing_ok=True)
         write_manifest(out, manifest)
-        followed = _by_keyframes(run, notice)
+        followed = followed or _by_keyframes(run, notice)
         if followed is None:
             tracker = settings.tracker(session.rig, body)
             rows = _restored(out, tracker, body.instrument.joint_names) if kept else []
@@ -193,6 +199,17 @@ def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
                 write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
             if run.stopped:
                 break
+
+
+def _finished(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+    """Return rows and calibration of a recording that was followed by its keyframes to the end; None otherwise."""
+    tracks, session = run.out / TRACKS, run.out / SESSION
+    if (run.out / CHECKPOINT).exists() or not (tracks.exists() and session.exists()):
+        return None
+    rows = read_tracks(tracks)
+    if [row["frame"] for row in rows] != [files.name for files in run.frames]:
+        return None
+    return rows, read_calibration(session)
 
 
 def _by_keyframes(

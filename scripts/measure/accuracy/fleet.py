@@ -54,11 +54,11 @@ class TipErrors:
             visible = truth.get("visible", 1.0)
             if visible < _VISIBLE:
                 continue
-            error, std = _WITHOUT_POSE_MM, np.nan
+            error, stated = _WITHOUT_POSE_MM, np.nan
             if row["tips"] is not None:
                 off = np.array(row["tips"]) - np.array(truth["tips_camera_m"])
-                error, std = 1e3 * float(np.linalg.norm(off, axis=1).mean()), float(row["std"]["tip_mm"])
-            table.append((error, std, row["status"] == "ok", visible >= _IN_VIEW))
+                error, stated = 1e3 * float(np.linalg.norm(off, axis=1).mean()), float(row["std"]["tip_mm"])
+            table.append((error, stated, row["status"] == "ok", visible >= _IN_VIEW))
         errors, std, ok, in_view = np.array(table, dtype=np.float64).reshape(-1, 4).T
         return cls(errors, std, ok > 0, in_view > 0)
 
