@@ -179,10 +179,12 @@ def batch(
         raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
     arms: dict[str, ArmInSession] = {}
     finished: dict[str, BatchSummary] = {}
+    calibrations = {name: read_calibration_of(calibration, tool.tool.arm) for name, tool in tools.items()}
     for name, tool in tools.items():
         arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+    for name, arm in arms.items():
         finished[name] = done = _run(
-            arms[name],
+            arm,
             results / name,
             settings,
             scheduler=scheduler,
@@ -195,7 +197,7 @@ def batch(
             time_limit=time_limit,
             lag=given,
             find_lag=lag == AUTO,
-            calibration=read_calibration_of(calibration, tool.tool.arm),
+            calibration=calibrations[name],
         )
         if done.interrupted:
             break

@@ -100,6 +100,7 @@ def calibrate(
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, session_tools
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.runs.ownership import check_owned
 
     target = session / "calibration" if out is None else out
     settings = method.resolve()
@@ -107,8 +108,14 @@ def calibrate(
     solved: dict[str, SolvedSession] = {}
     for name, tool in session_tools(session, instrument, only).items():
         arms[name] = tool.read(session, camera, joints=joints)
+        if results is not None and (results / name).resolve() == (target / name).resolve():
+            raise InputError(
+                f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
+            )
+        check_owned(target / name, "calibrate", replaces=True)
+    for name, arm in arms.items():
         solution = _calibrate_arm(
-            arms[name],
+            arm,
             target / name,
             None if results is None else results / name,
             refine_camera=refine_camera,
@@ -147,14 +154,13 @@ def _calibrate_arm(
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
+    from dvrk_cmaes.runs.output import locked
     from dvrk_cmaes.runs.processes import usable_cores
 
-    if results is not None and results.resolve() == target.resolve():
-        raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
     session, model = arm.session, arm.body.instrument
     count = workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
-    with used as processes:
+    with locked(target), used as processes:
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames

@@ -166,28 +166,30 @@ def track(
     files = () if readings is None else (readings,)
     finished: dict[str, TrackSummary] = {}
     arms: dict[str, ArmInSession] = {}
+    settings: dict[str, TrackSettings] = {}
+    for name, tool in tools.items():
+        arm = source.read(tool, camera, recording, joints=files)
+        followed, used = used_session(arm.session, evidence)
+        arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
+        settings[name] = TrackSettings(
+            method.resolve(),
+            arm.kinematics,
+            read_calibration_of(calibration, tool.tool.arm),
+            seconds,
+            every,
+            joints != "none",
+            fps,
+            smooth,
+            used,
+            prompts.resolve(),
+        )
     with stopping_on_interrupt() as stop:
-        for name, tool in tools.items():
-            arm = source.read(tool, camera, recording, joints=files)
-            followed, used = used_session(arm.session, evidence)
-            arms[name] = arm = replace(arm, session=with_first_mask(followed, first_mask))
-            settings = TrackSettings(
-                method.resolve(),
-                arm.kinematics,
-                read_calibration_of(calibration, tool.tool.arm),
-                seconds,
-                every,
-                joints != "none",
-                fps,
-                smooth,
-                used,
-                prompts.resolve(),
-            )
+        for name, arm in arms.items():
             finished[name] = done = track_folder(
                 arm.session,
                 target / name,
                 arm.body,
-                settings,
+                settings[name],
                 resume=resume,
                 video=video,
                 page=page,
