@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-    from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
     from dvrk_cmaes.camera import Camera, Rig
+    from dvrk_cmaes.camera.files import read_camera
     from dvrk_cmaes.config import (
         EstimateConfig,
         LookAtRange,
@@ -99,6 +100,8 @@ _HOMES = {
     "estimate_tools": "estimation",
     "load_instrument": "instrument",
     "prepare": "silhouette.prepare",
+    "read_calibration": "calibration.document",
+    "read_camera": "camera.files",
     "read_frame": "frames.frame",
     "read_result": "results.file",
     "read_results": "results.folder",
@@ -159,11 +162,18 @@ __all__ = [
     "estimate_tools",
     "load_instrument",
     "prepare",
+    "read_calibration",
+    "read_camera",
     "read_frame",
     "read_result",
     "read_results",
     "read_session",
 ]
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted(__all__)
 
 
 def __getattr__(name: str) -> Any:
