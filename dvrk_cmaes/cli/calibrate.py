@@ -7,14 +7,16 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    FOLDER,
     MOST_WORKERS,
     OUTPUT,
+    WORKERS,
     CameraOptions,
     Flag,
     InstrumentOptions,
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
-FOLDER = Group.create_ordered("Folder")
-WORKERS = Group.create_ordered("Workers")
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
@@ -52,7 +52,7 @@ def calibrate(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
+    r"""Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
 
     All frames are solved together. It is assumed that the base does not move, that the readings of the outer joints are
     good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
@@ -63,7 +63,10 @@ def calibrate(
 
     Example:
 
-    `dvrk-cmaes calibrate session --results session/results --out calibrated`
+    ```
+    dvrk-cmaes calibrate session \
+      --results session/results --out calibrated
+    ```
 
     Afterwards `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from the calibration.
 

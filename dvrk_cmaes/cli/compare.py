@@ -36,9 +36,13 @@ def compare(
 
     Example:
 
-    `dvrk-cmaes compare before after --out differences`
+    ```
+    dvrk-cmaes compare before after --out differences
+    ```
 
-    `dvrk-cmaes compare session/golden.json results`
+    ```
+    dvrk-cmaes compare session/golden.json results
+    ```
 
     Parameters
     ----------

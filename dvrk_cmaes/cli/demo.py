@@ -62,7 +62,9 @@ def demo(
 
     Example:
 
-    `dvrk-cmaes demo --out demo`
+    ```
+    dvrk-cmaes demo --out demo
+    ```
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 if TYPE_CHECKING:
     Format = str
 else:
-    Format = Literal[tuple(FORMATS)]
+    Format = Literal[tuple(sorted(FORMATS))]
 
 NAMES = Group.create_ordered("Names")
 DVRK = Group.create_ordered("dVRK")
@@ -94,7 +94,7 @@ def export(
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Write results in the formats of other programs.
+    r"""Write results in the formats of other programs.
 
     Formats, with the transform and its units (a_from_b maps points of b into a):
 
@@ -106,7 +106,10 @@ def export(
 
     Example:
 
-    `dvrk-cmaes export results --to dvrk --arm PSM2 --out calibration`
+    ```
+    dvrk-cmaes export results --to dvrk --arm PSM2 \
+      --out calibration
+    ```
 
     Parameters
     ----------

@@ -10,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    FOLDER,
     MOST_SKIPPED,
     OUTPUT,
     CameraOptions,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_folder import TrackSummary
 
-FOLDER = Group("Folder", sort_key=0)
 
 AUTO = "auto"
 
@@ -70,7 +70,7 @@ def track(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
+    r"""Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
     The first frame is solved as by `estimate`; the others start from what the readings did since the frame before. No
     frame's result depends on later frames, unless --smooth is given. A lost instrument is searched for, around the
@@ -84,9 +84,14 @@ def track(
 
     Example:
 
-    `dvrk-cmaes track session --out tracks`
+    ```
+    dvrk-cmaes track session --out tracks
+    ```
 
-    `dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks`
+    ```
+    dvrk-cmaes track session/video.mp4 \
+      --box 250,180,639,380 --out tracks
+    ```
 
     Parameters
     ----------
