@@ -141,6 +141,11 @@ def _sums(comparison: Comparison) -> Iterator[Line]:
         within = comparison.within_90(k)
         if within is not None:
             yield Line(f"  tips within the stated 90 % distance of the truth: {within[0]} of {within[1]} frames")
+        within_std = comparison.within_std(k)
+        if within_std is not None:
+            once, twice, of = within_std
+            shares = f"{once / of:.0%} of {of} frames, within twice of it {twice / of:.0%}"
+            yield Line(f"  tips within their stated standard deviation of the truth: {shares} (expected: 65 %, 95 %)")
         missing = [name for name in comparison.frames if name in comparison.sets[comparison.reference].frames]
         missing = [name for name in missing if name not in found]
         if missing:

@@ -147,7 +147,7 @@ def export(
         raise InputError(f"--scene, --object-id: expected whole numbers of at least 0, got {scene}, {object_id}")
     if ecm_pose is not None and to != "dvrk":
         raise InputError(f"--ecm-pose: expected the format dvrk, got --to {to}")
-    if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag"):
+    if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag") and (to, bag.tool) != ("tum", None):
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.export.formats import export as exported_files
