@@ -258,6 +258,8 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
     """Yield the lines of a summary."""
     import numpy as np
 
+    from dvrk_cmaes.results.track_files import VIDEO
+
     total = sum(done.counts.values())
     counts = ", ".join(f"{done.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if done.counts.get(name))
     yield Line(f"{frames_text(total)}: {counts}", "bold")
@@ -267,6 +269,8 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
         offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
         yield Line(f"offsets at the end, deg (true = reading + offset): {offsets}")
     yield Line(f"written: {out / 'tracks.jsonl'}")
+    if (out / VIDEO).is_file() and not done.interrupted:
+        yield Line(f"video: {out / VIDEO}")
     if page and not done.interrupted:
         yield Line(f"page: {out / 'report.html'}")
     if rerun is not None and not done.interrupted:

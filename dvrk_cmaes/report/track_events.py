@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Final
 
 STATUSES: Final = ("ok", "doubtful", "lost", "gone")
@@ -33,22 +34,15 @@ class TrackEvent:
 def track_events(rows: Sequence[Mapping[str, Any]]) -> list[TrackEvent]:
     """List what happened in a recording, given by its lines of tracks.jsonl, in the order of the frames."""
     found: list[TrackEvent] = []
-    number = 0
-    while number < len(rows):
-        row, first = rows[number], number
-        switch = next((reason for reason in row["reasons"] if reason.startswith(_REASON_OF_SWITCH)), None)
-        if switch is not None:
-            found.append(TrackEvent(SWITCHED, first, first, 1, switch))
-        kind = _kind(row["status"])
-        while number < len(rows) and _kind(rows[number]["status"]) == kind:
-            number += 1
-            if kind == "ok":
-                break
-            if number < len(rows) and any(r.startswith(_REASON_OF_SWITCH) for r in rows[number]["reasons"]):
-                break
-        if kind != "ok" and switch is None:
-            back = number if number < len(rows) else None
-            found.append(TrackEvent(row["status"], first, back, number - first, _first_reason(row["reasons"])))
+    for kind, stretch in groupby(range(len(rows)), lambda k: _kind(rows[k]["status"])):
+        numbers = list(stretch)
+        switches = {} if kind == "lost" else {k: text for k in numbers if (text := _switch(rows[k]["reasons"]))}
+        if kind != "ok" and len(switches) < len(numbers):
+            first, back = numbers[0], numbers[-1] + 1
+            reason = next(iter(rows[first]["reasons"]), "")
+            status = rows[first]["status"]
+            found.append(TrackEvent(status, first, back if back < len(rows) else None, len(numbers), reason))
+        found += [TrackEvent(SWITCHED, k, k, 1, text) for k, text in switches.items()]
     return found
 
 
@@ -57,6 +51,6 @@ def _kind(status: str) -> str:
     return status if status in ("ok", DOUBTFUL) else "lost"
 
 
-def _first_reason(reasons: Sequence[str]) -> str:
-    """Return the first of the reasons, or an empty text."""
-    return reasons[0] if reasons else ""
+def _switch(reasons: Sequence[str]) -> str:
+    """Return the reason that says that the mode was switched; an empty text without one."""
+    return next((reason for reason in reasons if reason.startswith(_REASON_OF_SWITCH)), "")
