@@ -153,7 +153,7 @@ def _calibration(given: Measurement, _: argparse.Namespace) -> Report:
 
 def _trust(given: Measurement, _: argparse.Namespace) -> Report:
     """Report how well expected errors, probabilities of the mode and statuses agree with the truth."""
-    return trust_report(given.instrument, given.runs(), given.config.trust.tip_mm)
+    return trust_report(given.instrument, given.runs())
 
 
 def _lies(given: Measurement, options: argparse.Namespace) -> Report:

@@ -31,6 +31,7 @@ from dvrk_cmaes.calibration.frame_task import (
     with_camera,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
@@ -62,8 +63,8 @@ class Alternation:
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``undetermined`` about what
     it does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change
-    of the camera that the frames fit, None where it is not determined. ``of_camera`` (K, K) is the mean square of the
-    solution's errors that errors of the camera cause.
+    of the camera that the frames fit, None where it is not determined, ``masks`` the errors that all masks share.
+    ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
 
     Parameters
     ----------
@@ -104,6 +105,7 @@ class Alternation:
         self.fits: list[FrameFit] = []
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
+        self.masks: SessionMasks | None = None
         self.undetermined: list[str] = []
         self._left_out: dict[str, str] = {}
         names, readings = instrument.joint_names, [frame.result.readings for frame in frames]
@@ -202,6 +204,8 @@ class Alternation:
             self.model = self.lag.corrected(self.model)
             if self._change is not None and not last:
                 calibration, moved = self._change_camera(calibration, fits.at, self._change)
+            elif iteration + 2 == len(scales):
+                calibration, moved = self._take_off_margin(calibration, fits.at)
         self.solution = solve(self.model, fits, calibration, self._prior)
         self.lag.estimate_joints(self.model, fits, self.solution.calibration, self._prior)
         if self.lag.applied is not None:
@@ -237,7 +241,7 @@ class Alternation:
         The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
         """
         again = [i for i, of_frame in enumerate(starts) if of_frame]
-        tasks = [FitTask(self._stored[i], expected[i], starts[i], self._changed_camera(i)) for i in again]
+        tasks = [FitTask(self._stored[i], expected[i], starts[i], self._changed_camera(i), self._margin) for i in again]
         fits = dict(enumerate(self.fits))
         if last:
             fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
@@ -270,6 +274,21 @@ class Alternation:
         self._change = estimate.change
         return estimate.calibration, estimate.at
 
+    def _take_off_margin(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
+        """Estimate the margin of the masks from the current fits, and take it off if it is clear.
+
+        Returns the calibration, and the frames' poses with masks less the margin; None if it is not taken off.
+        """
+        session = self._config.session
+        estimate = estimate_margin(self.model, calibration, self._prior, session, at, self._outlines())
+        self.masks = estimate.masks
+        return (estimate.calibration, estimate.at) if estimate.masks.applied else (calibration, None)
+
+    @property
+    def _margin(self) -> float:
+        """Margin, px, that is taken off the masks."""
+        return 0.0 if self.masks is None else self.masks.taken_off
+
     def _changed_camera(self, i: int) -> Camera | None:
         """Return the camera of a frame with the current change; None if the camera is not refined."""
         return None if self._change is None else changed(self._stored[i].camera, self._change)
@@ -278,7 +297,7 @@ class Alternation:
         """Return the outlines of all frames, as functions of poses, joints and camera."""
         pairs = zip(self.fits, self._stored, strict=True)
         used = np.array([fit.explains_mask and stored.in_reference for fit, stored in pairs])
-        return SessionOutlines(self._stored, used, self._run)
+        return SessionOutlines(self._stored, used, self._run, self._margin)
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

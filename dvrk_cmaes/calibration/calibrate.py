@@ -166,6 +166,7 @@ def calibrate_with_evidence(
             alternation.cables, tuple(frame.name for frame in alternation.frames), alternation.lag.seconds()
         ),
         camera=alternation.camera,
+        masks=alternation.masks,
         warnings=tuple(alternation.warnings),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},

@@ -1,7 +1,8 @@
 """Estimation of a change of the camera beside a session's calibration.
 
 The change has three unknowns: the logarithm of the focal length's factor and the shift of the principal point, px. They
-are further constants of the calibration, on which the outlines depend. A single frame hardly determines them, because a
+are further constants of the calibration, on which the outlines depend, and so is the margin of the masks, which makes
+the shaft wider as a longer focal length does. A single frame hardly determines them, because a
 change of its pose has nearly the same effect. In a session, the arm's kinematics fix the distances between the remote
 centre of motion and the wrists, and thereby the scale along the optical axis.
 """
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_task import CameraTask, Run, camera_task
+from dvrk_cmaes.calibration.frame_task import ConstantsTask, Run, constants_task
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -30,6 +31,9 @@ Float64 = NDArray[np.float64]
 WEAK_PRIOR = np.array([0.3, 300.0, 300.0])
 """Standard deviations of the prior with which the change is estimated from the frames: relative, and px."""
 
+MARGIN_STD = 1.0
+"""Standard deviation, px, of the margin by which a segmenter makes masks too wide or too narrow."""
+
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 _SETTLED = 0.25  # standard deviations of the change, below which the outlines are not linearised again
@@ -39,23 +43,25 @@ _PLAUSIBLE = 2.0  # standard deviations of `WEAK_PRIOR`; linearised farther away
 
 @dataclass(frozen=True, eq=False)
 class SessionOutlines:
-    """The outlines of N frames in the reference camera, as functions of poses, joints and a change of that camera.
+    """The outlines of N frames in the reference camera, as functions of poses, joints and four constants.
 
-    ``stored`` are the frames with the unchanged camera. Those for which ``used`` (N,) is false do not influence the
-    estimate. ``run`` applies a function to many tasks.
+    The constants are a change of that camera and the margin of the masks, px. ``stored`` are the frames with the
+    unchanged camera. Those for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a function
+    to many tasks. ``margin``, px, is the value of the margin from which estimates start.
     """
 
     stored: Sequence[StoredFrame]
     used: NDArray[np.bool_]
     run: Run[Any, Any]
+    margin: float = 0.0
 
     @property
     def width(self) -> int:
         """Width of the images, px, to which changes of the camera refer."""
         return self.stored[0].reference.evidence.camera.width
 
-    def near(self, at: Posed, change: Float64) -> FrameFits:
-        """Linearise the outlines at N poses and a change (3,), in both.
+    def near(self, at: Posed, constants: Float64) -> FrameFits:
+        """Linearise the outlines at N poses and values (4,) of the constants, in both.
 
         Raises
         ------
@@ -63,12 +69,13 @@ class SessionOutlines:
             With the changed focal length, the lens distortion is not one-to-one over the image.
         """
         tasks = [
-            CameraTask(stored, at[k], changed(stored.reference.evidence.camera, change))
+            ConstantsTask(stored, at[k], changed(stored.reference.evidence.camera, constants[:3]), float(constants[3]))
             for k, stored in enumerate(self.stored)
         ]
-        information, slopes = (np.array(part) for part in zip(*self.run(camera_task, tasks), strict=True))
+        terms = Quadratic.joined(self.run(constants_task, tasks))
         used = self.used.astype(np.float64)
-        return FrameFits(at, Quadratic(used[:, None, None] * information, used[:, None] * slopes), change)
+        of_used = Quadratic(used[:, None, None] * terms.information, used[:, None] * terms.slope)
+        return FrameFits(at, of_used, constants)
 
 
 def changed(camera: Camera, change: Float64) -> Camera:
@@ -129,22 +136,23 @@ def estimate_camera(
     InputError
         As `SessionOutlines.near`.
     """
-    change = np.zeros(3) if start is None else start
-    calibration = replace(calibration, further=change)
+    constants = np.array([*(np.zeros(3) if start is None else start), outlines.margin])
+    calibration = replace(calibration, further=constants)
     count, plausible = len(prior), True
-    prior = np.pad(prior, (0, 3)) + np.diag([*np.zeros(count), *WEAK_PRIOR**-2])
-    weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (count - 3)])
+    of_camera = slice(count, count + 3)
+    prior = np.pad(prior, (0, 4)) + np.diag([*np.zeros(count), *WEAK_PRIOR**-2, MARGIN_STD**-2])
+    weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (count - 2)])
     for _ in range(passes):
-        before, fits = change, outlines.near(at, change)
+        before, fits = constants[:3], outlines.near(at, constants)
         model, solution = solve_with_variances(model, fits, calibration, prior, config, steps=_STEPS)
-        calibration, change = solution.calibration, solution.calibration.further
-        information = solution.information + weak
-        covariance = _inverse(information)[count:, count:]
+        calibration, constants = solution.calibration, solution.calibration.further
+        change, information = constants[:3], solution.information + weak
+        covariance = _inverse(information)[of_camera, of_camera]
         at = at.moved(marginalise(model, fits, calibration).own)
         plausible = bool((np.abs(change) < _PLAUSIBLE * WEAK_PRIOR).all())
         if not plausible or (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
-    sensitivity = -_inverse(information[:count, :count]) @ information[:count, count:]
+    sensitivity = -_inverse(information[:count, :count]) @ information[:count, of_camera]
     calibration = replace(calibration, further=np.zeros(0))
     return CameraEstimate(change, covariance, sensitivity, calibration, at, plausible=plausible)
 

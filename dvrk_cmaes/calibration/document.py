@@ -12,6 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
+from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
     OUTER_OFFSETS,
@@ -99,6 +100,7 @@ class SessionCalibration:
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
+    masks : the margin that all masks share; None if it was not estimated.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
@@ -118,6 +120,7 @@ class SessionCalibration:
     lag_curve: LagCurve | None = None
     cables: SessionCables | None = None
     camera: SessionCamera | None = None
+    masks: SessionMasks | None = None
     untold: Texts = ()
     warnings: Texts = ()
     arm: Arm = "classic"
@@ -171,7 +174,7 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "arm"),
+            **encoded_fields(self, "camera", "masks", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

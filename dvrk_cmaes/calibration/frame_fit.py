@@ -11,20 +11,23 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate, overlap
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.outline_noise import measure_noise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
-from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
+from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import sum_of_locals
+from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
+_LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -84,6 +87,7 @@ def fit_frame(
     own_estimate: OwnEstimate | None,
     own_camera: Camera | None = None,
     *,
+    margin: float = 0.0,
     confirm: bool = True,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
@@ -105,6 +109,8 @@ def fit_frame(
         the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_camera
         The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
+    margin
+        Margin of the masks, px, that is taken off them all round.
     confirm
         Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
@@ -112,42 +118,71 @@ def fit_frame(
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, own_estimate, shrink)
+        coverage = _coverage(views, config, own_estimate, shrink, margin)
         if own_estimate is not None:
-            noise = own_estimate.noise if shrink == 1 else None
+            noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_camera) if noise is None else noise)
         steps = Steps.of(config.refine.outline, shrink)
         steps = steps if confirm else replace(steps, tested="long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    best = fits[0]
-    of_priors = sum_of_locals(terms, at[:1])
+    return _without_shared(views, fits[0], coverage, terms, own_estimate, count)
+
+
+def _without_shared(
+    views: Sequence[FrameView],
+    fit: Fit,
+    coverage: Coverage,
+    terms: Sequence[Term],
+    own_estimate: OwnEstimate | None,
+    evaluations: int,
+) -> FrameFit:
+    """Return a fit after one step by which the errors that the masks share are eliminated.
+
+    ``terms`` are those beside the ``coverage``; the other arguments are as in `fit_frame` and `FrameFit`.
+    """
+    drawn = [view.silhouette(fit.at) for view in views]
+    if own_estimate is None:
+        pairs = zip(views, drawn, strict=True)
+        noises = tuple(measure_noise(view.evidence.contour, silhouette) for view, silhouette in pairs)
+    else:
+        noises = own_estimate.noises
+    outline = coverage.near_without_shared(fit.at, noises)
+    whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
+    step = -np.linalg.solve(whole.information[0], whole.slope[0])
+    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
+    at = fit.at.moved(step)
+    for term in terms:
+        at = term.allowed(Posed.stacked([at]))[0]
     return FrameFit(
-        best.at,
-        # At the optimum, the slopes of outline and priors add up to zero.
-        information=best.information - of_priors.information[0],
-        slope=-of_priors.slope[0],
-        score=best.score,
-        evaluations=count,
-        iou=overlap(views, [view.silhouette(best.at) for view in views]),
+        at,
+        information=outline.information[0],
+        slope=outline.slope[0] + outline.information[0] @ at.minus(fit.at),
+        score=fit.score,
+        evaluations=evaluations,
+        iou=overlap(views, drawn),
         own_iou=0.0 if own_estimate is None else own_estimate.iou,
     )
 
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
     """Return a frame's own estimate with the noise of the residuals there; arguments as in `fit_frame`."""
-    return replace(own_estimate, noise=_noise(_coverage(views, config, own_estimate), own_estimate, None))
+    return replace(own_estimate, residual=_noise(_coverage(views, config, own_estimate), own_estimate, None))
 
 
 def _coverage(
-    views: Sequence[FrameView], config: EstimateConfig, own_estimate: OwnEstimate | None, shrink: int = 1
+    views: Sequence[FrameView],
+    config: EstimateConfig,
+    own_estimate: OwnEstimate | None,
+    shrink: int = 1,
+    margin: float = 0.0,
 ) -> Coverage:
     """Return the coverage of a frame's views at 1 / ``shrink`` of the image size.
 
     The correlation lengths are those of the residuals at the own estimate.
     """
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, shrink=shrink) for view in views]
+    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
     return Coverage(sized, outline, correlations=() if own_estimate is None else own_estimate.lengths)
 
 
@@ -156,19 +191,29 @@ def _noise(coverage: Coverage, own_estimate: OwnEstimate, camera: Camera | None)
     return (coverage if camera is None else coverage.with_camera(camera)).noise_at(own_estimate.at)
 
 
-def camera_terms(
-    view: FrameView, config: EstimateConfig, fitted: Posed, own_estimate: OwnEstimate, camera: Camera
-) -> tuple[Float64, Float64]:
-    """Compute the outline's information and slope about a pose and about the camera of one view.
+def terms_of_constants(
+    view: FrameView,
+    config: EstimateConfig,
+    fitted: Posed,
+    own_estimate: OwnEstimate,
+    camera: Camera,
+    margin: float,
+) -> Quadratic:
+    """Compute the outline's terms about a pose and about what all frames share: the camera and the masks' margin.
 
-    ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size; the view has the evidence's
-    own camera. Values are as those of `Coverage.near_with_camera`.
+    ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size, and the mask less ``margin``
+    px; the view has the evidence's own camera. The last four unknowns are those of `of_camera` and the margin, px. The
+    errors that parts of one mask share are eliminated.
     """
-    own = replace(own_estimate, lengths=own_estimate.lengths[:1])
-    coverage = _coverage([view], config, own)
-    noise = own_estimate.noise if len(own_estimate.lengths) == 1 else None
-    noise = _noise(coverage, own, None) if noise is None else noise  # that of this view alone
-    return coverage.with_camera(camera).with_noise(noise).near_with_camera(fitted)
+    own = replace(own_estimate, noises=own_estimate.noises[:1])
+    noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
+    noise = _noise(_coverage([view], config, own), own, None) if noise is None else noise  # that of this view alone
+    coverage = _coverage([view], config, own, margin=margin).with_camera(camera).with_noise(noise)
+
+    def constants(sized: SizedView, outline: OutlinePoints) -> Float64:
+        return np.column_stack([of_camera(sized, outline), of_margin(outline)])
+
+    return coverage.near_without_shared(fitted, own.noises, constants)
 
 
 def _limits(readings: Readings) -> Readings:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, camera_terms, fit_frame
+from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame, terms_of_constants
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -24,6 +24,7 @@ from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -63,15 +64,17 @@ class FitTask:
     expected: Expected
     starts: tuple[Posed, ...]
     camera: Camera | None = None
+    margin: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class CameraTask:
-    """Arguments of `camera_task`: as in `FitTask`, and where the instrument is with a changed camera."""
+class ConstantsTask:
+    """Arguments of `constants_task`: as in `FitTask`, and where the instrument is with that camera and margin."""
 
     stored: StoredFrame
     at: Posed
     camera: Camera
+    margin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,15 +169,16 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.starts,
         task.stored.own,
         own_camera=None if task.camera is None else task.stored.reference.evidence.camera,
+        margin=task.margin,
         confirm=False,
     )
 
 
-def camera_task(body: Body, config: EstimateConfig, task: CameraTask) -> tuple[Float64, Float64]:
-    """Compute the outline's information and slope about a frame's pose and about the camera, as `camera_terms`."""
+def constants_task(body: Body, config: EstimateConfig, task: ConstantsTask) -> Quadratic:
+    """Compute the outline's terms about a frame's pose, the camera and the margin, as `terms_of_constants`."""
     evidence = task.stored.reference.restored()
     view = FrameView("", evidence, Renderer(body, evidence.camera, threads=1), np.eye(4))
-    return camera_terms(view, config, task.at, task.stored.own, task.camera)
+    return terms_of_constants(view, config, task.at, task.stored.own, task.camera, task.margin)
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.outline_noise import measure_noise
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.views import FrameView
 
@@ -22,22 +22,27 @@ Float64 = NDArray[np.float64]
 class OwnEstimate:
     """A frame's pose, to which no session has contributed.
 
-    ``lengths`` are the correlation lengths of the contours' errors there, px, one of each view; ``iou`` is the
-    intersection over union of its silhouettes and the masks. ``noise`` is the robust sum of squares of the residuals of
-    coverage there at the whole image size, from which the outlines' error is estimated; None where it is not measured.
+    ``noises`` are those of the contours there, one of each view; ``iou`` is the intersection over union of its
+    silhouettes and the masks. ``residual`` is the robust sum of squares of the residuals of coverage there at the whole
+    image size, from which the outlines' error is estimated; None where it is not measured.
     """
 
     at: Posed
-    lengths: tuple[float, ...]
+    noises: tuple[OutlineNoise, ...]
     iou: float
-    noise: float | None = None
+    residual: float | None = None
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Correlation lengths of the contours' errors, px, one of each view."""
+        return tuple(noise.length for noise in self.noises)
 
     @classmethod
     def of(cls, views: Sequence[FrameView], at: Posed) -> OwnEstimate:
         """Measure an estimate in the views that show the instrument."""
         drawn = [view.silhouette(at) for view in views]
         noises = [measure_noise(view.evidence.contour, seen) for view, seen in zip(views, drawn, strict=True)]
-        return cls(at, tuple(noise.length for noise in noises), overlap(views, drawn))
+        return cls(at, tuple(noises), overlap(views, drawn))
 
 
 def overlap(views: Sequence[FrameView], drawn: Sequence[NDArray[np.bool_]]) -> float:

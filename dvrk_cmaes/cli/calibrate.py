@@ -243,6 +243,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {text}")
     if calibration.camera is not None:
         yield Line(f"camera, against its file: {calibration.camera.describe()}")
+    if calibration.masks is not None and calibration.masks.applied:
+        yield Line(calibration.masks.describe())
     for text in calibration.untold:
         yield Line(f"  not told by this session: {text}", STATUS_STYLES["doubtful"].removeprefix("bold "))
     for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:

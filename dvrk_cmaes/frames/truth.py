@@ -1,6 +1,7 @@
 """Read and write ``golden.json``: ground truth of a session's frames, or poses to compare later results with.
 
-``frames``, by name: ``T_camera_roll_link`` 4 x 4 (camera_from_root), ``joints`` by name, ``tips_camera_m`` if known.
+``frames``, by name: ``T_camera_roll_link`` 4 x 4 (camera_from_root), ``joints`` by name, ``tips_camera_m`` if known,
+and ``visible``, the share of the jaws that the image shows, 1 if not stated.
 ``camera_from_base``: 4 x 4 or null.
 """
 
@@ -9,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.io.atomic import write_json
@@ -28,6 +29,7 @@ class _TruthEntry(Struct):
     T_camera_roll_link: Transform
     joints: dict[str, Number]
     tips_camera_m: tuple[Point, ...] | None = None
+    visible: Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")] = 1.0
 
 
 class _Document(Struct):
@@ -37,11 +39,15 @@ class _Document(Struct):
 
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """True ``camera_from_root`` (4, 4), joints (rad or m) and, if known, tips (2 or 1, 3) in the camera, m."""
+    """True ``camera_from_root`` (4, 4), joints (rad or m) and, if known, tips (2 or 1, 3) in the camera, m.
+
+    ``visible`` is the share of the jaws that the image shows.
+    """
 
     camera_from_root: NDArray[np.float64]
     joints: Mapping[str, float]
     tips: NDArray[np.float64] | None = None
+    visible: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +91,7 @@ def _read_frame(where: str, document: object) -> FrameTruth:
     tips = None if entry.tips_camera_m is None else np.stack(entry.tips_camera_m)
     if tips is not None and len(tips) > _MOST_TIPS:
         raise refused(where, "tips_camera_m", "1 or 2 rows of 3 finite numbers", tips.tolist())
-    return FrameTruth(entry.T_camera_roll_link, entry.joints, tips)
+    return FrameTruth(entry.T_camera_roll_link, entry.joints, tips, entry.visible)
 
 
 def _entry(frame: FrameTruth) -> dict[str, Any]:
@@ -93,4 +99,6 @@ def _entry(frame: FrameTruth) -> dict[str, Any]:
         "T_camera_roll_link": rounded_array(frame.camera_from_root),
         "joints": rounded_values(frame.joints),
     }
-    return entry if frame.tips is None else {**entry, "tips_camera_m": rounded_array(frame.tips)}
+    if frame.tips is not None:
+        entry["tips_camera_m"] = rounded_array(frame.tips)
+    return entry if frame.visible == 1 else {**entry, "visible": frame.visible}

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.geometry import change_between
@@ -203,6 +204,8 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         yield _lag_figure(calibration.lag)
     if calibration.camera is not None:
         yield from _camera_figures(calibration.camera)
+    if calibration.masks is not None:
+        yield _margin_figure(calibration.masks)
 
 
 def _lag_figure(lag: Lag) -> KeyFigure:
@@ -230,6 +233,13 @@ def _camera_figures(camera: SessionCamera) -> Iterator[KeyFigure]:
         f"{right:+.0f}, {down:+.0f} px",
         f"right, down; standard deviation {std:.0f} px; {note}",
     )
+
+
+def _margin_figure(masks: SessionMasks) -> KeyFigure:
+    """Return the margin by which all masks are too wide, and what was done about it."""
+    done = "taken off the masks" if masks.applied else "zero within its error, not taken off"
+    note = f"all round, negative if too narrow; standard deviation {masks.std_margin_px:.2f} px; {done}"
+    return KeyFigure("Masks too wide", f"{masks.margin_px:+.2f} px", note)
 
 
 def _base(calibration: SessionCalibration) -> Iterator[TableRow]:

@@ -15,6 +15,7 @@ from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.errors import InputError
@@ -54,6 +55,7 @@ def calibration() -> SessionCalibration:
         contour_px_95=2.5,
         lag=Lag(2.0, 0.25, 0.066667, 0.008),
         camera=SessionCamera(1.02, 0.01, (3.0, -4.5), (6.0, 7.0), contradicts=False, applied=True, width=640),
+        masks=SessionMasks(0.4, 0.1, applied=True),
         untold=("offset of insertion",),
         warnings=("readings come 2 frames late",),
         arm="si",

@@ -30,7 +30,7 @@ def test_equal_twin_has_half_of_probability() -> None:
 
 
 def test_probability_falls_with_gap() -> None:
-    gaps = [mode_probability([mode(0, 0.0), mode(180, gap)], 0.3) for gap in (0, 1, 2, 4, 8)]
+    gaps = [mode_probability([mode(0, 0.0), mode(180, gap)], 0.3) for gap in (0, 1, 2, 4, 12)]
     assert gaps == sorted(gaps)
     assert gaps[-1] > 0.999
 

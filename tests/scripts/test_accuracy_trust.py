@@ -68,7 +68,7 @@ def test_area_under_roc() -> None:
     assert area_under_roc(score, np.ones(4, dtype=bool)) is None
 
 
-def test_status_counts_right_mode_within_limit() -> None:
+def test_status_counts_right_mode_within_two_millimetres() -> None:
     from measure.accuracy.trust import Outcomes, status_row
 
     some = Outcomes(
@@ -80,4 +80,4 @@ def test_status_counts_right_mode_within_limit() -> None:
         squared={},
         freedom={},
     )
-    assert status_row(some, 2.0) == {"results": 4, "ok": 2, "good": 2, "good_of_ok": 0.5, "ok_of_good": 0.5}
+    assert status_row(some) == {"results": 4, "ok": 2, "good": 2, "good_of_ok": 0.5, "ok_of_good": 0.5}

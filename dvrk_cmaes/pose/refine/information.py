@@ -3,7 +3,8 @@
 Each correlation length of outline is one measurement. Its standard deviation is that of the link to which the outline
 belongs, because an occluder over the jaws or a shadow beside the shaft makes the contour worse on one link only. On a
 rough contour the length is a constant: that of a single frame varies by a factor of two around it, which says nothing
-about the error of the pose, and shadows make it longer.
+about the error of the pose, and shadows make it longer. What stretches of contour have in common is eliminated (see
+`shared_errors`).
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
+from dvrk_cmaes.pose.terms.shared_errors import without_shared
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Term, sum_of_locals
+from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints
 
@@ -30,7 +32,8 @@ _CLIP = 3.0  # standard deviations, beyond which a point of the outline does not
 _LARGEST = 8.0  # standard deviations to which errors are limited in the variance of a link
 _SHARED = 100.0  # px of outline; weight of the variance of the whole outline in that of a link
 _ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
-_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.455, 0.65  # on the covariance; fitted to the 90 % intervals of made frames
+_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.45, 0.25  # on the variance of a measurement; fitted as those of `shared_errors`
+_LARGE = 1.5  # px, standard deviation of errors that are neither small nor normal, by which the variance doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +58,11 @@ def information_of_views(views: Sequence[ViewAtFullSize], terms: Sequence[Term],
     """
     information = []
     for k, both in enumerate(views):
-        noise = both.view.noise_at(at)
-        rough = is_rough(noise)
-        of_view = outline_information(both.sized, at, noise.sigma, _ROUGH_LENGTH if rough else noise.length)
+        of_view = outline_information(both.sized, at, both.view.noise_at(at))
         if k == 0:
             of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
             of_view = of_view + np.diag(_bounds(len(of_view)))
-        information.append(of_view / (noise.inflation * (_ROUGH_FACTOR if rough else _SMOOTH_FACTOR)))
+        information.append(of_view)
     return information
 
 
@@ -70,20 +71,30 @@ def _bounds(count: int) -> Float64:
     return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 
 
-def outline_information(view: SizedView, at: Posed, sigma: float, correlation: float) -> Float64:
+def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Float64:
     """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of one fitted pose.
 
-    ``sigma``, px, is the standard deviation of the whole contour, ``correlation``, px, its correlation length. Points
-    at ignored pixels or farther than three standard deviations from the mask's outline do not count.
+    ``noise`` is that of the whole contour. Points at ignored pixels or farther than three standard deviations from the
+    mask's outline do not count.
     """
     (outline,) = view.outlines(Posed.stacked([at]))
-    (jacobian,) = view.jacobians([outline], Posed.stacked([at]))
+    (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
     off = sampled(signed_distance(view.mask), outline.pixels)
     weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
-    counts = weight * (np.abs(off) < _CLIP * max(sigma, 0.5))
-    variance = _link_variances(outline, off, length * weight, sigma)[outline.link]
-    return np.asarray(jacobian.T @ (jacobian * (counts / (length * variance))[:, None]) / correlation)
+    errors = view.shared_errors(outline, at, noise)
+    jacobian = np.column_stack([of_pose, errors.columns * length[:, None]])
+    counts = weight * (np.abs(off) < _CLIP * max(noise.sigma, 0.5))
+    variance = _link_variances(outline, off, length * weight, noise.sigma)[outline.link]
+    weighted = jacobian * (counts / (length * variance * _length_of_measurement(noise)))[:, None]
+    both = Quadratic((jacobian.T @ weighted)[None], np.zeros((1, jacobian.shape[1])))
+    return np.asarray(without_shared(both, errors).information[0])
+
+
+def _length_of_measurement(noise: OutlineNoise) -> float:
+    """Return the length of outline, px, that is one measurement with the variance of its link."""
+    large = 1 + (noise.sigma / _LARGE) ** 2
+    return large * (_ROUGH_FACTOR * _ROUGH_LENGTH if is_rough(noise) else _SMOOTH_FACTOR * noise.length)
 
 
 def _link_variances(outline: OutlinePoints, off: Float64, length: Float64, sigma: float) -> Float64:

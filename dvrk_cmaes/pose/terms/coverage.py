@@ -13,7 +13,7 @@ that happens to fit best would have nearly all the weight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,14 +21,19 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles
+from dvrk_cmaes.pose.terms.shared_errors import without_shared
 from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Columns = Callable[[SizedView, OutlinePoints], Float64]
+"""Displacements (N, E) of an outline's N points in a view by E unknowns, times the lengths of their normals, px."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,25 +170,42 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             )
         return Profiles.of_views(of_views, self._shares)
 
-    def near_with_camera(self, at: Posed) -> tuple[Float64, Float64]:
-        """Return information (D + 3, D + 3) and slope (D + 3,) about one pose and about the camera of the only view.
+    def near_without_shared(self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None) -> Quadratic:
+        """Return the approximation near one pose, with what the errors of the masks share eliminated.
 
-        The last three unknowns are the logarithm of the factor of `Camera.changed` and its shift, px of the image at
-        the view's size. Both are in standard deviations.
+        ``noises`` are those of the views' contours. ``kept`` gives E further unknowns, if any, which stay beside the
+        pose: (1, D + E), in standard deviations.
         """
-        (view,), (drawn,) = self.views, self.draw(Posed.stacked([at]))
-        (outline,), (image,) = drawn.outlines, drawn.images
-        assert outline is not None
-        (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
-        from_centre = outline.pixels - [view.camera.cx, view.camera.cy]
-        of_focal_length = (outline.normals * from_centre).sum(axis=1)
-        jacobian = np.column_stack([of_pose, of_focal_length, outline.normals])
-        profiles = Profiles.sampled(
-            [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
-        )
-        information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
-        weight = self.weight_of(drawn)
-        return weight * information[0], weight * slope[0]
+        (drawn,) = self.draw(Posed.stacked([at]))
+        weight, parts = self.weight_of(drawn), []
+        of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
+        for view, noise, image, outline, share in of_views:
+            assert outline is not None
+            (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
+            errors = view.shared_errors(outline, at, noise)
+            of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
+            of_kept = [] if kept is None else [kept(view, outline)]
+            jacobian = np.column_stack([of_pose, *of_kept, of_errors])
+            profiles = Profiles.sampled(
+                [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
+            )
+            information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
+            parts.append(without_shared(Quadratic(weight * share * information, weight * share * slope), errors))
+        return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
+
+
+def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
+    """Return the displacements (N, 3) of an outline's points by a change of the camera, times the normals' lengths.
+
+    The unknowns are the logarithm of the factor of `Camera.changed` and its shift, px of the image at the view's size.
+    """
+    from_centre = outline.pixels - [view.camera.cx, view.camera.cy]
+    return np.column_stack([(outline.normals * from_centre).sum(axis=1), outline.normals])
+
+
+def of_margin(outline: OutlinePoints) -> Float64:
+    """Return the displacements (N,) of an outline's points by a margin of the mask, px, times the normals' lengths."""
+    return np.asarray(np.linalg.norm(outline.normals, axis=1))
 
 
 def _cauchy_loss(residual: Float32, weight: Float32, cauchy: float) -> float:

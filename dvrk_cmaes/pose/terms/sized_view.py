@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, signed_distance
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
@@ -27,13 +29,23 @@ class SizedView:
     mask : (H, W) bool, of the window. target : (H, W), the blurred mask. weight : (H, W), 0 for ignored pixels and
     beside them, 1 for others. length : px of contour at this size. shrink, view_from_camera : as given. Poses are in
     the reference camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
-    another body than that of the view, if given.
+    another body than that of the view, if given. ``margin``, px of the whole size, is taken off the mask all round.
     """
 
-    def __init__(self, view: FrameView, *, blur: float, shrink: int = 1, renderer: Renderer | None = None) -> None:
+    def __init__(
+        self,
+        view: FrameView,
+        *,
+        blur: float,
+        shrink: int = 1,
+        renderer: Renderer | None = None,
+        margin: float = 0.0,
+    ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
         size = (camera.width, camera.height)
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
+        if margin:
+            mask = np.clip(0.5 - margin - signed_distance(evidence.mask), 0, 1).astype(np.float32)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
@@ -105,3 +117,8 @@ class SizedView:
         seen = at.seen_from(self.view_from_camera)
         of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
+
+    def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
+        """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
+        seen = at.seen_from(self.view_from_camera)
+        return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)

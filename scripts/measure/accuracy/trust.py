@@ -4,8 +4,8 @@ The errors of results are compared with the truth: how often 90 % intervals cont
 standard deviations, by quantity (frames in the right mode); the expected against the actual tip error, in bins; the
 stated probability of the mode against the share of right modes; the area under the ROC curve of the expected error as a
 test for tips more than a millimetre off, with the area that would be reached if the covariances were exactly right; and
-how many results that are ok are good, and how many good ones are ok. Good is a result in the right mode whose tips are
-within the limit.
+how many results that are ok are good, and how many good ones are ok, by level and by recording. Good is a result in the
+right mode whose tips are within 2 mm. Frames whose truth says that less than half of the jaws is visible do not count.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ from dvrk_cmaes.pose.expected_error import INTERVAL, jacobian, tip_position
 from measure.accuracy.calibration import distances
 from measure.accuracy.errors import frame_errors
 from measure.accuracy.figures import held_share, median_z
-from measure.cases import Run, runs_by_level
+from measure.cases import Run, by_session, runs_by_level
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+GOOD_MM: Final = 2.0  # largest tip error of a good result
+LEAST_VISIBLE: Final = 0.5  # share of the jaws
 LARGE_MM: Final = 1.0  # tip error that the ROC curve tests for
 _TIP_EDGES: Final = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, np.inf)  # mm
 _MODE_EDGES: Final = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
@@ -154,9 +156,9 @@ def attainable_area(instrument: Instrument, runs: Sequence[Run], score: Float64,
     return float(np.mean(known)) if known else None
 
 
-def status_row(outcomes: Outcomes, limit_mm: float) -> dict[str, Any]:
+def status_row(outcomes: Outcomes) -> dict[str, Any]:
     """Return the shares of results that are ok, of those that are good, and of the good ones that are ok."""
-    good = outcomes.right_mode & (outcomes.tip_mm < limit_mm)
+    good = outcomes.right_mode & (outcomes.tip_mm < GOOD_MM)
     ok = outcomes.ok
     return {
         "results": len(ok),
@@ -167,9 +169,9 @@ def status_row(outcomes: Outcomes, limit_mm: float) -> dict[str, Any]:
     }
 
 
-def trust_report(instrument: Instrument, runs: Sequence[Run], limit_mm: float) -> dict[str, list[Mapping[str, Any]]]:
-    """Report the checks by level; ``limit_mm`` is the largest tip error of a good result."""
-    posed = [run for run in runs if not run.failed]
+def trust_report(instrument: Instrument, runs: Sequence[Run]) -> dict[str, list[Mapping[str, Any]]]:
+    """Report the checks by level, and the statuses by recording as well."""
+    posed = [run for run in runs if not run.failed and _is_visible(run)]
     levels = {name: (Outcomes.of(instrument, group), group) for name, group in runs_by_level(posed).items()}
 
     def by_name(rows: Callable[[Outcomes], list[dict[str, Any]]]) -> list[Mapping[str, Any]]:
@@ -190,5 +192,14 @@ def trust_report(instrument: Instrument, runs: Sequence[Run], limit_mm: float) -
         "expected and actual tip error, mm": by_name(tip_rows),
         "stated probability of the mode and share of right modes": by_name(mode_rows),
         f"ROC of the expected tip error for more than {LARGE_MM:g} mm": roc,
-        "status": by_name(lambda outcomes: [status_row(outcomes, limit_mm)]),
+        "status": by_name(lambda outcomes: [status_row(outcomes)]),
+        "status by recording": [
+            {"recording": name, **status_row(Outcomes.of(instrument, group))}
+            for name, group in by_session(posed).items()
+        ],
     }
+
+
+def _is_visible(run: Run) -> bool:
+    """Return whether at least half of the jaws is visible, according to the truth."""
+    return run.case.truth is None or run.case.truth.visible >= LEAST_VISIBLE

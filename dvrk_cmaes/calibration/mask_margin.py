@@ -1,0 +1,100 @@
+"""The margin by which all masks of a session are too wide or too narrow, estimated beside its calibration.
+
+A single frame cannot tell a margin from a shorter distance. In a session the arm moves along the optical axis by
+amounts that its joints state, and a margin makes near and far shafts wider by the same number of pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.camera_change import MARGIN_STD, SessionOutlines
+from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.session_camera import file_deviations
+from dvrk_cmaes.calibration.solve import marginalise, solve
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.io.encode import Document
+from dvrk_cmaes.io.typed_document import Number
+
+Float64 = NDArray[np.float64]
+
+_CLEAR = 2.5  # standard deviations from zero, and ...
+_LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
+_LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
+_PASSES = 5  # largest number of linearisations of the outlines
+_SETTLED = 0.5  # standard deviations of the margin, below which the outlines are not linearised again
+
+
+@dataclass(frozen=True)
+class SessionMasks(Document):
+    """What a session's frames tell of the errors that all of its masks share.
+
+    margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
+    deviation. applied : whether the session was solved with masks less this margin.
+    """
+
+    margin_px: Number
+    std_margin_px: Number
+    applied: bool
+
+    @property
+    def taken_off(self) -> float:
+        """Margin, px, that was taken off the masks."""
+        return self.margin_px if self.applied else 0.0
+
+    def describe(self) -> str:
+        """Describe the margin in words."""
+        than = "wide" if self.margin_px > 0 else "narrow"
+        done = "taken off" if self.applied else "left as they are"
+        return f"masks are {abs(self.margin_px):.2f} px (std {self.std_margin_px:.2f}) too {than} all round; {done}"
+
+
+@dataclass(frozen=True, eq=False)
+class MarginEstimate:
+    """The margin of a session's masks, the ``calibration`` with it, and ``at``, where the N frames are with it."""
+
+    masks: SessionMasks
+    calibration: Calibration
+    at: Posed
+
+
+def estimate_margin(
+    model: SessionModel,
+    calibration: Calibration,
+    prior: Float64,
+    config: SessionConfig,
+    at: Posed,
+    outlines: SessionOutlines,
+) -> MarginEstimate:
+    """Estimate the margin of the masks beside the calibration and the camera, whose file counts as a measurement.
+
+    Parameters
+    ----------
+    model, calibration
+        The session's model and its calibration with whole masks.
+    prior : (K, K)
+        Information matrix of the calibration's prior, as in `solve`.
+    config
+        Standard deviations of the camera file.
+    at
+        The poses of the N frames.
+    outlines
+        The same frames' outlines.
+    """
+    further = np.array([*file_deviations(config), MARGIN_STD])
+    padded = np.pad(prior, (0, 4)) + np.diag([*np.zeros(len(prior)), *further**-2])
+    there = replace(calibration, further=np.array([*np.zeros(3), outlines.margin]))
+    for _ in range(_PASSES):
+        before = there.further
+        fits = outlines.near(at, before)
+        solution = solve(model, fits, there, padded)
+        there, at = solution.calibration, at.moved(marginalise(model, fits, solution.calibration).own)
+        margin, std = float(there.further[3]), float(np.hypot(np.sqrt(solution.covariance[-1, -1]), _LEAST_STD))
+        if abs(margin - before[3]) < _SETTLED * std:
+            break
+    clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
+    return MarginEstimate(SessionMasks(margin, std, clear), replace(there, further=np.zeros(0)), at)

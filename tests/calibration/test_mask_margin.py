@@ -1,0 +1,65 @@
+"""The margin of a session's masks: found, stated and taken off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from helpers.session_worlds import make_frames_in_memory
+
+from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.mask_margin import SessionMasks
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.silhouette import Body
+
+FRAMES = 10
+
+
+def grown(frame: SessionFrame, pixels: int) -> SessionFrame:
+    """Give a frame whose mask has a margin of some pixels, negative for a mask that is too narrow."""
+    assert isinstance(frame.data, FrameData)
+    change = cv2.dilate if pixels > 0 else cv2.erode
+    mask = change(frame.data.mask.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=abs(pixels)) > 0
+    return replace(frame, data=FrameData.of(mask, frame.data.camera))
+
+
+@pytest.fixture(scope="module")
+def calibrations(bundled_body: Body) -> dict[int, tuple[SessionCalibration, float]]:
+    """Calibrations by margin, px, with the distances of their bases from the true one, mm."""
+    base, _, frames = make_frames_in_memory(bundled_body, FRAMES, level="clean")
+    solved = {}
+    for pixels in (-1, 0, 1):
+        own = [grown(frame, pixels) for frame in frames] if pixels else frames
+        calibration = calibrate_session(own, bundled_body).calibration
+        off = 1e3 * np.linalg.norm(calibration.camera_from_base[:3, 3] - base[:3, 3])
+        solved[pixels] = calibration, float(off)
+    return solved
+
+
+@pytest.mark.parametrize("pixels", [-1, 1])
+def test_margin_is_found_and_taken_off(calibrations: dict[int, tuple[SessionCalibration, float]], pixels: int) -> None:
+    masks = calibrations[pixels][0].masks
+    assert masks is not None
+    assert masks.applied
+    assert masks.margin_px == pytest.approx(pixels, abs=0.3)
+    assert masks.std_margin_px < 0.3
+    assert calibrations[pixels][1] < 1.0
+
+
+def test_exact_masks_are_left_as_they_are(calibrations: dict[int, tuple[SessionCalibration, float]]) -> None:
+    masks = calibrations[0][0].masks
+    assert masks is not None
+    assert not masks.applied
+    assert masks.taken_off == 0
+    assert abs(masks.margin_px) < 0.15
+
+
+def test_margin_is_described_in_words() -> None:
+    assert SessionMasks(0.4, 0.1, applied=True).describe() == (
+        "masks are 0.40 px (std 0.10) too wide all round; taken off"
+    )
+    assert "0.05 px (std 0.10) too narrow all round; left as they are" in SessionMasks(-0.05, 0.1, False).describe()

@@ -1,0 +1,85 @@
+"""Errors that many points of a mask's contour share, and their elimination."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.frame_terms import view_at
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
+from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.pose.terms.coverage import of_camera
+from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors, without_shared
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.silhouette import Body, OutlinePoints
+from dvrk_cmaes.silhouette.moving_points import placed_points
+
+CAMERA = Camera(320, 240, 440, 440, 160, 120)
+TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))
+NOISE = OutlineNoise(0.5, 8.0)
+
+
+def outline_of(body: Body) -> OutlinePoints:
+    return SizedView(view_at(body, CAMERA, TRUE), blur=1.2).outlines(Posed.stacked([TRUE]))[0]
+
+
+def errors_of(body: Body, noise: OutlineNoise = NOISE) -> SharedErrors:
+    return shared_errors(outline_of(body), body.instrument, CAMERA, TRUE, noise)
+
+
+def test_margin_displaces_the_whole_outline(bundled_body: Body) -> None:
+    np.testing.assert_array_equal(errors_of(bundled_body).columns[:, 0], 1.0)
+
+
+def test_nodes_of_a_side_of_the_shaft_add_up_to_the_side(bundled_body: Body) -> None:
+    """The error between two nodes is linear; if both are off by a pixel, so is all of the contour between them."""
+    outline, errors = outline_of(bundled_body), errors_of(bundled_body)
+    whole = [k for k in range(1, errors.columns.shape[1]) if set(np.unique(errors.columns[:, k])) == {0.0, 1.0}]
+    assert len(whole) == 2
+    sides = errors.columns[:, whole]
+    np.testing.assert_array_equal(sides.sum(axis=1), outline.link == 0)
+    of_shaft = errors.columns[outline.link == 0]
+    nodes = of_shaft[:, (errors.deviations == 0.2 * NOISE.sigma)]
+    assert nodes.sum(axis=1).max() == pytest.approx(1.0)
+
+
+def test_errors_of_other_links_do_not_touch_the_shaft(bundled_body: Body) -> None:
+    outline, errors = outline_of(bundled_body), errors_of(bundled_body)
+    for link in np.unique(outline.link[outline.link > 0]):
+        touched = (errors.columns[outline.link == link] > 0).any(axis=0)
+        touched[0] = False  # the margin
+        assert 2 <= touched.sum() <= 4
+        assert not (errors.columns[outline.link != link][:, touched] > 0).any()
+
+
+def test_noise_over_much_contour_tells_of_shadows(bundled_body: Body) -> None:
+    usual, long = (errors_of(bundled_body, OutlineNoise(1.0, length)).deviations for length in (15.0, 35.0))
+    assert (long >= usual).all()
+    assert long.max() > 3 * usual.max()
+
+
+def test_elimination_leaves_the_marginal_of_the_pose() -> None:
+    rng = np.random.default_rng(0)
+    jacobian, residuals = rng.normal(size=(30, 7)), rng.normal(size=30)
+    errors = SharedErrors(np.zeros((0, 3)), np.array([0.5, 1.0, 2.0]))
+    terms = Quadratic((jacobian.T @ jacobian)[None], (jacobian.T @ residuals)[None])
+    left = without_shared(terms, errors)
+    whole = terms.information[0] + np.diag([0, 0, 0, 0, 4.0, 1.0, 0.25])
+    covariance = np.linalg.inv(whole)
+    np.testing.assert_allclose(np.linalg.inv(left.information[0]), covariance[:4, :4])
+    best = -covariance @ terms.slope[0]
+    np.testing.assert_allclose(-np.linalg.solve(left.information[0], left.slope[0]), best[:4])
+
+
+@pytest.mark.parametrize("unknown", range(3))
+def test_change_of_the_camera_displaces_the_outline(bundled_body: Body, unknown: int) -> None:
+    view = SizedView(view_at(bundled_body, CAMERA, TRUE), blur=1.2)
+    (outline,) = view.outlines(Posed.stacked([TRUE]))
+    points = apply(np.eye(4), placed_points(bundled_body.instrument, outline, TRUE))
+    step = np.eye(3)[unknown] * [1e-4, 1e-2, 1e-2][unknown]
+    changed = view.camera.changed(float(np.exp(step[0])), (float(step[1]), float(step[2])))
+    moved = ((changed.project(points) - view.camera.project(points)) * outline.normals).sum(axis=1)
+    np.testing.assert_allclose(of_camera(view, outline) @ step, moved, atol=1e-6)
