@@ -87,7 +87,7 @@ def estimate(
     Parameters
     ----------
     mask
-        Mask of the instrument: 8-bit PNG or JPEG, pixels above 127 are instrument. By default the mask is found in the
+        Mask of the instrument: PNG of 8 bits or 1, or JPEG, pixels above 127 are instrument. By default the mask is found in the
         image. [--mask or --image required]
     joints
         Joint readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or values
