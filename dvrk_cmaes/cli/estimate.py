@@ -87,8 +87,8 @@ def estimate(
     Parameters
     ----------
     mask
-        Mask of the instrument: PNG of 8 bits or 1, or JPEG, pixels above 127 are instrument. By default the mask is found in the
-        image. [--mask or --image required]
+        Mask of the instrument: PNG of 8 bits or 1, or JPEG, pixels above 127 are instrument. By default the mask is
+        found in the image. [--mask or --image required]
     joints
         Joint readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or values
         such as wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none, if there are no readings. May

@@ -79,7 +79,7 @@ def _trimmed(line: str) -> str:
         line = line[: style.start()]
 
 
-class TrimmedOutput(io.TextIOBase):
+class TrimmedOutput(io.StringIO):
     """Stdout, whose lines end without spaces."""
 
     def write(self, text: str) -> int:
