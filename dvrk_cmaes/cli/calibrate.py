@@ -258,6 +258,11 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
             f"mean IoU {iou:.3f}, contour {off:.1f} px median"
         )
+    doubtful = {name: result for name, result in solved.results.items() if result.status == "doubtful"}
+    for name, result in list(doubtful.items())[:_MOST_LISTED]:
+        yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+    if doubtful:
+        yield Line(f"{len(doubtful)} of {len(solved.results)} frames are doubtful", STATUS_STYLES["doubtful"])
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")
 
 
