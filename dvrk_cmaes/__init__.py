@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
+    from dvrk_cmaes.calibration.mask_margin import SessionMasks
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
     from dvrk_cmaes.camera import Camera, Rig
@@ -84,6 +85,7 @@ _HOMES = {
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration.frame_task",
+    "SessionMasks": "calibration.mask_margin",
     "SessionVideo": "frames.session_video",
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
@@ -146,6 +148,7 @@ __all__ = [
     "SessionCamera",
     "SessionConfig",
     "SessionFrame",
+    "SessionMasks",
     "SessionVideo",
     "Shaft",
     "SilhouetteConfig",
