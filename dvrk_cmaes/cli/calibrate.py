@@ -7,14 +7,16 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    FOLDER,
     MOST_WORKERS,
     OUTPUT,
+    WORKERS,
     CameraOptions,
     Flag,
     InstrumentOptions,
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
-FOLDER = Group.create_ordered("Folder")
-WORKERS = Group.create_ordered("Workers")
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
@@ -52,7 +52,7 @@ def calibrate(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
+    r"""Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
 
     All frames are solved together. It is assumed that the base does not move, that the readings of the outer joints are
     good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
@@ -63,7 +63,10 @@ def calibrate(
 
     Example:
 
-    `dvrk-cmaes calibrate session --results session/results --out calibrated`
+    ```
+    dvrk-cmaes calibrate session \
+      --results session/results --out calibrated
+    ```
 
     Afterwards `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from the calibration.
 
@@ -261,6 +264,11 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
             f"mean IoU {iou:.3f}, contour {off:.1f} px median"
         )
+    doubtful = {name: result for name, result in solved.results.items() if result.status == "doubtful"}
+    for name, result in list(doubtful.items())[:_MOST_LISTED]:
+        yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+    if doubtful:
+        yield Line(f"{len(doubtful)} of {len(solved.results)} frames are doubtful", STATUS_STYLES["doubtful"])
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")
 
 

@@ -83,18 +83,25 @@ def import_recording(
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
+    r"""Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
 
     Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, but no
     masks.
 
     Example:
 
-    `dvrk-cmaes import suturing.bag --out session --every 10`
+    ```
+    dvrk-cmaes import suturing.bag --out session --every 10
+    ```
 
-    `dvrk-cmaes import suturing.mp4 --camera camera.yaml --joints joints.csv --video-start 12.4 --out session`
+    ```
+    dvrk-cmaes import suturing.mp4 --camera camera.yaml \
+      --joints joints.csv --video-start 12.4 --out session
+    ```
 
-    `dvrk-cmaes import online_data/2 --arm PSM1 --out session`
+    ```
+    dvrk-cmaes import online_data/2 --arm PSM1 --out session
+    ```
 
     Parameters
     ----------

@@ -10,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    FOLDER,
     MOST_SKIPPED,
     OUTPUT,
     CameraOptions,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_folder import TrackSummary
 
-FOLDER = Group("Folder", sort_key=0)
 
 AUTO = "auto"
 
@@ -70,7 +70,7 @@ def track(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
+    r"""Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
     The first frame is solved as by `estimate`; the others start from what the readings did since the frame before. No
     frame's result depends on later frames, unless --smooth is given. A lost instrument is searched for, around the
@@ -84,9 +84,14 @@ def track(
 
     Example:
 
-    `dvrk-cmaes track session --out tracks`
+    ```
+    dvrk-cmaes track session --out tracks
+    ```
 
-    `dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks`
+    ```
+    dvrk-cmaes track session/video.mp4 \
+      --box 250,180,639,380 --out tracks
+    ```
 
     Parameters
     ----------
@@ -255,6 +260,8 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
     """Yield the lines of a summary."""
     import numpy as np
 
+    from dvrk_cmaes.results.track_files import VIDEO
+
     total = sum(done.counts.values())
     counts = ", ".join(f"{done.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if done.counts.get(name))
     yield Line(f"{frames_text(total)}: {counts}", "bold")
@@ -264,6 +271,8 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
         offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
         yield Line(f"offsets at the end, deg (true = reading + offset): {offsets}")
     yield Line(f"written: {out / 'tracks.jsonl'}")
+    if (out / VIDEO).is_file() and not done.interrupted:
+        yield Line(f"video: {out / VIDEO}")
     if page and not done.interrupted:
         yield Line(f"page: {out / 'report.html'}")
     if rerun is not None and not done.interrupted:

@@ -12,7 +12,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.folder import is_followed, read_results
 
 RECORDINGS = (".bag", ".db3", ".mcap")
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -25,7 +25,7 @@ def inspect_folder(path: Path, options: Options) -> Finding:
     """Describe a folder, recognised by the names in it; InputError if it is of no known kind."""
     if (path / "masks").is_dir() or (path / "images").is_dir():
         return _session(path, options)
-    if (path / "frames").is_dir():
+    if (path / "frames").is_dir() or is_followed(path):
         return _results(path)
     if (path / "metadata.yaml").is_file():
         return inspect_recording(path)
@@ -117,4 +117,6 @@ def _results(path: Path) -> Finding:
     counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
     line = f"{counted(len(results.frames), 'frame')} ({counts}): {listed(results.frames)}"
     session = "with a session calibration" if results.session is not None else "each frame by itself"
+    if is_followed(path):
+        session = "followed from image to image (tracks.jsonl); lost frames are doubtful, or failed without a pose"
     return Finding("results", (line, session), {"statuses": dict(statuses), "frames": list(results.frames)})

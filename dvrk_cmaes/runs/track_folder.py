@@ -234,6 +234,7 @@ def _show(
         run.body.instrument.name,
         calibration,
         readings,
+        video=VIDEO if video else "",
     )
     write_outputs(
         seen_frames(run.frames, rows, rig, run.body),
