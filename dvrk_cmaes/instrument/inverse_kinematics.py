@@ -65,7 +65,7 @@ def find_joints(
     """
     joints = np.full((len(base_from_tip), len(POSED_JOINTS)), np.nan)
     base_from_yaw = base_from_tip @ inverse(tooltip_offset)
-    origin, x, y, z = (base_from_yaw[:, :3, k] for k in (3, 0, 1, 2))
+    x, y, origin = (base_from_yaw[:, :3, k] for k in (0, 1, 3))
     along_x, along_y = (origin * x).sum(axis=1), (origin * y).sum(axis=1)
     told = np.hypot(along_x, along_y) > _SINGULAR
     theta = np.arctan2(-along_y, along_x)  # of the DH row of wrist yaw; theta + pi is the other solution
