@@ -58,7 +58,7 @@ def compare(
         Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
     picture
         File for a figure of the differences over the frames: .png, .pdf, .svg or .jpg. Needs matplotlib (pip install
-        "dvrk-cmaes[plots]").
+        '.[plots]').
     json
         Print only the comparison, as JSON, on stdout.
     """

@@ -60,7 +60,7 @@ def consistency(
         the roll offset stated in the results, or that of the tools 400xxx if none is stated.
     picture
         File for a figure of the axes and of their distances from x*, to one scale: .png, .pdf, .svg or .jpg. Needs
-        matplotlib (pip install "dvrk-cmaes[plots]").
+        matplotlib (pip install '.[plots]').
     json
         Print only the measures, as JSON, on stdout.
     """

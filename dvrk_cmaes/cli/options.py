@@ -301,7 +301,7 @@ class SegmentOptions:
     ----------
     model
         Segmentation model: classic uses colour and shape and needs no weights; sam2 is Segment Anything 2 (pip install
-        "dvrk-cmaes[sam2]").
+        '.[sam2]').
     weights
         Folder with the encoder and the decoder of an exported checkpoint; required for sam2.
     """

@@ -124,7 +124,7 @@ def track(
         --no-page leaves out report.html, the page with curves over time and pictures.
     rerun
         File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
-        install "dvrk-cmaes[viewer]").
+        install '.[viewer]').
     evidence
         masks, images or both; by default the masks of frames that have one, and the images of the others.
     first_mask
