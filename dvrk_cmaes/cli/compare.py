@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -191,14 +189,13 @@ def _row(found: Difference) -> str:
 def _csv_text(comparison: Comparison) -> str:
     """Format all frames as a table, the columns of each set after its label; cells without a value are blank."""
     from dvrk_cmaes.evaluate.comparison import QUANTITIES
+    from dvrk_cmaes.io.csv_file import csv_text
 
     joints = list(
         dict.fromkeys(n for by in comparison.differences for difference in by.values() for n in difference.joints_deg)
     )
     columns = ["status", "iou", *QUANTITIES, *(f"{name}_deg" for name in joints)]
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)])
+    header, rows = ["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)], []
     for frame in comparison.frames:
         cells: list[object] = [frame]
         for compared, by_frame in zip(comparison.sets, comparison.differences, strict=True):
@@ -210,5 +207,5 @@ def _csv_text(comparison: Comparison) -> str:
                 values += [getattr(found, name) for name in QUANTITIES]
                 values += [found.joints_deg.get(name) for name in joints]
             cells += [round(value, 6) if isinstance(value, float) else value for value in values]
-        table.writerow(cells)
-    return text.getvalue()
+        rows.append(cells)
+    return csv_text(header, rows)
