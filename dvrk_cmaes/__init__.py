@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-    from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
+    from dvrk_cmaes.calibration.mask_margin import SessionMasks
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
     from dvrk_cmaes.camera import Camera, Rig
+    from dvrk_cmaes.camera.files import read_camera
     from dvrk_cmaes.config import (
         EstimateConfig,
         LookAtRange,
@@ -83,6 +85,7 @@ _HOMES = {
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration.frame_task",
+    "SessionMasks": "calibration.mask_margin",
     "SessionVideo": "frames.session_video",
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
@@ -99,6 +102,8 @@ _HOMES = {
     "estimate_tools": "estimation",
     "load_instrument": "instrument",
     "prepare": "silhouette.prepare",
+    "read_calibration": "calibration.document",
+    "read_camera": "camera.files",
     "read_frame": "frames.frame",
     "read_result": "results.file",
     "read_results": "results.folder",
@@ -143,6 +148,7 @@ __all__ = [
     "SessionCamera",
     "SessionConfig",
     "SessionFrame",
+    "SessionMasks",
     "SessionVideo",
     "Shaft",
     "SilhouetteConfig",
@@ -159,11 +165,18 @@ __all__ = [
     "estimate_tools",
     "load_instrument",
     "prepare",
+    "read_calibration",
+    "read_camera",
     "read_frame",
     "read_result",
     "read_results",
     "read_session",
 ]
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted(__all__)
 
 
 def __getattr__(name: str) -> Any:

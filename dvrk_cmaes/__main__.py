@@ -15,8 +15,12 @@ _INTERRUPTED = 130
 
 
 def main() -> int:
-    """Run the command line of ``sys.argv`` and return its exit code; SIGTERM has the effect of Ctrl-C."""
-    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    """Run the command line of ``sys.argv`` and return its exit code; SIGTERM and SIGHUP have the effect of Ctrl-C."""
+    defaults = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
     ours = [number for number, handler in defaults.items() if signal.getsignal(number) is handler]  # others are ignored
     _handle(ours, _end)
     try:

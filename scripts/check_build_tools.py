@@ -1,6 +1,7 @@
-"""Print in one line what is missing to install the package: Python's version, venv, a C compiler, Python's headers.
+"""Print in one line what is missing to install the package: Python's version, venv, a C++ compiler, Python's headers.
 
-One dependency, scikit-fmm, has no wheels for Linux and is compiled. The script runs on any Python 3 without packages.
+One dependency, scikit-fmm, has no wheels for Linux and is compiled, by Meson. conda-forge has it built. The script runs
+on any Python 3 without packages.
 """
 
 import os
@@ -9,6 +10,8 @@ import sys
 import sysconfig
 
 OLDEST = (3, 11)
+COMPILERS = {"CC": ("cc", "gcc", "clang"), "CXX": ("c++", "g++", "clang++")}
+"""Programs that Meson tries for C and C++, unless the variable of the environment names one."""
 
 
 def missing() -> "list[str]":
@@ -22,12 +25,17 @@ def missing() -> "list[str]":
         import venv  # noqa: F401
     except ImportError:
         found.append("Python's venv (Debian: apt install python3-venv)")
-    compiler = os.environ.get("CC") or (sysconfig.get_config_var("CC") or "cc").split()[0]
-    if not any(shutil.which(name) for name in (compiler.split()[0], "cc", "gcc", "clang")):
-        found.append("a C compiler (Debian: apt install gcc)")
+    if not all(_compiler_found(variable) for variable in COMPILERS):
+        found.append("a C++ compiler for scikit-fmm (Debian: apt install g++; conda-forge has scikit-fmm built)")
     if not os.path.exists(os.path.join(sysconfig.get_paths()["include"], "Python.h")):
         found.append("Python's headers (Debian: apt install python3-dev)")
     return found
+
+
+def _compiler_found(variable: str) -> bool:
+    """Return whether the compiler that a variable of the environment names, or else one of the usual ones, is there."""
+    named = os.environ.get(variable, "").split()[:1]
+    return any(shutil.which(name) for name in named or COMPILERS[variable])
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python scripts/make_instrument.py            # writes data/instruments/lnd
     python scripts/make_instrument.py --check    # exit code 1 if those files differ from what this script writes
 
-The same solids give the same bytes. The script needs manifold3d: pip install "dvrk-cmaes[make]".
+The same solids give the same bytes. The script needs manifold3d: pip install '.[make]'.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ try:
     from manifold3d import Manifold
     from needle_driver import PITCH_TO_YAW, TIP_FRAME, jaw_1_link, roll_link, wrist_pitch_link
 except ModuleNotFoundError as missing:
-    print(f'make_instrument.py: {missing.name} is missing; pip install "dvrk-cmaes[make]"', file=sys.stderr)
+    print(f"make_instrument.py: {missing.name} is missing; pip install '.[make]'", file=sys.stderr)
     sys.exit(2)
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "instruments" / "lnd"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from typing import Any, get_args, get_type_hints
 
@@ -23,6 +24,7 @@ USED = (
     dvrk_cmaes.Tracker,
 )
 """Classes whose objects users make or get, and look into."""
+DRAWN = (*USED, dvrk_cmaes.Renderer)
 
 
 def classes_in(annotation: Any) -> Iterator[type]:
@@ -57,6 +59,26 @@ def test_classes_of_signatures_are_public(function: Callable[..., Any]) -> None:
     met = {kind for hint in get_type_hints(function).values() for kind in classes_in(hint)}
     assert {kind.__name__ for kind in met} <= set(PUBLIC), function.__qualname__
     assert all(PUBLIC[kind.__name__] is kind for kind in met)
+
+
+def takes_arrays(function: Callable[..., Any]) -> bool:
+    """Whether a function takes or returns arrays."""
+    return any("NDArray" in str(hint) for hint in inspect.get_annotations(function).values())
+
+
+@pytest.mark.parametrize(
+    "function",
+    [f for f in [*FUNCTIONS, *(f for kind in DRAWN for f in annotations_of(kind))] if takes_arrays(f)],
+    ids=qualified_name,
+)
+def test_arrays_have_their_shapes_stated(function: Callable[..., Any]) -> None:
+    owner = getattr(dvrk_cmaes, function.__qualname__.partition(".")[0])
+    stated = f"{inspect.getdoc(owner)} {inspect.getdoc(function)}"
+    assert re.search(r"\([A-Z0-9 +]+, [A-Z0-9 ,]*\)", stated), "no shape such as (H, W) or (4, 4)"
+
+
+def test_public_names_are_listed() -> None:
+    assert dir(dvrk_cmaes) == sorted(dvrk_cmaes.__all__)
 
 
 def test_unknown_name_is_refused() -> None:

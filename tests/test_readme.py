@@ -222,3 +222,22 @@ def test_documents_are_in_source_distribution() -> None:
     included = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
     needed = {path.relative_to(ROOT).parts[0] for path in DOCUMENTS} | {"CITATION.cff", ".pre-commit-config.yaml"}
     assert needed <= set(included)
+
+
+def test_extras_are_installed_from_the_checkout() -> None:
+    texts = [*(ROOT / "dvrk_cmaes").rglob("*.py"), *(ROOT / "scripts").rglob("*.py"), *PAGES.glob("*.md")]
+    named = [path for path in texts if re.search(r"""["']dvrk-cmaes\[""", path.read_text(encoding="utf-8"))]
+    assert {path.name for path in named} <= {"rosbridge.py", "live.md"}  # the package is not on the index
+
+
+def test_release_publishes_what_was_tried_with_least_permissions() -> None:
+    release = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    jobs = release["jobs"]
+    assert release["permissions"] == {}
+    assert {name: job.get("permissions") for name, job in jobs.items()} == {
+        "build": {"contents": "read"},
+        "try": None,
+        "publish": {"id-token": "write"},
+    }
+    assert (jobs["publish"]["needs"], jobs["try"]["needs"]) == ("try", "build")
+    assert jobs["try"]["strategy"]["matrix"]["python"] == ["3.11", "3.12", "3.13"]

@@ -277,9 +277,10 @@ class Alternation:
     def _take_off_margin(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
         """Estimate the margin of the masks from the current fits, and take it off if it is clear.
 
-        Returns the calibration, and the frames' poses with masks less the margin; None for these without one.
+        Returns the calibration, and the frames' poses with masks less the margin; None if it is not taken off.
         """
-        estimate = estimate_margin(self.model, calibration, self._prior, at, self._outlines(), np.zeros(3))
+        session = self._config.session
+        estimate = estimate_margin(self.model, calibration, self._prior, session, at, self._outlines())
         self.masks = estimate.masks
         return (estimate.calibration, estimate.at) if estimate.masks.applied else (calibration, None)
 

@@ -48,6 +48,8 @@ from dvrk_cmaes.joints.lag import Lag, LagDocument
 Float64 = NDArray[np.float64]
 
 SCHEMA = 1
+CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
+"""What messages about arguments say of the type."""
 # standard deviations above which a part of the calibration is reported as not determined
 _UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
 _UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base

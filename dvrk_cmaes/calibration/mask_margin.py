@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.camera_change import MARGIN_STD, SessionOutlines
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, marginalise, solve
+from dvrk_cmaes.calibration.session_camera import file_deviations
+from dvrk_cmaes.calibration.solve import marginalise, solve
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
-from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
 
 _CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
+_LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
 _PASSES = 5  # largest number of linearisations of the outlines
 _SETTLED = 0.5  # standard deviations of the margin, below which the outlines are not linearised again
 
@@ -61,9 +63,14 @@ class MarginEstimate:
 
 
 def estimate_margin(
-    model: SessionModel, calibration: Calibration, prior: Float64, at: Posed, outlines: SessionOutlines, change: Float64
+    model: SessionModel,
+    calibration: Calibration,
+    prior: Float64,
+    config: SessionConfig,
+    at: Posed,
+    outlines: SessionOutlines,
 ) -> MarginEstimate:
-    """Estimate the margin of the masks beside the calibration, with the camera as it is.
+    """Estimate the margin of the masks beside the calibration and the camera, whose file counts as a measurement.
 
     Parameters
     ----------
@@ -71,24 +78,23 @@ def estimate_margin(
         The session's model and its calibration with whole masks.
     prior : (K, K)
         Information matrix of the calibration's prior, as in `solve`.
+    config
+        Standard deviations of the camera file.
     at
         The poses of the N frames.
     outlines
         The same frames' outlines.
-    change : (3,)
-        Change of the camera with which the frames were fitted; zeros for none.
     """
-    padded = np.pad(prior, (0, 1)) + np.diag([*np.zeros(len(prior)), MARGIN_STD**-2])
-    calibration = replace(calibration, further=np.array([outlines.margin]))
+    further = np.array([*file_deviations(config), MARGIN_STD])
+    padded = np.pad(prior, (0, 4)) + np.diag([*np.zeros(len(prior)), *further**-2])
+    there = replace(calibration, further=np.array([*np.zeros(3), outlines.margin]))
     for _ in range(_PASSES):
-        before = calibration.further
-        near = outlines.near(at, np.concatenate([change, before])).outlines
-        kept = np.delete(np.arange(near.dimension), [-4, -3, -2])  # without the unknowns of the camera
-        fits = FrameFits(at, Quadratic(near.information[:, kept][:, :, kept], near.slope[:, kept]), before)
-        solution = solve(model, fits, calibration, padded)
-        calibration, at = solution.calibration, at.moved(marginalise(model, fits, solution.calibration).own)
-        margin, std = float(calibration.further[0]), float(np.sqrt(solution.covariance[-1, -1]))
-        if abs(margin - before[0]) < _SETTLED * std:
+        before = there.further
+        fits = outlines.near(at, before)
+        solution = solve(model, fits, there, padded)
+        there, at = solution.calibration, at.moved(marginalise(model, fits, solution.calibration).own)
+        margin, std = float(there.further[3]), float(np.hypot(np.sqrt(solution.covariance[-1, -1]), _LEAST_STD))
+        if abs(margin - before[3]) < _SETTLED * std:
             break
     clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
-    return MarginEstimate(SessionMasks(margin, std, clear), replace(calibration, further=np.zeros(0)), at)
+    return MarginEstimate(SessionMasks(margin, std, clear), replace(there, further=np.zeros(0)), at)

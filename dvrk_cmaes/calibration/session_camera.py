@@ -59,7 +59,7 @@ class SessionCamera(Document):
     def of(cls, estimate: CameraEstimate, config: SessionConfig, width: int, *, applied: bool) -> SessionCamera:
         """Decide whether an estimate contradicts the camera file, and state it."""
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
-        file_covariance = np.diag(_file_std(config) ** 2)
+        file_covariance = np.diag(file_deviations(config) ** 2)
         contradicts = bool(change @ np.linalg.solve(covariance + file_covariance, change) > _CONTRADICTION)
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
@@ -94,7 +94,7 @@ class SessionCamera(Document):
         """Describe what of the camera file the frames contradict, with likely causes; empty if they do not."""
         if not self.contradicts:
             return []
-        file_std = _file_std(config)
+        file_std = file_deviations(config)
         scale, std = self.focal_scale - 1, self.std_focal_scale
         shift, std_shift = np.array(self.principal_point_px), np.array(self.std_principal_point_px)
         of_focal_length = abs(scale) > _NAMED * np.hypot(std, file_std[0])
@@ -178,7 +178,7 @@ def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool,
     file together tell: the mean error, whose effect is not corrected unless the change is applied, and its covariance.
     """
     if not tested:
-        square = np.diag(_file_std(config) ** 2)
+        square = np.diag(file_deviations(config) ** 2)
     elif applied:
         square = _SHARED_ERRORS**2 * estimate.covariance
     else:
@@ -189,11 +189,11 @@ def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool,
 
 def _with_file(change: Float64, covariance: Float64, config: SessionConfig) -> tuple[Float64, Float64]:
     """Return a change (3,) and its covariance (3, 3) with the camera file as a measurement that says: no change."""
-    file_covariance = np.diag(_file_std(config) ** 2)
+    file_covariance = np.diag(file_deviations(config) ** 2)
     gain = file_covariance @ np.linalg.inv(covariance + file_covariance)
     return gain @ change, gain @ covariance
 
 
-def _file_std(config: SessionConfig) -> Float64:
+def file_deviations(config: SessionConfig) -> Float64:
     """Return the standard deviations (3,) of the camera file: of its focal length, relative, and its centre, px."""
     return np.array([config.focal_length_percent / 100, config.principal_point_px, config.principal_point_px])

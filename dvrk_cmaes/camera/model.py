@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS, Lens
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.arguments import checked_array, checked_number
 
 _LENS_STEP = 1e-4  # of central differences of the distortion, in normalised coordinates
 
@@ -54,18 +55,20 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            size = getattr(self, name)
+            size = checked_number(name, getattr(self, name), "a positive whole number of pixels")
             if not (math.isfinite(size) and size == int(size) and size > 0):
-                raise InputError(f"{name}: expected a positive whole number of pixels, got {size}")
+                raise InputError(f"{name}: expected a positive whole number of pixels, got {size:g}")
             object.__setattr__(self, name, int(size))
         for name in ("fx", "fy", "cx", "cy"):
-            value = float(getattr(self, name))
+            value = checked_number(name, getattr(self, name), "a finite number of pixels")
             if not math.isfinite(value):
                 raise InputError(f"{name}: expected a finite number of pixels, got {value}")
             if name.startswith("f") and value <= 0:
                 raise InputError(f"{name}: expected a positive focal length in pixels, got {value:g}")
             object.__setattr__(self, name, value)
-        coefficients = tuple(float(c) for c in self.distortion)
+        expected = "coefficients, e.g. (k1, k2, p1, p2, k3)"
+        given = list(self.distortion) if isinstance(self.distortion, tuple) else self.distortion
+        coefficients = tuple(checked_array("distortion", given, float, expected, dimensions=1).tolist())
         object.__setattr__(self, "distortion", coefficients)
         if self.model not in COEFFICIENT_COUNTS:
             names = ", ".join(nearest_first(self.model, COEFFICIENT_COUNTS))

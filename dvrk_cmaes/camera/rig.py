@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import inverse, rotation_angle, transform
+from dvrk_cmaes.io.arguments import check_type
 
 Float64 = NDArray[np.float64]
 
@@ -70,7 +71,8 @@ class Rig:
 
     @staticmethod
     def of(camera: Camera | Rig) -> Rig:
-        """Return a rig as it is, and a single camera as a rig."""
+        """Return a rig as it is, and a single camera as a rig; InputError for anything else."""
+        check_type("camera", camera, (Camera, Rig), "a Camera or a Rig (dvrk_cmaes.read_camera reads a file)")
         return Rig.of_camera(camera) if isinstance(camera, Camera) else camera
 
     @staticmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 import traceback
 import warnings
@@ -18,9 +19,10 @@ from dvrk_cmaes.cli.demo import demo
 from dvrk_cmaes.cli.estimate import estimate
 from dvrk_cmaes.cli.export import export
 from dvrk_cmaes.cli.golden import golden
-from dvrk_cmaes.cli.help import help_topic
+from dvrk_cmaes.cli.help import help_topic, topic_pages
 from dvrk_cmaes.cli.import_recording import import_recording
 from dvrk_cmaes.cli.inspect import inspect
+from dvrk_cmaes.cli.layout import HelpFormatter, TrimmedOutput
 from dvrk_cmaes.cli.live import live
 from dvrk_cmaes.cli.pnp import pnp
 from dvrk_cmaes.cli.segment import segment
@@ -42,6 +44,7 @@ Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
 With `--debug`, any command shows where in the program an error was raised.""",
     version=__version__,
     suppress_keyboard_interrupt=False,
+    help_formatter=HelpFormatter(),
 )
 app.command(estimate)
 app.command(segment)
@@ -66,6 +69,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prepare_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug = _DEBUG in tokens
+    if tokens[:1] == ["help"] and len(tokens) == 2 and tokens[1] in app and tokens[1] not in topic_pages():
+        tokens = [tokens[1], "--help"]
+    if not tokens or not {"--help", "-h"}.isdisjoint(tokens):
+        from rich.console import Console
+
+        app.console = Console(file=TrimmedOutput())
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
@@ -121,4 +130,15 @@ def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:
     name = error.argument.name
     if any(token == name or token.startswith(f"{name}=") for token in tokens):
         return None  # given, but without a value
+    options = (token.partition("=")[0] for token in tokens if token.startswith("--"))
+    near = difflib.get_close_matches(name, [option for option in options if option != name], n=1, cutoff=0.75)
+    if near and near[0] not in _options_of(error):
+        return f"{near[0]}: no such option; did you mean {name}?"
     return f"{name}: missing; it is required"
+
+
+def _options_of(error: MissingArgumentError) -> set[str]:
+    """Return the names of all options of the command that an error is about."""
+    if error.app is None:
+        return set()
+    return {name for argument in error.app.assemble_argument_collection() for name in argument.names}

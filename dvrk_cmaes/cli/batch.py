@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     AUTO,
@@ -18,9 +18,11 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
     DEFAULT_SEGMENT,
+    FOLDER,
     METHOD,
     MOST_WORKERS,
     OUTPUT,
+    WORKERS,
     CameraOptions,
     Flag,
     InstrumentOptions,
@@ -42,8 +44,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.worklist import Shard
 
-FOLDER = Group("Folder", sort_key=0)  # sorted before the groups shared by commands
-WORKERS = Group("Workers", sort_key=0)
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
@@ -75,7 +75,7 @@ def batch(
     prompts: PromptOptions = DEFAULT_PROMPTS,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
+    r"""Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
 
     If the command is interrupted or killed, the same command continues with the missing frames. A frame that cannot be
     estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
@@ -86,12 +86,23 @@ def batch(
 
     Example:
 
-    `dvrk-cmaes batch session --out results`
+    ```
+    dvrk-cmaes batch session --out results
+    ```
 
-    On eight machines, I from 1 to 8: `dvrk-cmaes batch session --out results --shard I/8`, and afterwards
-    `dvrk-cmaes batch --merge results`.
+    On eight machines, I from 1 to 8, and afterwards on one of them:
 
-    On a Dask cluster: `dvrk-cmaes batch session --out results --scheduler tcp://head:8786`
+    ```
+    dvrk-cmaes batch session --out results --shard I/8
+    dvrk-cmaes batch --merge results
+    ```
+
+    On a Dask cluster:
+
+    ```
+    dvrk-cmaes batch session --out results \
+      --scheduler tcp://head:8786
+    ```
 
     Parameters
     ----------
@@ -179,10 +190,12 @@ def batch(
         raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
     arms: dict[str, ArmInSession] = {}
     finished: dict[str, BatchSummary] = {}
+    calibrations = {name: read_calibration_of(calibration, tool.tool.arm) for name, tool in tools.items()}
     for name, tool in tools.items():
         arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+    for name, arm in arms.items():
         finished[name] = done = _run(
-            arms[name],
+            arm,
             results / name,
             settings,
             scheduler=scheduler,
@@ -195,7 +208,7 @@ def batch(
             time_limit=time_limit,
             lag=given,
             find_lag=lag == AUTO,
-            calibration=read_calibration_of(calibration, tool.tool.arm),
+            calibration=calibrations[name],
         )
         if done.interrupted:
             break

@@ -96,9 +96,15 @@ def progress() -> Iterator[BatchProgress]:
         yield _ProgressBar(bar)
 
 
+def _stopping() -> list[signal.Signals]:
+    """Return the signals that stop a run; SIGHUP, of a terminal that is closed, only where nohup does not ignore it."""
+    hang_up = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]
+    return [signal.SIGINT, signal.SIGTERM, *hang_up]
+
+
 @contextmanager
 def stopping_on_interrupt() -> Iterator[threading.Event]:
-    """Give an event that is set by the first Ctrl-C (or SIGTERM); the second one raises KeyboardInterrupt.
+    """Give an event that is set by the first Ctrl-C (or SIGTERM, SIGHUP); the second one raises KeyboardInterrupt.
 
     Signals are not handled outside the main thread.
     """
@@ -113,7 +119,7 @@ def stopping_on_interrupt() -> Iterator[threading.Event]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, handle) for number in _stopping()}
     try:
         yield stop
     finally:

@@ -8,15 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+<<<<<<< HEAD
     MOST_SKIPPED,
+=======
+    FOLDER,
+>>>>>>> main
     MOST_WORKERS,
     OUTPUT,
+    WORKERS,
     CameraOptions,
     Flag,
     InstrumentOptions,
@@ -32,8 +37,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
-FOLDER = Group.create_ordered("Folder")
-WORKERS = Group.create_ordered("Workers")
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
@@ -57,7 +60,7 @@ def calibrate(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
+    r"""Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
 
     All frames are solved together. It is assumed that the base does not move, that the readings of the outer joints are
     good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
@@ -68,7 +71,10 @@ def calibrate(
 
     Example:
 
-    `dvrk-cmaes calibrate session --results session/results --out calibrated`
+    ```
+    dvrk-cmaes calibrate session \
+      --results session/results --out calibrated
+    ```
 
     Afterwards `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from the calibration.
 
@@ -114,15 +120,26 @@ def calibrate(
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, session_tools
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.runs.ownership import check_owned
 
     target = session / "calibration" if out is None else out
     settings = method.resolve()
     arms: dict[str, ArmInSession] = {}
     solved: dict[str, SolvedSession] = {}
     for name, tool in session_tools(session, instrument, only).items():
+<<<<<<< HEAD
         arms[name] = _share(tool.read(session, camera, joints=joints), every, keyframes)
+=======
+        arms[name] = tool.read(session, camera, joints=joints)
+        if results is not None and (results / name).resolve() == (target / name).resolve():
+            raise InputError(
+                f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
+            )
+        check_owned(target / name, "calibrate", replaces=True)
+    for name, arm in arms.items():
+>>>>>>> main
         solution = _calibrate_arm(
-            arms[name],
+            arm,
             target / name,
             None if results is None else results / name,
             refine_camera=refine_camera,
@@ -170,14 +187,13 @@ def _calibrate_arm(
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
+    from dvrk_cmaes.runs.output import locked
     from dvrk_cmaes.runs.processes import usable_cores
 
-    if results is not None and results.resolve() == target.resolve():
-        raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {target}")
     session, model = arm.session, arm.body.instrument
     count = workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
-    with used as processes:
+    with locked(target), used as processes:
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
@@ -278,6 +294,11 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
             f"mean IoU {iou:.3f}, contour {off:.1f} px median"
         )
+    doubtful = {name: result for name, result in solved.results.items() if result.status == "doubtful"}
+    for name, result in list(doubtful.items())[:_MOST_LISTED]:
+        yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+    if doubtful:
+        yield Line(f"{len(doubtful)} of {len(solved.results)} frames are doubtful", STATUS_STYLES["doubtful"])
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.comparison import Comparison, Difference
 
 _TABLE = "compare.csv"
+_MOST_NAMED = 10  # frames in a line
 
 
 def compare(
@@ -36,9 +35,13 @@ def compare(
 
     Example:
 
-    `dvrk-cmaes compare before after --out differences`
+    ```
+    dvrk-cmaes compare before after --out differences
+    ```
 
-    `dvrk-cmaes compare session/golden.json results`
+    ```
+    dvrk-cmaes compare session/golden.json results
+    ```
 
     Parameters
     ----------
@@ -53,7 +56,7 @@ def compare(
         Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
     picture
         File for a figure of the differences over the frames: .png, .pdf, .svg or .jpg. Needs matplotlib (pip install
-        "dvrk-cmaes[plots]").
+        '.[plots]').
     json
         Print only the comparison, as JSON, on stdout.
     """
@@ -133,14 +136,28 @@ def _sums(comparison: Comparison) -> Iterator[Line]:
                 yield Line(f"  {heading:<20}{numbers}  {spread.frame}")
         twins = sorted(frame for frame, difference in found.items() if difference.is_twin)
         if twins:
-            yield Line(f"  mirror twin of {reference}: {', '.join(twins)}", "yellow")
+            yield Line(f"  mirror twin of {reference}: {_named(twins, len(found))}", "yellow")
         within = comparison.within_90(k)
         if within is not None:
             yield Line(f"  tips within the stated 90 % distance of the truth: {within[0]} of {within[1]} frames")
+        within_std = comparison.within_std(k)
+        if within_std is not None:
+            once, twice, of = within_std
+            shares = f"{once / of:.0%} of {of} frames, within twice of it {twice / of:.0%}"
+            yield Line(f"  tips within their stated standard deviation of the truth: {shares} (expected: 65 %, 95 %)")
         missing = [name for name in comparison.frames if name in comparison.sets[comparison.reference].frames]
         missing = [name for name in missing if name not in found]
         if missing:
-            yield Line(f"  not compared, without a pose in one of the two: {', '.join(missing)}", "yellow")
+            names = _named(missing, len(comparison.frames))
+            yield Line(f"  not compared, without a pose in one of the two: {names}", "yellow")
+
+
+def _named(names: Sequence[str], of: int) -> str:
+    """Name frames: all of several as ``all 115``, many by the first ones and their number."""
+    if len(names) == of > 1:
+        return f"all {of}"
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _frames(comparison: Comparison, most: int) -> Iterator[Line]:
@@ -172,14 +189,13 @@ def _row(found: Difference) -> str:
 def _csv_text(comparison: Comparison) -> str:
     """Format all frames as a table, the columns of each set after its label; cells without a value are blank."""
     from dvrk_cmaes.evaluate.comparison import QUANTITIES
+    from dvrk_cmaes.io.csv_file import csv_text
 
     joints = list(
         dict.fromkeys(n for by in comparison.differences for difference in by.values() for n in difference.joints_deg)
     )
     columns = ["status", "iou", *QUANTITIES, *(f"{name}_deg" for name in joints)]
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)])
+    header, rows = ["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)], []
     for frame in comparison.frames:
         cells: list[object] = [frame]
         for compared, by_frame in zip(comparison.sets, comparison.differences, strict=True):
@@ -191,5 +207,5 @@ def _csv_text(comparison: Comparison) -> str:
                 values += [getattr(found, name) for name in QUANTITIES]
                 values += [found.joints_deg.get(name) for name in joints]
             cells += [round(value, 6) if isinstance(value, float) else value for value in values]
-        table.writerow(cells)
-    return text.getvalue()
+        rows.append(cells)
+    return csv_text(header, rows)

@@ -26,7 +26,7 @@ def consistency(
     picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Measure how well the frames of a session agree, without true poses: the paper's Table I and further measures.
+    r"""Measure how well the frames of a session agree, without true poses: the paper's Table I and further measures.
 
     While the arm moves about its remote centre of motion (RCM), the shafts' axes should meet in one point x*. Sigma is
     the standard deviation of their distances from x*, in m as in the paper; rms is the root mean square of the
@@ -40,7 +40,10 @@ def consistency(
 
     Example:
 
-    `dvrk-cmaes consistency out/easy out/medium --picture axes.png`
+    ```
+    dvrk-cmaes consistency out/easy out/medium \
+      --picture axes.png
+    ```
 
     Parameters
     ----------
@@ -57,7 +60,7 @@ def consistency(
         the roll offset stated in the results, or that of the tools 400xxx if none is stated.
     picture
         File for a figure of the axes and of their distances from x*, to one scale: .png, .pdf, .svg or .jpg. Needs
-        matplotlib (pip install "dvrk-cmaes[plots]").
+        matplotlib (pip install '.[plots]').
     json
         Print only the measures, as JSON, on stdout.
     """

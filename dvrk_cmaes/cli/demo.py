@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.results.result import Result
 
-_MAY_BE_DOUBTFUL = ("0002",)  # tissue covers a jaw, and no ignore mask excludes it
+_MOST_BEYOND = 1  # frames that may be beyond the limits
+_MOST_DEVIATIONS = 3.0  # stated standard deviations of its tips, unless it is doubtful
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +32,14 @@ class DemoOutcome:
 
     @property
     def expected(self) -> bool:
-        """Whether all errors are within tolerance, or the frame is one of the known hard ones and marked doubtful."""
-        flagged = self.result.frame in _MAY_BE_DOUBTFUL and self.result.status == "doubtful"
-        return not self.beyond or flagged
+        """Whether all errors are within the limits, or the frame is marked doubtful."""
+        return not self.beyond or self.result.status == "doubtful"
+
+    @property
+    def deviations(self) -> float:
+        """The tips' error in stated standard deviations; infinite if none is stated."""
+        stated = self.result.expected_error
+        return math.inf if stated is None or self.error.tip_mm is None else self.error.tip_mm / stated.of_tips_mm
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -46,6 +53,7 @@ class DemoOutcome:
             "seconds": self.result.seconds,
             "beyond": list(self.beyond),
             "expected": self.expected,
+            "deviations": self.deviations,
         }
 
 
@@ -58,11 +66,14 @@ def demo(
     """Estimate the bundled session, print the errors against the true poses, and write results and overlays.
 
     The session has five synthetic frames of the bundled needle driver, with simulated segmentation errors in the masks
-    and errors of several degrees in the readings. Exit code 0 if all frames are as expected, 1 otherwise.
+    and errors of several degrees in the readings. Exit code 0 if all frames but one at most are within the limits, and
+    that one is doubtful or its tips are within three of their stated standard deviations; 1 otherwise.
 
     Example:
 
-    `dvrk-cmaes demo --out demo`
+    ```
+    dvrk-cmaes demo --out demo
+    ```
 
     Parameters
     ----------
@@ -78,11 +89,13 @@ def demo(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.bundled import bundled_path
 
-    # for masks with segmentation errors; 5 deg of the shaft move the tips, 20 mm from the root, by nearly 2 mm
-    tolerance = Tolerance(root_mm=2.0, tip_mm=3.5, shaft_deg=5.0, roll_deg=12.0, pitch_yaw_deg=8.0, jaw_deg=8.0)
+    # for masks with segmentation errors; the tips' limit is that beyond which results are doubtful
+    tolerance = Tolerance(root_mm=2.0, tip_mm=2.0, shaft_deg=5.0, roll_deg=12.0, pitch_yaw_deg=8.0, jaw_deg=8.0)
     session = read_session(bundled_path("demo"))
     outcomes = list(_run(session, out, method, tolerance))
-    right = all(outcome.expected for outcome in outcomes)
+    missed = [outcome for outcome in outcomes if outcome.beyond]
+    told = all(outcome.expected or outcome.deviations <= _MOST_DEVIATIONS for outcome in missed)
+    right = len(missed) <= _MOST_BEYOND and told
     if json:
         document = {
             "expected": right,
@@ -120,7 +133,7 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
 
 def _table(outcomes: Sequence[DemoOutcome], tolerance: dict[str, float], out: Path) -> Iterator[Line]:
     """Yield the table of the frames' errors, the messages, and the folders of the files written."""
-    yield Line("Found less true, bundled session (tip and root in mm, angles in deg)", "bold")
+    yield Line("Error (found - true), bundled session (tip and root in mm, angles in deg)", "bold")
     yield Line("frame  status      tip   root  shaft  rotation  pitch    yaw    jaw    IoU      s", "bold")
     for outcome in outcomes:
         result, error, joints = outcome.result, outcome.error, outcome.error.joints_deg
@@ -132,9 +145,12 @@ def _table(outcomes: Sequence[DemoOutcome], tolerance: dict[str, float], out: Pa
             "" if outcome.expected else STATUS_STYLES["failed"],
         )
     for outcome in outcomes:
-        for text in (*outcome.result.reasons, *(f"beyond tolerance: {text}" for text in outcome.beyond)):
+        for text in (*outcome.result.reasons, *(f"beyond the limit: {text}" for text in outcome.beyond)):
             yield Line(f"{outcome.result.frame}: {text}", "yellow")
-    right = sum(outcome.expected for outcome in outcomes)
+        if not outcome.expected:
+            many = f"the tips' error is {outcome.deviations:.1f} of their stated standard deviations"
+            yield Line(f"{outcome.result.frame}: not doubtful; {many}", "yellow")
+    right = sum(not outcome.beyond for outcome in outcomes)
     stated = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {most:g}" for name, most in tolerance.items())
-    yield Line(f"{right} of {len(outcomes)} frames as expected (at most: {stated})")
+    yield Line(f"{right} of {len(outcomes)} frames within the limits (at most: {stated})")
     yield Line(f"Overlays: {out / 'overlays'}   results: {out / 'frames'}")

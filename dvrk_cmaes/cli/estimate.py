@@ -10,15 +10,14 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.describe import describe
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
     DEFAULT_SEGMENT,
     FRAME,
     OUTPUT,
-    CameraOptions,
     Flag,
+    FrameCameraOptions,
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
@@ -60,29 +59,36 @@ def estimate(
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibration: SessionOption = None,
-    camera: CameraOptions = DEFAULT_CAMERA,
+    camera: FrameCameraOptions,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
+    r"""Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
 
     Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
 
     Example:
 
-    `dvrk-cmaes estimate --mask masks/0026.png --camera camera.yaml --joints joints.csv --image images/0026.png --out x`
+    ```
+    dvrk-cmaes estimate --mask masks/0026.png \
+      --camera camera.yaml --joints joints.csv \
+      --image images/0026.png --out x
+    ```
 
     Without a mask, it is found in the image:
 
-    `dvrk-cmaes estimate --image images/0026.png --camera camera.yaml --joints joints.csv --out x`
+    ```
+    dvrk-cmaes estimate --image images/0026.png \
+      --camera camera.yaml --joints joints.csv --out x
+    ```
 
     Parameters
     ----------
     mask
-        Mask of the instrument: 8-bit PNG or JPEG, pixels above 127 are instrument. By default the mask is found in the
-        image.
+        Mask of the instrument: PNG of 8 bits or 1, or JPEG, pixels above 127 are instrument. By default the mask is
+        found in the image. [--mask or --image required]
     joints
         Joint readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or values
         such as wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none, if there are no readings. May
@@ -94,13 +100,18 @@ def estimate(
         Time of the image in seconds, for files of readings with times: the readings are interpolated to it between rows
         at most 0.05 s away.
     image
-        Image: background of the overlay and, without --mask, the image in which the mask is found.
+        Image: background of the overlay and, without --mask, the image in which the mask is found. [--mask or
+        --image required]
     ignore
         Mask of the pixels that are not used, such as tissue or another tool before the instrument: 8-bit PNG or JPEG,
         pixels above 127 are ignored.
-    mask_right, image_right, ignore_right
-        The same of the right eye of a stereo endoscope. --camera then has both eyes, or the left one beside
-        --camera-right. The pose is in the left camera.
+    mask_right
+        Mask of the right eye of a stereo endoscope. --camera then has both eyes, or the left one beside --camera-right.
+        The pose is in the left camera.
+    image_right
+        Image of the right eye, as --image.
+    ignore_right
+        Mask of the pixels of the right eye that are not used, as --ignore.
     keypoints
         Pixels of the two jaw tips, u1,v1,u2,v2, in either order.
     label

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 if TYPE_CHECKING:
     Format = str
 else:
-    Format = Literal[tuple(FORMATS)]
+    Format = Literal[tuple(sorted(FORMATS))]
 
 NAMES = Group.create_ordered("Names")
 DVRK = Group.create_ordered("dVRK")
@@ -94,7 +94,7 @@ def export(
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Write results in the formats of other programs.
+    r"""Write results in the formats of other programs.
 
     Formats, with the transform and its units (a_from_b maps points of b into a):
 
@@ -106,7 +106,10 @@ def export(
 
     Example:
 
-    `dvrk-cmaes export results --to dvrk --arm PSM2 --out calibration`
+    ```
+    dvrk-cmaes export results --to dvrk --arm PSM2 \
+      --out calibration
+    ```
 
     Parameters
     ----------
@@ -144,7 +147,7 @@ def export(
         raise InputError(f"--scene, --object-id: expected whole numbers of at least 0, got {scene}, {object_id}")
     if ecm_pose is not None and to != "dvrk":
         raise InputError(f"--ecm-pose: expected the format dvrk, got --to {to}")
-    if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag"):
+    if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag") and (to, bag.tool) != ("tum", None):
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.export.formats import export as exported_files

@@ -101,7 +101,9 @@ def record(
 
     Example:
 
-    `dvrk-cmaes golden record session`
+    ```
+    dvrk-cmaes golden record session
+    ```
 
     Parameters
     ----------
@@ -169,7 +171,9 @@ def check(
 
     Example:
 
-    `dvrk-cmaes golden check session --tip-mm 1`
+    ```
+    dvrk-cmaes golden check session --tip-mm 1
+    ```
 
     Parameters
     ----------

@@ -15,18 +15,20 @@ _RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+://)[^)]*\)")
 
 
 def help_topic(topic: str | None = None, /) -> int:
-    """Print a reference page; without a topic, list the topics.
+    """Print a reference page, or the options of a command; without a topic, list the topics.
 
     On a terminal the page is formatted; a pipe or a file gets its Markdown text. Exit codes: 0 ok, 2 unknown topic.
 
     Examples
     --------
-    `dvrk-cmaes help results`
+    ```
+    dvrk-cmaes help results
+    ```
 
     Parameters
     ----------
     topic
-        Name of the page.
+        Name of the page, or of a command.
     """
     pages = topic_pages()
     if topic is None:
@@ -69,6 +71,11 @@ def _print_markdown(text: str) -> None:
         print(text, end="")
         return
     from rich.console import Console
+
+    from dvrk_cmaes.cli.layout import TrimmedOutput
+    from dvrk_cmaes.cli.markdown import fitted_markdown
+
+    console = Console(file=TrimmedOutput())
     from rich.markdown import Markdown
 
-    Console().print(Markdown(_RELATIVE_LINK.sub(r"\1", text)))
+    console.print(Markdown(fitted_markdown(_RELATIVE_LINK.sub(r"\1", text), console.width)))

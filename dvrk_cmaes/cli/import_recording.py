@@ -19,12 +19,14 @@ from dvrk_cmaes.io.short_text import shown
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import Side
     from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.recording.pose_table import PoseTable
     from dvrk_cmaes.recording.recording import Recording
     from dvrk_cmaes.recording.write_session import ImportSummary
 
 SELECTION = Group.create_ordered("Selection")
 TOPICS = Group.create_ordered("ROS recording")
 VIDEO = Group.create_ordered("Video")
+POSES = Group.create_ordered("Cartesian poses")
 FOLDER = Group.create_ordered("Stereo endoscope")
 
 
@@ -63,6 +65,34 @@ class TopicOptions:
 _DEFAULT_TOPICS = TopicOptions()
 
 
+@Parameter(name="*", group=POSES)
+@dataclass(frozen=True, kw_only=True)
+class PoseOptions:
+    """Meaning of a table of Cartesian poses given as --joints, whose joints are found by inverse kinematics.
+
+    Parameters
+    ----------
+    pose_of
+        Take --joints as a table of poses (time, x, y, z, qx, qy, qz, qw, and jaw if known) of this point: tip, the
+        dVRK's tip frame (measured_cp), or wrist-yaw, the origin of the wrist yaw axis with the tip's axes.
+    pose_base
+        Frame that the poses are given in: local, the arm's base (local/measured_cp), or a file with the pose of the
+        arm's base in that frame (measured_cp). Required with --pose-of.
+    kinematics
+        Kinematics of the arm: classic or si.
+    tool
+        dVRK tool description (JSON). By default the Large Needle Driver 400006.
+    """
+
+    pose_of: Literal["tip", "wrist-yaw"] | None = None
+    pose_base: str | None = None
+    kinematics: Literal["classic", "si"] = "classic"
+    tool: Path | None = None
+
+
+_DEFAULT_POSES = PoseOptions()
+
+
 def import_recording(
     recording: Path,
     /,
@@ -80,21 +110,29 @@ def import_recording(
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
     arm: Annotated[str | None, Parameter(group=FOLDER)] = None,
     topics: TopicOptions = _DEFAULT_TOPICS,
+    poses: PoseOptions = _DEFAULT_POSES,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
+    r"""Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
 
     Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, but no
     masks.
 
     Example:
 
-    `dvrk-cmaes import suturing.bag --out session --every 10`
+    ```
+    dvrk-cmaes import suturing.bag --out session --every 10
+    ```
 
-    `dvrk-cmaes import suturing.mp4 --camera camera.yaml --joints joints.csv --video-start 12.4 --out session`
+    ```
+    dvrk-cmaes import suturing.mp4 --camera camera.yaml \
+      --joints joints.csv --video-start 12.4 --out session
+    ```
 
-    `dvrk-cmaes import online_data/2 --arm PSM1 --out session`
+    ```
+    dvrk-cmaes import online_data/2 --arm PSM1 --out session
+    ```
 
     Parameters
     ----------
@@ -132,6 +170,8 @@ def import_recording(
         Arm of a SurgSync clip whose readings are imported, e.g. PSM1.
     topics
         The topics.
+    poses
+        The meaning of poses.
     overwrite
         Replace an existing session folder with all its files.
     json
@@ -149,7 +189,7 @@ def import_recording(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
-    with _opened(recording, topics, camera, joints, video_start, side, arm) as opened:
+    with _opened(recording, topics, camera, _table(joints, poses), video_start, side, arm) as opened:
         summary = write_session(
             _with_progress(opened),
             out,
@@ -170,6 +210,30 @@ def import_recording(
     else:
         show(_lines(summary))
     return 0
+
+
+def _table(joints: Path | None, poses: PoseOptions) -> Path | PoseTable | None:
+    """Return the file of readings, or the table of poses with its meaning if --pose-of is given."""
+    if poses.pose_of is None:
+        if poses != _DEFAULT_POSES:
+            raise InputError("--pose-of: expected tip or wrist-yaw with --pose-base, --kinematics and --tool, got none")
+        return joints
+    if joints is None:
+        raise InputError("--joints: expected a table of poses with --pose-of, got none")
+    if poses.pose_base is None:
+        raise InputError(
+            "--pose-base: expected local for poses in the arm's base (local/measured_cp), or a file with the pose of "
+            "the base in their frame (measured_cp), got none"
+        )
+    import numpy as np
+
+    from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
+    from dvrk_cmaes.instrument.dvrk_description import read_tool
+    from dvrk_cmaes.recording.pose_table import PoseTable
+
+    base = np.eye(4) if poses.pose_base == "local" else read_cartesian_pose(Path(poses.pose_base))
+    tool = None if poses.tool is None else read_tool(poses.tool)
+    return PoseTable(joints, poses.pose_of, base, poses.kinematics, tool)
 
 
 def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
@@ -202,7 +266,7 @@ def _opened(
     path: Path,
     topics: TopicOptions,
     camera: Path | None,
-    joints: Path | None,
+    joints: Path | PoseTable | None,
     video_start: float,
     side: Literal["left", "right", "both"] | None,
     arm: str | None,

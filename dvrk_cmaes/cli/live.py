@@ -75,7 +75,7 @@ def live(
     overlay: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     seconds: Annotated[float, Parameter(group=OUTPUT)] = math.inf,
 ) -> int:
-    """Follow an instrument on a running robot: images and readings from ROS topics, its pose to ROS topics.
+    r"""Follow an instrument on a running robot: images and readings from ROS topics, its pose to ROS topics.
 
     The topics are read and written through a rosbridge server (`ros2 launch rosbridge_server
     rosbridge_websocket_launch.xml`), so that no ROS is needed here. Of the images only the newest is followed. A lost
@@ -83,7 +83,10 @@ def live(
 
     Example:
 
-    `dvrk-cmaes live --image-topic /left/image_rect_color/compressed --mask-topic /left/mask --rectified`
+    ```
+    dvrk-cmaes live --rectified --mask-topic /left/mask \
+      --image-topic /left/image_rect_color/compressed
+    ```
 
     Parameters
     ----------

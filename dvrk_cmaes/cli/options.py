@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
+FOLDER = Group.create_ordered("Folder")
+WORKERS = Group.create_ordered("Workers")
 FRAME = Group.create_ordered("Frame")
 CAMERA = Group.create_ordered("Camera")
 INSTRUMENT = Group.create_ordered("Instrument")
@@ -55,7 +57,7 @@ class CameraOptions:
     ----------
     camera
         File of the intrinsics and the lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain
-        YAML. Required for a single frame; a session folder's own camera.yaml by default.
+        YAML. A session folder's own camera.yaml by default.
     rectified
         The images are rectified: use the projection matrix of the camera file, and no distortion.
     side
@@ -119,6 +121,27 @@ class CameraOptions:
             video=video,
         )
         return frames_of_tool(session, entries, tool.arm) if entries is not None and entries.tools else session
+
+
+@Parameter(name="*", group=CAMERA)
+@dataclass(frozen=True, kw_only=True)
+class FrameCameraOptions(CameraOptions):
+    """Options of the camera of a single frame.
+
+    Parameters
+    ----------
+    camera
+        File of the intrinsics and the lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain
+        YAML.
+    rectified
+        The images are rectified: use the projection matrix of the camera file, and no distortion.
+    side
+        Camera to use if the file describes a stereo pair and one view is used.
+    camera_right
+        File of the right camera, where both eyes are used and the files are two.
+    """
+
+    camera: Path = field()
 
 
 @Parameter(name="*", group=INSTRUMENT)
@@ -278,7 +301,7 @@ class SegmentOptions:
     ----------
     model
         Segmentation model: classic uses colour and shape and needs no weights; sam2 is Segment Anything 2 (pip install
-        "dvrk-cmaes[sam2]").
+        '.[sam2]').
     weights
         Folder with the encoder and the decoder of an exported checkpoint; required for sam2.
     """

@@ -21,7 +21,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.segment import Segmentation
@@ -73,7 +73,7 @@ def segment(
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Find the instrument in an image, or in each image of a folder.
+    r"""Find the instrument in an image, or in each image of a folder.
 
     Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
     OUT/scores/FRAME.png (8-bit; 128 and more is instrument). Without prompts, the model classic takes for instrument
@@ -88,7 +88,10 @@ def segment(
 
     Example:
 
-    `dvrk-cmaes segment images/0026.png --box 250,180,639,380 --out x`
+    ```
+    dvrk-cmaes segment images/0026.png \
+      --box 250,180,639,380 --out x
+    ```
 
     Parameters
     ----------
@@ -101,7 +104,8 @@ def segment(
     threads
         Number of threads.
     out
-        Folder for the files written. The command refuses to replace the masks of a session.
+        Folder for the files written: a new one, or one of this command. Masks that were corrected there by hand since
+        are not replaced.
     json
         Print only a summary, as JSON, on stdout.
     """
@@ -110,7 +114,8 @@ def segment(
 
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.results.paths import check_output, mask_path
+    from dvrk_cmaes.results.paths import check_output
+    from dvrk_cmaes.runs.ownership import check_owned, record_masks
 
     settings, hints = model.resolve(), prompts.resolve()
     cv2.setNumThreads(threads)
@@ -118,16 +123,19 @@ def segment(
     images = {source.stem: source} if single else find_images(source)
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
-        if not single and out.absolute() == source.absolute() and mask_path(out, frame).exists():
-            raise InputError(f"--out: expected another folder than the session's, which has {mask_path(out, frame)}")
+    check_owned(out, "segment", replaces=True)
     outcomes = []
-    for frame, path in images.items():
-        try:
-            outcomes.append(_segment(frame, path, settings, hints, threads, out))
-        except DvrkCmaesError as error:
-            if single:
-                raise
-            outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
+    try:
+        for frame, path in images.items():
+            try:
+                outcomes.append(_segment(frame, path, settings, hints, threads, out))
+            except DvrkCmaesError as error:
+                if single:
+                    raise
+                outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
+    finally:
+        if out.is_dir():
+            record_masks(out, "segment")
     if json:
         document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
         print(json_text(document), end="")

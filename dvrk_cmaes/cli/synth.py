@@ -43,7 +43,7 @@ def synth(
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
-    """Write a synthetic session with known true poses, in the layout of a session folder.
+    r"""Write a synthetic session with known true poses, in the layout of a session folder.
 
     With --motion rcm an arm moves the instrument about its remote centre of motion: there are one camera_from_base and
     readings of the outer joints. With --motion free the poses of the frames are independent. Masks have simulated
@@ -78,7 +78,10 @@ def synth(
 
     Example:
 
-    `dvrk-cmaes synth sessions/hard --level hard --frames 20 --seed 3`
+    ```
+    dvrk-cmaes synth sessions/hard --level hard \
+      --frames 20 --seed 3
+    ```
 
     Parameters
     ----------

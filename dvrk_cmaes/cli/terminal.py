@@ -43,17 +43,25 @@ def print_error(message: str) -> None:
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     with contextlib.suppress(OSError):
-        print("dvrk-cmaes:", text, file=sys.stderr)
+        note(text)
 
 
 def warn(message: str) -> None:
     """Print a warning about a result on stderr."""
-    print("dvrk-cmaes: warning:", message, file=sys.stderr)
+    note(f"warning: {message}")
 
 
 def note(message: str) -> None:
     """Print information on stderr, for commands whose stdout contains only the result."""
-    print("dvrk-cmaes:", message, file=sys.stderr)
+    text = f"dvrk-cmaes: {message}"
+    if not sys.stderr.isatty():
+        print(text, file=sys.stderr)
+        return
+    import shutil
+
+    from dvrk_cmaes.cli.layout import fold
+
+    print("\n".join(fold(text, shutil.get_terminal_size().columns)), file=sys.stderr)
 
 
 def show(lines: Iterable[Line]) -> None:
@@ -65,9 +73,12 @@ def show(lines: Iterable[Line]) -> None:
     from rich.console import Console
     from rich.text import Text
 
+    from dvrk_cmaes.cli.layout import fold
+
     console = Console()
     for line in lines:
-        console.print(Text(line.text, style=line.style), soft_wrap=True)
+        for part in fold(line.text, console.width):
+            console.print(Text(part, style=line.style), soft_wrap=True)
 
 
 def frames_text(frames: int) -> str:

@@ -10,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
     OUTPUT,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_folder import TrackSummary
 
-FOLDER = Group("Folder", sort_key=0)
 
 AUTO = "auto"
 
@@ -73,7 +73,7 @@ def track(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
+    r"""Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
     Keyframes over the whole recording are solved together, as by `calibrate`; every frame is then fitted with what
     that solution and its neighbours expect. With --causal, and where keyframes cannot be solved, the first frame is
@@ -88,9 +88,14 @@ def track(
 
     Example:
 
-    `dvrk-cmaes track session --out tracks`
+    ```
+    dvrk-cmaes track session --out tracks
+    ```
 
-    `dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks`
+    ```
+    dvrk-cmaes track session/video.mp4 \
+      --box 250,180,639,380 --out tracks
+    ```
 
     Parameters
     ----------
@@ -127,7 +132,7 @@ def track(
         --no-page leaves out report.html, the page with curves over time and pictures.
     rerun
         File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
-        install "dvrk-cmaes[viewer]").
+        install '.[viewer]').
     evidence
         masks, images or both; by default the masks of frames that have one, and the images of the others.
     first_mask
@@ -178,7 +183,25 @@ def track(
     files = () if readings is None else (readings,)
     finished: dict[str, TrackSummary] = {}
     arms: dict[str, ArmInSession] = {}
+    settings: dict[str, TrackSettings] = {}
+    for name, tool in tools.items():
+        arm = source.read(tool, camera, recording, joints=files)
+        followed, used = used_session(arm.session, evidence)
+        arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
+        settings[name] = TrackSettings(
+            method.resolve(),
+            arm.kinematics,
+            read_calibration_of(calibration, tool.tool.arm),
+            seconds,
+            every,
+            joints != "none",
+            fps,
+            smooth,
+            used,
+            prompts.resolve(),
+        )
     with stopping_on_interrupt() as stop:
+<<<<<<< HEAD
         for name, tool in tools.items():
             arm = source.read(tool, camera, recording, joints=files)
             followed, used = used_session(arm.session, evidence)
@@ -196,11 +219,14 @@ def track(
                 prompts.resolve(),
                 workers,
             )
+=======
+        for name, arm in arms.items():
+>>>>>>> main
             finished[name] = done = track_folder(
                 arm.session,
                 target / name,
                 arm.body,
-                settings,
+                settings[name],
                 resume=resume,
                 video=video,
                 page=page,
@@ -273,6 +299,8 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
     """Yield the lines of a summary."""
     import numpy as np
 
+    from dvrk_cmaes.results.track_files import VIDEO
+
     total = sum(done.counts.values())
     counts = ", ".join(f"{done.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if done.counts.get(name))
     yield Line(f"{frames_text(total)}: {counts}", "bold")
@@ -282,6 +310,8 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
         offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
         yield Line(f"offsets, deg (true = reading + offset): {offsets}")
     yield Line(f"written: {out / 'tracks.jsonl'}")
+    if (out / VIDEO).is_file() and not done.interrupted:
+        yield Line(f"video: {out / VIDEO}")
     if page and not done.interrupted:
         yield Line(f"page: {out / 'report.html'}")
     if rerun is not None and not done.interrupted:

@@ -36,7 +36,7 @@ def new_figure(width: float, height: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        raise DvrkCmaesError("pictures need matplotlib: pip install 'dvrk-cmaes[plots]'") from None
+        raise DvrkCmaesError("pictures need matplotlib: pip install '.[plots]'") from None
     return Figure(figsize=(width, height), layout="constrained")
 
 

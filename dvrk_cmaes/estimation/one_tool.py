@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration
 from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig, __version__
@@ -17,7 +18,8 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
+from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
@@ -34,7 +36,7 @@ def estimate(
     mask: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None],
     camera: Camera | Rig,
     joints: Mapping[str, float] | None = None,
-    instrument: Instrument | Body | str = "lnd",
+    instrument: Instrument | Body | str | Path = "lnd",
     *,
     ignore: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None] | None = None,
     keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
@@ -113,7 +115,7 @@ def estimate(
 def estimate_views(
     seen: Sequence[SeenView],
     joints: Mapping[str, float] | None = None,
-    instrument: Instrument | Body | str = "lnd",
+    instrument: Instrument | Body | str | Path = "lnd",
     *,
     named: bool,
     arm: Arm = "classic",
@@ -130,16 +132,21 @@ def estimate_views(
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
-    body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    body = body_by(body, settings.silhouette.method)
+    check_arm(arm)
+    if session is not None:
+        check_type("session", session, SessionCalibration, CALIBRATION_EXPECTED)
+    if start is not None:
+        check_type("start", start, Result, "a Result")
+    body = body_by(prepare(instrument), settings.silhouette.method)
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
-    model, given = body.instrument, dict(joints or {})
+    model, given = body.instrument, {} if joints is None else joints
     reference = seen[0]
     if session is not None:
         reference = replace(reference, camera=session.corrected(reference.camera))
     shown = shown_views((reference, *seen[1:]))
     readings, unused, outside = split_readings(model, given, settings)
+    given = {name: float(value) for name, value in given.items()}
     views = _frame_views(shown, body, settings)
     predicted = None
     if session is not None and shown[0] is reference:

@@ -18,6 +18,7 @@ from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_views
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body
@@ -70,11 +71,11 @@ def estimate_tools(
     InputError
         As `estimate`; the message begins with the name.
     """
+    check_type("tools", tools, Mapping, "a mapping of names to ToolInFrame")
+    for name, tool in tools.items():
+        check_type(f"tools: {name}", tool, ToolInFrame, "a ToolInFrame")
     seen = {name: _views_of(name, tool, camera, ignore) for name, tool in tools.items()}
-    bodies = {
-        name: tool.instrument if isinstance(tool.instrument, Body) else prepare(tool.instrument)
-        for name, tool in tools.items()
-    }
+    bodies = {name: prepare(tool.instrument) for name, tool in tools.items()}
     settings = EstimateConfig() if config is None else config
 
     def solve(name: str, hiding: Iterable[str], start: Result | None = None) -> Result:

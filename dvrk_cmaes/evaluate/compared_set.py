@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +15,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 
@@ -22,7 +23,6 @@ Float64 = NDArray[np.float64]
 Kind = Literal["results", "followed recording", "published poses", "truth"]
 
 GOLDEN = "golden.json"
-_FOLLOWED = ("camera_from_root", "joints", "tips", "status", "seconds")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,7 @@ class ComparedFrame:
     camera_from_root : (4, 4), m; None without a pose. joints : by name, rad.
     tips : (K, 3), m in the camera; None if they are not stated.
     status : as stated; empty for poses that have none. iou, tip_90_mm, seconds : as in `Result`, None if not stated.
+    tip_std_mm : stated standard deviation of the tips together, the norm over three axes, mm.
     """
 
     camera_from_root: Float64 | None
@@ -41,6 +42,7 @@ class ComparedFrame:
     iou: float | None = None
     tip_90_mm: float | None = None
     seconds: float | None = None
+    tip_std_mm: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +92,9 @@ def _truth(path: Path) -> ComparedSet:
 
 
 def _followed(where: str, row: Mapping[str, Any]) -> ComparedFrame:
-    """Return what a line of tracks.jsonl states; its fields are checked as those of a result."""
-    known = {name: row.get(name) for name in _FOLLOWED}
-    status = str(known["status"])
-    as_status = "failed" if status == "lost" and known["camera_from_root"] is None else "doubtful"
-    frame = _of_result(Result.from_dict({**known, "status": "ok" if status == "ok" else as_status}, where=where))
-    return ComparedFrame(frame.camera_from_root, frame.joints, frame.tips, status, seconds=frame.seconds)
+    """Return what a line of tracks.jsonl states."""
+    std = row["std"] or {}
+    return replace(_of_result(result_of_row(where, row)), status=str(row["status"]), tip_std_mm=std.get("tip_mm"))
 
 
 def _of_result(result: Result) -> ComparedFrame:
@@ -107,4 +106,5 @@ def _of_result(result: Result) -> ComparedFrame:
         None if result.quality is None else result.quality.iou,
         None if result.expected_error is None else result.expected_error.tip_90_mm,
         result.seconds or None,
+        None if result.expected_error is None else result.expected_error.of_tips_mm,
     )

@@ -159,6 +159,22 @@ class Comparison:
         ]
         return (sum(stated), len(stated)) if stated else None
 
+    def within_std(self, index: int) -> tuple[int, int, int] | None:
+        """Count the frames whose tips' error is within its stated standard deviation, within twice of it, and all.
+
+        None if the reference is not the truth, or no frame states it.
+        """
+        if self.sets[self.reference].kind != "truth":
+            return None
+        ratios = np.array(
+            [
+                difference.tip_mm / std
+                for frame, difference in self.differences[index].items()
+                if (std := self.sets[index].frames[frame].tip_std_mm) and difference.tip_mm is not None
+            ]
+        )
+        return (int((ratios <= 1).sum()), int((ratios <= 2).sum()), len(ratios)) if len(ratios) else None
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: the sets with their summaries, and all differences by frame."""
         return {
@@ -180,7 +196,7 @@ class Comparison:
 
     def _summary(self, index: int) -> dict[str, Any]:
         compared, differences = self.sets[index], self.differences[index]
-        within = self.within_90(index)
+        within, within_std = self.within_90(index), self.within_std(index)
         return {
             "path": str(compared.path),
             "kind": compared.kind,
@@ -190,6 +206,9 @@ class Comparison:
             "compared": len(differences),
             "twins": sorted(frame for frame, difference in differences.items() if difference.is_twin),
             "tips_within_90": None if within is None else {"frames": within[0], "of": within[1]},
+            "tips_within_std": None
+            if within_std is None
+            else dict(zip(("once", "twice", "of"), within_std, strict=True)),
             "differences": {
                 name: None if spread is None else spread.to_dict() for name, spread in self.spreads(index).items()
             },

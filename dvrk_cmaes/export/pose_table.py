@@ -11,8 +11,6 @@ readings, in deg, insertion in mm.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -21,6 +19,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import quaternion_xyzw
 from dvrk_cmaes.export.request import Exported, ExportRequest
+from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.results.result import POSE_AXES, Result
 
 _PRISMATIC = ("insertion",)
@@ -43,11 +42,7 @@ def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Format rows with equal columns as CSV, None as a blank cell; an empty text for no rows."""
     if not rows:
         return ""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text(list(rows[0]), ([*row.values()] for row in rows))
 
 
 def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: int) -> Iterator[tuple[str, Any]]:

@@ -230,7 +230,7 @@ def _library() -> Any:
         import rerun
         import rerun.blueprint
     except ImportError:
-        raise DvrkCmaesError("--rerun needs rerun-sdk: pip install 'dvrk-cmaes[viewer]'") from None
+        raise DvrkCmaesError("--rerun needs rerun-sdk: pip install '.[viewer]'") from None
     return rerun
 
 

@@ -7,8 +7,7 @@ from typing import cast
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.export.ros_bag import BagKind, bag_files
-from dvrk_cmaes.export.ros_topics import numbered_times, result_messages
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.export.ros_topics import result_messages, times_or_rows
 
 
 def exported(request: ExportRequest) -> Exported:
@@ -29,12 +28,8 @@ def exported(request: ExportRequest) -> Exported:
     notes: list[str] = []
     if base is None:
         notes.append("camera_from_base is not known: no measured_cp by the readings, and no base in tf")
-    times = request.options.times or numbered_times(results)
-    if not request.options.times:
-        notes.append("the frames' times are not known (--times images.csv): they are numbered, one second apart")
-    untimed = [result.frame for result in posed if result.frame not in times]
-    if untimed:
-        raise InputError(f"--times: expected a time of every frame, got none of {listed(untimed)}")
+    times, unknown = times_or_rows(results, request.options.times)
+    notes += unknown
     camera_from_base = None if base is None else base.camera_from_base
     messages = result_messages(posed, times, names, camera_from_base, request.options.tip)
     return Exported(bag_files(messages, cast(BagKind, request.to), names.arm), base, source.without_pose, tuple(notes))

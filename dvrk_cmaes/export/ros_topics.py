@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message
 from dvrk_cmaes.instrument.arm import (
@@ -32,6 +33,7 @@ from dvrk_cmaes.instrument.arm import (
     root_from_tip,
     stated_kinematics,
 )
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import ARM_ORDER, OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
@@ -79,6 +81,23 @@ def result_messages(
 def numbered_times(results: Sequence[Result]) -> dict[str, int]:
     """Return times that number the frames, for frames of unknown times: one second apart, from 1 s, ns."""
     return {result.frame: number * NANOSECONDS for number, result in enumerate(results, start=1)}
+
+
+def times_or_rows(results: Sequence[Result], times: Mapping[str, int]) -> tuple[Mapping[str, int], tuple[str, ...]]:
+    """Return the times of frames, ns, or numbers in their place if none is known, and a note on that.
+
+    Raises
+    ------
+    InputError
+        Some frames with a pose have a time and others have none.
+    """
+    if not times:
+        note = "the frames' times are not known (--times images.csv): they are numbered, one second apart"
+        return numbered_times(results), (note,)
+    untimed = [result.frame for result in results if result.camera_from_root is not None and result.frame not in times]
+    if untimed:
+        raise InputError(f"--times: expected a time of every frame, got none of {listed(untimed)}")
+    return times, ()
 
 
 def _read(

@@ -11,7 +11,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_frames, base_of_session
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.results.folder import SESSION, read_results, result_paths
+from dvrk_cmaes.results.folder import SESSION, is_followed, read_results, result_paths
 from dvrk_cmaes.results.paths import check_frame_name
 from dvrk_cmaes.results.result import Result
 
@@ -99,7 +99,7 @@ def read_source(path: Path, frame: str | None = None) -> ExportSource:
 
 def _folder(path: Path, frame: str | None) -> ExportSource:
     """Read a folder of results, with or without a session calibration."""
-    if frame is None and (path / SESSION).exists() and not result_paths(path):
+    if frame is None and (path / SESSION).exists() and not is_followed(path) and not result_paths(path):
         session = read_json_object(path / SESSION, expected="a session calibration (session.json)")
         return ExportSource(path, (), session, single=False)
     folder = read_results(path)

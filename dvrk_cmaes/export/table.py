@@ -60,6 +60,13 @@ _ROWS: Final = (
         "pose_table",
     ),
     ExportFormat(
+        "tum",
+        "camera_from_root, m, quaternions xyzw: timestamp tx ty tz qx qy qz qw",
+        "camera_from_root, m; ARM.tum, a trajectory as of the TUM RGB-D benchmark: a line for each frame, timestamp in "
+        "s, position, quaternion xyzw.",
+        "tum",
+    ),
+    ExportFormat(
         "tracker",
         "camera_from_root, axis times angle in rad, translation in m",
         "camera_from_root, m and rad; FRAME/optimized_ctr.npy and optimized_joint_angles.npy, as read by "

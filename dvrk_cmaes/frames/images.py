@@ -38,7 +38,7 @@ def read_mask(
     Parameters
     ----------
     path
-        8-bit grey image, or colour image with equal channels; values above 127 are instrument.
+        Grey image of 8 bits or of 1, or colour image with equal channels; values above 127 are instrument.
     label
         For a mask of labels: the value, 0 to 255, of the instrument's pixels.
     pick
@@ -161,11 +161,14 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.
 
 
 def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[np.uint8]:
-    """Read an 8-bit grey image (H, W), or one with equal channels; with ``values``, palette images are refused."""
+    """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels.
+
+    With ``values``, palettes and single bits are refused.
+    """
     data, header = _read_file(path, what)
     if values and header.palette:
         raise InputError(f"{path}: label: expected a mask of labels in plain grey, got one with a palette")
-    if header.bits != 8:
+    if header.bits != 8 and (header.bits, values) != (1, False):  # of one bit, OpenCV makes 0 and 255
         raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits")
     pixels = _decode(path, data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.arguments import checked_array
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -74,17 +75,28 @@ def seen_by(
     image: NDArray[np.uint8] | None = None,
     keypoints: object = None,
 ) -> SeenView:
-    """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given."""
+    """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given.
+
+    Raises
+    ------
+    InputError
+        A path, text or list that is no array of numbers, or a mask or ignored pixels that are not (H, W).
+    """
     return SeenView(
         view.name,
         view.camera,
         view.view_from_camera,
-        np.zeros((view.camera.height, view.camera.width), np.bool_) if mask is None else np.asarray(mask, np.bool_),
-        None if ignore is None else np.asarray(ignore, dtype=np.bool_),
+        np.zeros((view.camera.height, view.camera.width), np.bool_) if mask is None else _flags("mask", mask),
+        None if ignore is None else _flags("ignore", ignore),
         image,
-        None if keypoints is None else np.asarray(keypoints, dtype=np.float64),
+        None if keypoints is None else checked_array("keypoints", keypoints, np.float64, "two pixels, (2, 2)"),
         mask is not None,
     )
+
+
+def _flags(name: str, value: object) -> Bool:
+    """Return an argument as an array (H, W) of bool."""
+    return checked_array(name, value, np.bool_, "an array (H, W) of bool", dimensions=2)
 
 
 def shown_views(views: Sequence[SeenView]) -> tuple[SeenView, ...]:

@@ -32,6 +32,7 @@ from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
+from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
@@ -160,6 +161,7 @@ def read_session(
         A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
         no frame can be used.
     """
+    check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")

@@ -8,11 +8,13 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.folder import is_followed, read_results
 
 RECORDINGS = (".bag", ".db3", ".mcap")
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -25,7 +27,7 @@ def inspect_folder(path: Path, options: Options) -> Finding:
     """Describe a folder, recognised by the names in it; InputError if it is of no known kind."""
     if (path / "masks").is_dir() or (path / "images").is_dir():
         return _session(path, options)
-    if (path / "frames").is_dir():
+    if (path / "frames").is_dir() or is_followed(path):
         return _results(path)
     if (path / "metadata.yaml").is_file():
         return inspect_recording(path)
@@ -73,8 +75,25 @@ def inspect_recording(path: Path) -> Finding:
 
 
 def _session(path: Path, options: Options) -> Finding:
-    """Describe a session folder."""
-    session = read_session(path, camera=options.camera, rectified=options.rectified, side=options.side)
+    """Describe a session folder; of several arms, what each of them sees and reads."""
+    entries = read_session_toml(path)
+    if entries is None or len(entries.tools) < 2:
+        return _of_arm(read_session(path, camera=options.camera, rectified=options.rectified, side=options.side))
+    findings: dict[str, Finding] = {}
+    for tool in entries.tools:
+        files = () if tool.joints is None else (tool.joints,)
+        session = read_session(
+            path, camera=options.camera, rectified=options.rectified, side=options.side, joints=files
+        )
+        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
+    lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
+    read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
+    notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)
+    return Finding(f"session of {len(findings)} arms", lines, read, tuple(notes))
+
+
+def _of_arm(session: Session) -> Finding:
+    """Describe a session of one arm."""
     frames = session.frames
     problems = {frame.name: frame.problem for frame in frames if frame.problem is not None}
     parts = {
@@ -117,4 +136,6 @@ def _results(path: Path) -> Finding:
     counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
     line = f"{counted(len(results.frames), 'frame')} ({counts}): {listed(results.frames)}"
     session = "with a session calibration" if results.session is not None else "each frame by itself"
+    if is_followed(path):
+        session = "followed from image to image (tracks.jsonl); lost frames are doubtful, or failed without a pose"
     return Finding("results", (line, session), {"statuses": dict(statuses), "frames": list(results.frames)})

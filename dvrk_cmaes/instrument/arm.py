@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.io.arguments import described
 
 Arm = Literal["classic", "si"]
 
@@ -52,6 +53,13 @@ class DHJoint(NamedTuple):
     prismatic: bool = False
 
 
+def check_arm(arm: object) -> None:
+    """Raise an InputError for something else than the name of an arm whose kinematics are known."""
+    if not isinstance(arm, str) or arm not in INSERTION_OFFSET:
+        near = " or ".join(nearest_first(str(arm), INSERTION_OFFSET))
+        raise InputError(f"arm: expected {near}, got {described(arm)}")
+
+
 def dh_table(arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> tuple[DHJoint, ...]:
     """Return the DH rows of yaw, pitch, insertion and roll.
 
@@ -62,9 +70,7 @@ def dh_table(arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> tuple
     InputError
         The arm is not one of ``INSERTION_OFFSET``.
     """
-    if arm not in INSERTION_OFFSET:
-        near = " or ".join(nearest_first(str(arm), INSERTION_OFFSET))
-        raise InputError(f"arm: expected {near}, got {arm!r}")
+    check_arm(arm)
     return (
         DHJoint(alpha=pi / 2, a=0.0, theta=pi / 2, d=0.0),
         DHJoint(alpha=-pi / 2, a=0.0, theta=-pi / 2, d=0.0),

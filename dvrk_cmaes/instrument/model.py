@@ -126,6 +126,11 @@ class Instrument:
     roll_offset: float = ROLL_OFFSET
     roll_limits: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        """Show name, links and joints."""
+        links = ", ".join(link.name for link in self.links)
+        return f"Instrument({self.name!r}, links: {links}, joints: {', '.join(self.joint_names)})"
+
     def _values(self, joints: ArrayLike) -> NDArray[np.float64]:
         """Check joint values (..., J) and convert them to an array."""
         values = np.asarray(joints, dtype=np.float64)

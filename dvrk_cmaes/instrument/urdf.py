@@ -22,6 +22,7 @@ from dvrk_cmaes.instrument.kinematics import Chain
 from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.urdf_xml import read_robot
 from dvrk_cmaes.instrument.visuals import link_triangles
+from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.short_text import listed
 
@@ -80,6 +81,7 @@ def load_instrument(
     InputError
         A file cannot be read or used; the one-line message names the file, the field and the error.
     """
+    check_type("instrument", source, PATH, "a bundled instrument's name or the path of a URDF")
     path = _urdf_path(source)
     axis = _checked_axis(shaft_axis)
     packages = sorted((name, str(folder)) for name, folder in package_paths.items())

@@ -13,6 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what formulas begin with
 _LARGEST = 1_000_000_000  # bytes; an hour of readings at 1 kHz has half as many
 
 Rows = list[tuple[str, dict[str, str]]]
@@ -61,13 +62,27 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
     return header, rows
 
 
-def csv_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a header and rows of cells as the text of a CSV file."""
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Format a header and rows of cells as the text of a CSV file; None as a blank cell, texts as by `cell_of`."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
+    writer.writerow([cell_of(name) for name in header])
+    writer.writerows([cell_of(value) for value in row] for row in rows)
     return text.getvalue()
+
+
+def cell_of(value: object) -> object:
+    """Return the cell for a value: a text that a spreadsheet would take for a formula begins with an apostrophe.
+
+    A frame's name may be ``=2+2``; numbers, also those given as texts, stay as they are.
+    """
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
 
 
 def number_in(where: str, column: str, cells: dict[str, str], unit: str = "") -> float:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.arguments import PATH, check_type
 
 
 def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:
@@ -29,6 +30,7 @@ def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:
     InputError
         Missing, a directory or device, not readable, empty, or too large.
     """
+    check_type("path", path, PATH, f"the path of {expected}")
     with _reason_given(path, expected):
         check_file(path, expected=expected, largest=largest)
         data = Path(path).read_bytes()

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.io.short_text import shown
 
 OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
@@ -50,9 +51,25 @@ def joints_by_count(where: str, count: int) -> tuple[str, ...]:
     return orders[count]
 
 
+def check_readings(where: str, joints: object, known: Sequence[str]) -> None:
+    """Raise an InputError for readings that are no mapping of known joints to finite numbers in rad (insertion: m)."""
+    check_type(where, joints, Mapping, "a mapping of joint names to readings, e.g. {'jaw': 0.5}")
+    assert isinstance(joints, Mapping)
+    for name, value in joints.items():
+        if name not in known and name != "jaw":
+            near = ", ".join(nearest_first(str(name), known))
+            raise InputError(f"{where}: unknown joint {name!r}; expected one of: {near}")
+        joint_reading(where, name, checked_number(f"{where}: {name}", value, f"a finite number in {unit_of(name)}"))
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a joint's readings."""
+    return "m" if name == "insertion" else "rad"
+
+
 def joint_reading(where: str, name: str, cell: object) -> float:
     """Convert a number or its text to a reading; InputError if it is not finite or must be in another unit."""
-    unit = "m" if name == "insertion" else "rad"
+    unit = unit_of(name)
     try:
         value = float(cell) if isinstance(cell, str | int | float) and not isinstance(cell, bool) else math.nan
     except (ValueError, OverflowError):

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.joints.names import OUTER_JOINTS
+from dvrk_cmaes.joints.names import OUTER_JOINTS, check_readings
 
 Float64 = NDArray[np.float64]
 
@@ -77,16 +76,10 @@ def split_readings(
     """Select the readings of the instrument's joints from all readings of a frame.
 
     Returns the readings, descriptions of those that are missing, and warnings about values outside the joint limits.
-    Raises `InputError` for an unknown joint name or a value that is not finite.
+    Raises `InputError` for an unknown joint name, or a value that is not finite or in another unit.
     """
     known = (*instrument.joint_names, *OUTER_JOINTS)
-    for name, value in joints.items():
-        if name not in known and name not in ("jaw",):
-            raise InputError(
-                f"joints: unknown joint {name!r}; expected one of: {', '.join(nearest_first(name, known))}"
-            )
-        if not np.isfinite(value):
-            raise InputError(f"joints: {name}: expected a finite number, got {value}")
+    check_readings("joints", joints, known)
     values = np.array([joints.get(name, np.nan) for name in instrument.joint_names], dtype=np.float64)
     sigma = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])
     unused = [f"reading of {n}: not given" for n, v in zip(instrument.joint_names, values, strict=True) if np.isnan(v)]

@@ -10,6 +10,7 @@ from typing import Any
 from dvrk_cmaes.config import EstimateConfig, Limits
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.evidence.distance_field import FIELDS
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
@@ -30,9 +31,10 @@ def check_config(config: EstimateConfig) -> None:
     Raises
     ------
     InputError
-        A setting is an unknown method (the message lists the known ones, most similar first), or a number that is not
-        finite, negative, outside its range, or zero where only positive values are allowed.
+        These are no settings; a setting is an unknown method (the message lists the known ones, most similar first); or
+        a number is not finite, negative, outside its range, or zero where only positive values are allowed.
     """
+    check_type("config", config, EstimateConfig, "an EstimateConfig")
     for key, value, limits in _settings(config):
         where = f"config: {key}"
         if key in _NAMES and value not in _NAMES[key]:

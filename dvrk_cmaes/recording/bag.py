@@ -14,6 +14,7 @@ from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
+from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
 from dvrk_cmaes.recording.topics import TopicRequest, Topics, choose_topics
@@ -32,7 +33,7 @@ def open_bag(
     *,
     recorded_times: bool = False,
     camera: Path | None = None,
-    joints: Path | None = None,
+    joints: Path | PoseTable | None = None,
     side: Side | None = None,
 ) -> Iterator[Recording]:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
@@ -68,7 +69,7 @@ def _recording(
     requested: TopicRequest,
     recorded_times: bool,
     camera: Path | None,
-    joints: Path | None,
+    joints: Path | PoseTable | None,
     side: Side | None,
 ) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""

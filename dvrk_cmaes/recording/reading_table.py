@@ -9,16 +9,21 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.reading import read_joint_file
+from dvrk_cmaes.recording.pose_table import PoseTable
 
 
-def read_timed_joints(path: Path) -> tuple[TimedReadings, ...]:
-    """Read a file of readings whose rows have times; joints with the same times are in series time series.
+def read_timed_joints(path: Path | PoseTable) -> tuple[TimedReadings, ...]:
+    """Read a file of readings whose rows have times; joints with the same times are in one time series.
+
+    Of a table of poses, the joints are found by inverse kinematics.
 
     Raises
     ------
     InputError
         The file is not one of readings, or its rows have no times.
     """
+    if isinstance(path, PoseTable):
+        return path.read()
     file = read_joint_file(path)
     groups: dict[bytes, list[TimedReadings]] = {}
     for series in file.timed:

@@ -16,6 +16,7 @@ from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import SUFFIXES
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.recording import Recording
 from dvrk_cmaes.recording.video import open_video
 
@@ -29,7 +30,12 @@ def has_stereo_videos(path: Path) -> bool:
 
 @contextmanager
 def open_stereo_videos(
-    path: Path, *, side: Side = "left", camera: Path | None = None, joints: Path | None = None, start: float = 0.0
+    path: Path,
+    *,
+    side: Side = "left",
+    camera: Path | None = None,
+    joints: Path | PoseTable | None = None,
+    start: float = 0.0,
 ) -> Iterator[Recording]:
     """Open the video of one eye; ``camera``, ``joints`` and ``start`` as in ``open_video``, by default the folder's.
 

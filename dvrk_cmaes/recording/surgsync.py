@@ -30,6 +30,7 @@ from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
+from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_positions, read_times
@@ -51,7 +52,12 @@ def is_surgsync(path: Path) -> bool:
 
 @contextmanager
 def open_surgsync(
-    path: Path, *, side: Side = "left", arm: str | None = None, camera: Path | None = None, joints: Path | None = None
+    path: Path,
+    *,
+    side: Side = "left",
+    arm: str | None = None,
+    camera: Path | None = None,
+    joints: Path | PoseTable | None = None,
 ) -> Iterator[Recording]:
     """Open a clip; times and readings are read at once, images during iteration.
 

@@ -16,6 +16,7 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import encode_png
+from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 
@@ -23,7 +24,9 @@ _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or
 
 
 @contextmanager
-def open_video(path: Path, *, camera: Path | None, joints: Path | None, start: float = 0.0) -> Iterator[Recording]:
+def open_video(
+    path: Path, *, camera: Path | None, joints: Path | PoseTable | None, start: float = 0.0
+) -> Iterator[Recording]:
     """Open a video; images are decoded during iteration.
 
     Parameters

@@ -103,6 +103,7 @@ def _plot(
                 Mark(place, across.at(place) + (k - (len(values) - 1) / 2) * step, up.at(value), True)
                 for place, value in by_place.items()
             ),
+            colour=k,
         )
         for k, by_place in values.items()
         if by_place

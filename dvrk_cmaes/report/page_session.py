@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
@@ -233,7 +233,12 @@ def reason_kind(reason: str) -> str:
 
 def reason_counts(results: Sequence[Result]) -> list[tuple[str, int]]:
     """Return the kinds of reasons and their numbers of frames, most frequent first."""
-    kinds = (dict.fromkeys(reason_kind(reason) for reason in result.reasons) for result in results)
+    return counted_reasons([result.reasons for result in results])
+
+
+def counted_reasons(reasons: Iterable[Sequence[str]]) -> list[tuple[str, int]]:
+    """Return the kinds of the reasons of frames and their numbers of frames, most frequent first."""
+    kinds = (dict.fromkeys(map(reason_kind, of_frame)) for of_frame in reasons)
     return sorted(Counter(kind for frame in kinds for kind in frame).items(), key=lambda item: (-item[1], item[0]))
 
 

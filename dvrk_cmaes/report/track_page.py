@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.io.atomic import write_bytes
-from dvrk_cmaes.report.page_session import KeyFigure
+from dvrk_cmaes.report.page_session import KeyFigure, counted_reasons
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
 from dvrk_cmaes.report.plots.track import Chart, Float64, track_charts
-from dvrk_cmaes.report.track_events import STATUSES, SWITCHED, TrackEvent, track_events
+from dvrk_cmaes.report.track_events import DOUBTFUL, STATUSES, SWITCHED, TrackEvent, track_events
 from dvrk_cmaes.report.track_pictures import HIGH, MEDIAN
 
 PAGE: Final = "report.html"
@@ -37,7 +37,8 @@ class FollowedRecording:
     rows : F lines of tracks.jsonl. session : name of the recording. instrument : name of the instrument.
     calibration : base, offsets and lag as they were found, or None. readings : at the images' times by joint, (F,) rad,
     NaN where there is none. residuals : distances of the masks' contours from the outlines by name, (F,) px, NaN where
-    there is none. pictures : small pictures, by index of the frame.
+    there is none. pictures : small pictures, by index of the frame. video : name of the overlay video beside the page;
+    empty without one.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -47,6 +48,7 @@ class FollowedRecording:
     readings: Mapping[str, Float64] = field(default_factory=dict)
     residuals: Mapping[str, Float64] = field(default_factory=dict)
     pictures: Mapping[int, Thumbnail] = field(default_factory=dict)
+    video: str = ""
 
     @property
     def times(self) -> Float64 | None:
@@ -85,6 +87,8 @@ def render_track_page(recording: FollowedRecording) -> str:
         more_events=max(len(events) - _MOST_EVENTS, 0),
         switched=SWITCHED,
         pictures=recording.pictures,
+        reasons=counted_reasons([row["reasons"] for row in rows]),
+        video=recording.video,
         data=_data(recording, charts, events),
     )
 
@@ -95,14 +99,14 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     good = sum(row["status"] == "ok" for row in rows)
     length = "" if times is None else f" in {times[-1]:.1f} s"
     yield KeyFigure("Frames ok", f"{100 * good / len(rows):.1f} %", f"{good:,} of {len(rows):,}{length}")
-    gaps = [event for event in events if event.kind != SWITCHED]
+    gaps = [event for event in events if event.kind not in (SWITCHED, DOUBTFUL)]
     longest = max(gaps, key=lambda event: event.frames, default=None)
     note = "followed in every frame"
     if longest is not None:
         many = "" if longest.frames == 1 else "s"
         note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
-    switches = len(events) - len(gaps)
+    switches = sum(event.kind == SWITCHED for event in events)
     yield KeyFigure("Modes switched", str(switches), "to another pose with nearly the same silhouette")
     yield from _residual(rows, recording.residuals)
     spread = [row["std"]["tip_mm"] for row in rows if row["std"] and row["std"].get("tip_mm") is not None]

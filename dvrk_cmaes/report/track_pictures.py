@@ -23,6 +23,7 @@ HIGH: Final = "95 %"
 MOST_PICTURES: Final = 240
 _WIDTH: Final = 256  # px
 _LARGEST: Final = 9000  # bytes of a picture at a quality above the lowest
+_NEAR: Final = (7, 7)  # px, within which distances are averaged
 _MARGIN: Final = 2  # px around mask and silhouette
 
 
@@ -72,7 +73,8 @@ class TrackPictures:
 def contour_distances(mask: Bool, silhouette: Bool) -> Float64 | None:
     """Compute the distances (N,), px, of the pixels of a mask's contour (H, W) from a silhouette's outline (H, W).
 
-    Contour at the image's border does not count. Returns None if one of the two is empty or has no contour.
+    Each is the mean of those within some pixels along the contour, without which they would be whole pixels. Contour at
+    the image's border does not count. Returns None if one of the two is empty or has no contour.
     """
     if not mask.any() or not silhouette.any():
         return None
@@ -85,5 +87,9 @@ def contour_distances(mask: Bool, silhouette: Bool) -> Float64 | None:
     within &= columns + left < mask.shape[1] - 1
     if not within.any() or silhouette[window].all():
         return None
-    distances = np.abs(signed_distance(silhouette[window])[rows[within], columns[within]] + 0.5)
-    return np.asarray(distances, np.float64)
+    rows, columns = rows[within], columns[within]
+    there, distances = np.zeros(inside.shape), np.zeros(inside.shape)
+    there[rows, columns] = 1.0
+    distances[rows, columns] = signed_distance(silhouette[window])[rows, columns] + 0.5
+    mean = cv2.blur(distances, _NEAR)[rows, columns] / cv2.blur(there, _NEAR)[rows, columns]
+    return np.asarray(np.abs(mean), np.float64)

@@ -11,7 +11,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.followed import read_followed
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.track_files import TRACKS
 
 SUMMARY = "summary.json"
 SESSION = "session.json"
@@ -37,7 +39,8 @@ class ResultsFolder:
 def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
     """Read the results in ``frames`` or, without such a subfolder, in the folder itself, and the session's documents.
 
-    Without ``summary``, summary.json is not read.
+    The frames of a recording that `track` followed (tracks.jsonl) are read as results, too. Without ``summary``,
+    summary.json is not read.
 
     Raises
     ------
@@ -47,6 +50,9 @@ def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected results, with frames/FRAME.json")
+    if is_followed(root):
+        session = _document(root / SESSION, "a session calibration (session.json)")
+        return ResultsFolder(root, dict(sorted(read_followed(root).items())), None, session)
     try:
         paths = result_paths(root)
     except OSError as error:
@@ -59,6 +65,11 @@ def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
         summary=_document(root / SUMMARY, "the summary of a session's results (summary.json)") if summary else None,
         session=_document(root / SESSION, "a session calibration (session.json)"),
     )
+
+
+def is_followed(folder: Path) -> bool:
+    """Whether a folder has the frames of a followed recording, and no results of single frames."""
+    return (folder / TRACKS).is_file() and not (folder / "frames").is_dir()
 
 
 def folder_of_arm(folder: Path, arm: str) -> Path:

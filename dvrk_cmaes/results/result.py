@@ -119,6 +119,20 @@ class Result:
     config: dict[str, Any] = field(default_factory=dict)
     model: LinkModel | None = field(default=None, repr=False)
 
+    def __repr__(self) -> str:
+        """Show the status, the pose and the joints, in the units of reports; all fields are in `to_dict`."""
+        said = [repr(self.frame)] if self.frame else []
+        said.append(self.status)
+        if self.camera_from_root is not None:
+            said.append(f"position_mm={np.round(self.camera_from_root[:3, 3] * 1e3, 2).tolist()}")
+            joints = {name: round(float(np.degrees(value)), 2) for name, value in self.joints.items()}
+            said.append(f"joints_deg={joints}")
+        if self.expected_error is not None:
+            said.append(self.expected_error.in_words)
+        if self.reasons:
+            said.append(f"reasons={list(self.reasons)}")
+        return f"Result({', '.join(said)})"
+
     @classmethod
     def failed(
         cls,

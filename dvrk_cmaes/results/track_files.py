@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +13,7 @@ from msgspec import Struct
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import log_rotation
 from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.json_file import parse_json
 from dvrk_cmaes.io.typed_document import Number, Point, Texts, Transform, convert_document, refused
@@ -92,12 +91,7 @@ def write_table(path: Path, rows: Sequence[dict[str, Any]], joints: Sequence[str
     header = ["frame", "time", "status", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
     header += [f"{name}_deg" for name in joints] + stds + [f"std_{name}_deg" for name in joints]
     header += [f"tip_{k + 1}_{axis}_mm" for k in range(tips[0]) for axis in "xyz"] + ["seconds", "reasons"]
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(header)
-    for row in rows:
-        table.writerow(_cells(row, joints, tips[0]))
-    write_text(path, text.getvalue())
+    write_text(path, csv_text(header, (_cells(row, joints, tips[0]) for row in rows)))
 
 
 def _cells(row: dict[str, Any], joints: Sequence[str], tips: int) -> list[object]:

@@ -41,13 +41,13 @@ from dvrk_cmaes.runs.output import (
     complete_results,
     has_results,
     locked,
-    refuse_foreign_results,
     refuse_occupied_places,
     refuse_strange_results,
     remove_results,
     remove_temporary_files,
     write_outcome,
 )
+from dvrk_cmaes.runs.ownership import check_owned, record_masks
 from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes, usable_cores
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
@@ -174,15 +174,12 @@ def run_batch(
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
     home = Path(os.path.abspath(session.folder))
-    if any(files.mask is None for files in frames) and Path(os.path.abspath(out)) == home:
-        raise InputError(f"{out}: expected another folder than the session's, for the masks found in its images")
+    check_owned(folder, "batch", replaces=not resume)
     setup = BatchSetup(instrument, session.rig, settings, arm, home, segment or SegmentSettings(), calibration)
     started = time.monotonic()
     with locked(folder):
         refuse_occupied_places(folder)
-        if resume:
-            refuse_foreign_results(folder)
-        else:
+        if not resume:
             remove_results(folder)
         remove_temporary_files(folder)
         todo, kept = _prepare(
@@ -203,6 +200,7 @@ def run_batch(
         seconds = time.monotonic() - started
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
+        record_masks(folder, "batch")
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)

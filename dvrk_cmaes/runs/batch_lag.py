@@ -21,7 +21,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.runs.batch import BatchSummary
-from dvrk_cmaes.runs.output import refuse_foreign_results
+from dvrk_cmaes.runs.ownership import check_owned
 
 LAG: Final = "lag"
 """Folder, below that of the results, of the results from which the lag is found."""
@@ -63,7 +63,7 @@ def find_batch_lag(
     DvrkCmaesError
         As `run_batch`, or the batch was interrupted.
     """
-    refuse_foreign_results(out)
+    check_owned(out, "batch")
     index = np.unique(np.linspace(0, len(session.frames) - 1, min(_FRAMES, len(session.frames))).round().astype(int))
     some = replace(session, frames=tuple(session.frames[i] for i in index))
     done = run(some, out / LAG)

@@ -22,7 +22,8 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_bytes, write_json
-from dvrk_cmaes.results.folder import SESSION
+from dvrk_cmaes.io.atomic_folder import replaced_folder
+from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.paths import check_output, layers_path, left_out_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
@@ -55,7 +56,8 @@ def calibrate_folder(
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
     are taken from there. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
-    new ones, up to ``workers``.
+    new ones, up to ``workers``. All files are written to a folder beside, which takes the place of an earlier one when
+    it is whole.
 
     Raises
     ------
@@ -93,15 +95,14 @@ def calibrate_folder(
             progress=progress,
         )
         progress("drawing", len(solved.leave_one_out))
-        for name in (SESSION, CAMERA):
-            (out / name).unlink(missing_ok=True)
         corrected = session.rig.with_cameras({session.rig.names[0]: solved.calibration.corrected(session.camera)})
         tasks = [
             DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
-    _write(solved, pictures, session, instrument, out, arm, config, alone)
+    with replaced_folder(out, kept=(ALONE,)) as beside:
+        _write(solved, pictures, session, instrument, beside, arm, config, alone)
     return solved
 
 
@@ -130,7 +131,6 @@ def _write(
             write_bytes(left_out_path(out, name), pictures[name].left_out)
             write_json(layers_path(out, name), pictures[name].layers.to_dict())
         else:
-            left_out_path(out, name).unlink(missing_ok=True)
             for path in (overlay_path, layers_path):
                 if alone is not None and path(alone, name).is_file():
                     write_bytes(path(out, name), path(alone, name).read_bytes())

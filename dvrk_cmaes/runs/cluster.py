@@ -44,7 +44,7 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[ExternalExecutor
         from distributed import Client
         from distributed.scheduler import KilledWorker
     except ImportError as error:
-        raise InputError(f"--scheduler: Dask is missing ({error}); pip install 'dvrk-cmaes[cluster]'") from None
+        raise InputError(f"--scheduler: Dask is missing ({error}); pip install '.[cluster]'") from None
     connect: Any = Client  # Dask has no type annotations
     try:
         _check_address(address)

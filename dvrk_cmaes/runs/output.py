@@ -20,6 +20,7 @@ from dvrk_cmaes.results.folder import SESSION, SUMMARY
 from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.manifest import MANIFEST, read_manifest
+from dvrk_cmaes.runs.ownership import RECORD
 from dvrk_cmaes.runs.worker import FrameOutcome
 from dvrk_cmaes.runs.worklist import shards_folder
 
@@ -96,7 +97,7 @@ def remove_results(out: Path) -> None:
                 path.unlink()
     if shards_folder(out).is_dir():
         shutil.rmtree(shards_folder(out))
-    for name in (POSES, SUMMARY, SESSION, PAGE, MANIFEST):
+    for name in (POSES, SUMMARY, SESSION, PAGE, RECORD, MANIFEST):
         (out / name).unlink(missing_ok=True)
 
 

@@ -38,6 +38,7 @@ from dvrk_cmaes.runs.manifest import (
     write_manifest,
 )
 from dvrk_cmaes.runs.output import locked
+from dvrk_cmaes.runs.ownership import check_owned
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
@@ -149,6 +150,7 @@ def track_folder(
     frames = session.frames[:: settings.every]
     clock = TrackClock.of(session, frames, settings.frames_a_second, use_joints=settings.use_joints)
     check_writable(out)
+    check_owned(out, "track", replaces=not resume)
     with locked(out):
         manifest = _manifest(session, frames, body, settings)
         old = read_manifest(out)
@@ -263,6 +265,7 @@ def _show(
         run.body.instrument.name,
         calibration,
         readings,
+        video=VIDEO if video else "",
     )
     write_outputs(
         seen_frames(run.frames, rows, rig, run.body),

@@ -8,11 +8,15 @@ with one or two operations, and its faces and ends are looked up once per batch.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.arguments import described
 
 POSES_PER_BATCH = 16
 """Largest number of poses in a batch."""
@@ -78,3 +82,21 @@ def as_flags(words: Words) -> NDArray[np.bool_]:
 def repeated_words(flags: NDArray[np.bool_]) -> dict[int, Words]:
     """Repeat flags (N,) for every pose of a batch: words (N, 1 or 2) by batch size."""
     return {size: as_words(np.repeat(flags[:, None], size, axis=1)) for size in _WORD_TYPES}
+
+
+def check_poses(names: Sequence[str], camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> None:
+    """Raise an InputError for poses that are not (C, 4, 4) or joints that are not (C, J), or one row for all poses."""
+    poses = np.shape(camera_from_root)
+    if len(poses) != 3 or poses[1:] != (4, 4) or not isinstance(camera_from_root, np.ndarray):
+        raise InputError(f"camera_from_root: expected an array (C, 4, 4), got {described(camera_from_root)}")
+    rows = joints.shape if isinstance(joints, np.ndarray) else ()
+    if rows[-1:] != (len(names),) or rows[:-1] not in ((), (1,), (poses[0],)):
+        expected = f"an array ({poses[0]}, {len(names)}) of {', '.join(names)}"
+        raise InputError(f"joints: expected {expected}, got {described(joints)}")
+
+
+def check_finite(camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> None:
+    """Raise an InputError for arrays with numbers that are not finite."""
+    for name, array in (("camera_from_root", camera_from_root), ("joints", joints)):
+        if isinstance(array, np.ndarray) and not np.isfinite(array).all():
+            raise InputError(f"{name}: expected finite numbers, got others in {described(array)}")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 from dvrk_cmaes.instrument import Instrument, load_instrument
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.silhouette import Body
 
 _named: dict[str, Instrument] = {}
@@ -40,11 +42,24 @@ def decimated_body(body: Body, cell: float) -> Body:
         return _decimated_body(body, cell)
 
 
-def prepare(instrument: Instrument | str) -> Body:
-    """Prepare an instrument for rendering, given itself, by a bundled name or by the path of its URDF; cached."""
+def prepare(instrument: Instrument | Body | str | Path) -> Body:
+    """Prepare an instrument for rendering, given itself, by a bundled name or by the path of its URDF; cached.
+
+    A body is returned as it is.
+
+    Raises
+    ------
+    InputError
+        Something else was given, or the instrument cannot be loaded.
+    """
+    if isinstance(instrument, Body):
+        return instrument
+    expected = "a bundled instrument's name, the path of a URDF, an Instrument or a Body"
+    check_type("instrument", instrument, (Instrument, str, Path), expected)
     with _lock:
-        if isinstance(instrument, str):
-            if instrument not in _named:
-                _named[instrument] = load_instrument(instrument)
-            instrument = _named[instrument]
+        if not isinstance(instrument, Instrument):
+            name = str(instrument)
+            if name not in _named:
+                _named[name] = load_instrument(name)
+            instrument = _named[name]
         return _body(instrument)

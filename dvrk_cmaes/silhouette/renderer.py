@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
-from dvrk_cmaes.silhouette.pose_batches import batch_slices
+from dvrk_cmaes.silhouette.pose_batches import batch_slices, check_finite, check_poses
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.shortened import ShortenedShaft
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
@@ -42,6 +43,10 @@ class Body:
     """Upper bound of the distance of its surface from the instrument's, m."""
     method: str = "count"
     """How renderers decide what the instrument covers, one of ``METHODS``."""
+
+    def __repr__(self) -> str:
+        """Show the instrument."""
+        return f"Body({self.instrument!r})"
 
     @staticmethod
     def prepare(instrument: Instrument) -> Body:
@@ -106,9 +111,29 @@ def _keep_freed_memory() -> None:
 
 
 class Renderer:
-    """Renders silhouettes of one instrument in one camera; may be used from several threads at once."""
+    """Renders silhouettes of one instrument in one camera; may be used from several threads at once.
+
+    All methods take C poses at a time: ``camera_from_root`` (C, 4, 4), m, and ``joints`` (C, J), rad, in the order of
+    ``body.instrument.joint_names`` (wrist_pitch, wrist_yaw, jaw of the bundled instrument). Images are (C, H, W).
+
+    Parameters
+    ----------
+    body
+        The instrument, prepared for rendering (`dvrk_cmaes.prepare`).
+    camera
+        The camera, whose images are H by W pixels.
+    threads
+        Number of threads; the images do not depend on it.
+
+    Raises
+    ------
+    InputError
+        No `Body` or `Camera`; or, by the methods, arrays of other shapes.
+    """
 
     def __init__(self, body: Body, camera: Camera, *, threads: int = 2) -> None:
+        check_type("body", body, Body, "a Body (dvrk_cmaes.prepare makes one)")
+        check_type("camera", camera, Camera, "a Camera")
         self.body = body
         self.camera = camera
         self.threads = threads
@@ -130,6 +155,7 @@ class Renderer:
         use: Callable[[OutlineEdges], T],
     ) -> list[T]:
         """Apply ``use`` to the outline edges of each batch of poses, in ``threads`` threads."""
+        check_poses(self.body.instrument.joint_names, camera_from_root, joints)
         links = self.body.camera_from_links(camera_from_root, joints)
         batches = [links[part] for part in batch_slices(len(links))]
 
@@ -256,7 +282,21 @@ class Renderer:
         return np.concatenate(coverage), OutlinePoints.joined(points, batch_slices(len(camera_from_root)))
 
     def masks(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Render masks of C poses: whether each pixel's centre is covered, (C, H, W)."""
+        """Render masks of C poses: whether each pixel's centre is covered, (C, H, W).
+
+        Parameters
+        ----------
+        camera_from_root
+            (C, 4, 4), m: poses of the root link in the camera.
+        joints
+            (C, J), rad, in the order of ``body.instrument.joint_names``.
+
+        Raises
+        ------
+        InputError
+            Arrays of other shapes, or numbers that are not finite.
+        """
+        check_finite(camera_from_root, joints)
         height, width = self.camera.height, self.camera.width
         grid = LineGrid(height)
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.gaps import continued, extrapolated
 from dvrk_cmaes.joints.interpolation import TimedReadings, straight_line, weighted_mean
-from dvrk_cmaes.joints.names import joint_reading
+from dvrk_cmaes.joints.names import check_readings
 
 Float64 = NDArray[np.float64]
 
@@ -76,13 +78,9 @@ class ReadingBuffer:
         InputError
             The time or a reading is not finite, a reading is in another unit, or a joint is unknown.
         """
-        if not np.isfinite(time):
+        if not math.isfinite(checked_number("readings: time", time, "a finite number of seconds")):
             raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
-        for name, value in joints.items():
-            if name not in self._names and name != "jaw":
-                near = ", ".join(nearest_first(name, self._names))
-                raise InputError(f"readings: unknown joint {name!r}; expected one of: {near}")
-            joint_reading("readings", name, float(value))
+        check_readings("readings", joints, self._names)
         row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
         at, end = int(self.series.times.searchsorted(time)), self._count
         if at == end or self._times[at] != time:

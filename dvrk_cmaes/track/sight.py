@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
@@ -137,6 +138,7 @@ class Sight:
             return [value.get(view) for view in self._names]
         if value is None:
             return [None] * len(self._names)
+        check_type(name, value, (np.ndarray, list, tuple), "an array (H, W), or those of the views")
         arrays = [value] if isinstance(value, np.ndarray) else list(value)
         if len(arrays) != len(self._names):
             raise InputError(f"{name}: expected one by view ({', '.join(self._names)}), got {len(arrays)}")

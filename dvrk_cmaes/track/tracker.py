@@ -5,23 +5,26 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import Arm, check_arm
+from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import body_by
+from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.hypothesis import Follower
@@ -47,8 +50,8 @@ class Tracker:
     camera
         The camera of all images; or a rig of several views, whose images of one time correct the pose together. Poses
         are in its first camera.
-    body
-        The instrument, prepared for rendering (`dvrk_cmaes.prepare`).
+    instrument
+        The instrument, as in `estimate`; prepare it once (`dvrk_cmaes.prepare`) for several trackers.
     calibration
         Calibration of the session: its base holds, its offsets are the start, and its lag is used.
     config
@@ -65,12 +68,17 @@ class Tracker:
         Where the instrument is in the first image, of the first view, if that has no mask.
     record
         Keep what `smoothed` needs of every image; memory then grows with the recording.
+
+    Raises
+    ------
+    InputError
+        An argument of another kind, which the message names, or settings outside their range.
     """
 
     def __init__(
         self,
         camera: Camera | Rig,
-        body: Body,
+        instrument: Instrument | Body | str | Path,
         calibration: SessionCalibration | None = None,
         config: EstimateConfig | None = None,
         *,
@@ -82,7 +90,12 @@ class Tracker:
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
-        body = body_by(body, settings.silhouette.method)
+        check_arm(arm)
+        if calibration is not None:
+            check_type("calibration", calibration, SessionCalibration, CALIBRATION_EXPECTED)
+        if lag is not None:
+            lag = checked_number("lag", lag, "a number of seconds")
+        body = body_by(prepare(instrument), settings.silhouette.method)
         self._config = settings
         rig = Rig.of(camera)
         self._names = body.instrument.joint_names
@@ -172,6 +185,7 @@ class Tracker:
         InputError
             The result has no pose or no covariance, or is of an instrument with other joints.
         """
+        check_type("start", result, Result, "a Result")
         if result.camera_from_root is None or result.covariance is None or tuple(result.joints) != self._names:
             raise InputError(
                 f"start: expected a result with a pose, a covariance and the joints {', '.join(self._names)}, got "
@@ -241,6 +255,7 @@ class Tracker:
         return self._recorder.smoothed(self._following.follower)
 
     def _check_time(self, time: float) -> None:
+        checked_number("time", time, "a finite number of seconds")
         if not np.isfinite(time) or (self._time is not None and time <= self._time):
             after = "" if self._time is None else f" later than {self._time:g} s"
             raise InputError(f"time: expected a finite number of seconds{after}, got {time}")

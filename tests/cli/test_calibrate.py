@@ -15,11 +15,14 @@ from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
+from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.ros import write_camera_info
+from dvrk_cmaes.cli.calibrate import _lines
 from dvrk_cmaes.geometry import change_between, transform
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs import processes
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -69,6 +72,16 @@ def test_output_folder_has_all_files(calibrated: Path) -> None:
     assert all(one["change"]["translation_mm"] >= 0 for one in results)
     assert len(list((calibrated / "overlays").iterdir())) == 5
     assert json.loads((calibrated / "summary.json").read_text())["lag"] is None
+
+
+def test_doubtful_frames_are_named(calibrated: Path) -> None:
+    folder = read_results(calibrated)
+    name, *_ = folder.frames
+    doubtful = {name: replace(folder.frames[name], status="doubtful", reasons=("mode in doubt", "tips not accurate"))}
+    solved = SolvedSession(read_calibration(calibrated / "session.json"), {**folder.frames, **doubtful}, {})
+    lines = [line.text for line in _lines(solved, calibrated)]
+    assert f"doubtful: {name}: mode in doubt; tips not accurate" in lines
+    assert f"1 of {len(folder.frames)} frames are doubtful" in lines
 
 
 def test_results_do_not_depend_on_number_of_processes(calibrated: Path, command: Command, place: Path) -> None:

@@ -18,6 +18,14 @@ DEMO = bundled_path("demo")
     ("arguments", "expected"),
     [
         (("estimate", "--mask", "a.png"), "--joints: missing; it is required (see dvrk-cmaes estimate --help)"),
+        (
+            ("estimate", "--mask", "a.png", "--joints", "a.csv"),
+            "--camera: missing; it is required (see dvrk-cmaes estimate --help)",
+        ),
+        (
+            ("estimate", "--mask", "a.png", "--camera", "c.yaml", "--joint", "a.csv"),
+            "--joint: no such option; did you mean --joints? (see dvrk-cmaes estimate --help)",
+        ),
         (("pnp", "session"), "--out: missing; it is required (see dvrk-cmaes pnp --help)"),
         (("export", "--to", "tf"), "RESULTS: missing; it is required (see dvrk-cmaes export --help)"),
     ],

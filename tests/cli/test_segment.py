@@ -87,11 +87,27 @@ def test_both_eyes_of_a_stereo_session_are_segmented(
 
 
 def test_masks_of_session_are_never_replaced(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    assert run_command(capsys, "segment", folder, "--out", folder).code == 0
-    before = (folder / "masks" / "0001.png").read_bytes()
-    again = run_command(capsys, "segment", folder, "--out", folder, "--point", "30,110")
-    assert again.refusal.startswith("--out: expected another folder than the session's, which has ")
-    assert (folder / "masks" / "0001.png").read_bytes() == before
+    write_image(folder / "masks" / "0001.png", np.full((240, 320), 255, np.uint8))
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    for out in (folder, folder / "images" / ".."):
+        ran = run_command(capsys, "segment", folder, "--out", out, "--point", "30,110")
+        assert "expected a new or empty folder, or one of an earlier segment, got one with " in ran.refusal
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_mask_that_was_corrected_by_hand_is_not_replaced(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "found"
+    assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
+    assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
+    mask = out / "masks" / "0001.png"
+    write_image(mask, np.full((240, 320), 255, np.uint8))
+    before = mask.read_bytes()
+    assert run_command(capsys, "segment", folder, "--out", out).refusal == (
+        f"{out}: masks/0001.png was changed since it was written; choose another --out, or move it"
+    )
+    assert mask.read_bytes() == before
 
 
 def test_guess_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -180,5 +196,6 @@ def test_batch_without_masks(capsys: pytest.CaptureFixture[str], tmp_path: Path)
     ran = run_command(capsys, *command, "--model", "sam2", "--weights", tmp_path)
     assert "its results were made otherwise (segment.model: classic -> sam2" in ran.refusal
     assert run_command(capsys, *command[:2], "--out", session).refusal == (
-        f"{session}: expected another folder than the session's, for the masks found in its images"
+        f"{session}: expected a new or empty folder, or one of an earlier batch, got one with camera.yaml; nothing was "
+        "changed"
     )

@@ -218,7 +218,7 @@ def test_table_needs_no_matplotlib(
     assert code == 1
     assert "How well frames agree" in out
     assert "written" not in out
-    assert err == "dvrk-cmaes: pictures need matplotlib: pip install 'dvrk-cmaes[plots]'\n"
+    assert err == "dvrk-cmaes: pictures need matplotlib: pip install '.[plots]'\n"
 
 
 def test_rows_of_picture_have_one_view_and_all_labels(true_results: Path, tmp_path: Path) -> None:

@@ -182,4 +182,4 @@ def test_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(DvrkCmaesError) as caught:
         check_rerun("--rerun", Path("a.rrd"))
-    assert str(caught.value) == "--rerun needs rerun-sdk: pip install 'dvrk-cmaes[viewer]'"
+    assert str(caught.value) == "--rerun needs rerun-sdk: pip install '.[viewer]'"

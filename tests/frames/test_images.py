@@ -114,8 +114,16 @@ def test_empty_or_full_mask_is_refused(tmp_path: Path) -> None:
 def test_mask_of_other_bit_depth_is_refused(tmp_path: Path) -> None:
     path = stored(tmp_path, grey().astype(np.uint16) * 257)
     assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 16 bits"
+    path.write_bytes(png(8, 2, 2, 0, b"\0\xff\0\0\x0f\0"))
+    assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 2 bits"
+
+
+def test_mask_of_single_bits_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "mask.png"
     path.write_bytes(png(8, 2, 1, 0, b"\0\xf0\0\x0f"))
-    assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 1 bits"
+    assert read_mask(path).astype(int).tolist() == [[1, 1, 1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1, 1, 1]]
+    with pytest.raises(InputError, match=r"not 8-bit: expected a mask of 8 bits a pixel, got 1 bits"):
+        read_mask(path, label=1)
 
 
 def test_colour_or_transparent_mask_is_refused(tmp_path: Path) -> None:

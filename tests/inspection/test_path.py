@@ -242,3 +242,13 @@ def test_command_prints_text_or_json(capsys: pytest.CaptureFixture[str], tmp_pat
     assert (first["kind"], first["read"]["size"]) == ("camera", [640, 480])
     assert (second["kind"], second["path"]) == (None, str(missing))
     assert main(["inspect", str(DEMO / "camera.yaml")]) == 0
+
+
+def test_session_of_several_arms_is_described_by_arm(tmp_path: Path) -> None:
+    folder = tmp_path / "two"
+    assert main(["synth", str(folder), "--arms", "2", "--frames", "2", "--level", "easy"]) == 0
+    found = inspect_path(folder)
+    assert found.kind == "session of 2 arms"
+    for arm in ("PSM1", "PSM2"):
+        assert f"{arm}: 2 frames: 0000, 0001" in found.lines
+        assert found.read["arms"][arm]["counts"]["readings"] == 2

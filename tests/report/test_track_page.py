@@ -42,11 +42,49 @@ def test_losses_and_switches_are_events() -> None:
     rows = [row(k, status, *([LOST] if status == "lost" else [])) for k, status in enumerate(statuses)]
     rows[6]["reasons"] = ["uncertain: x", SWITCH]
     found = [(event.kind, event.first, event.back, event.frames, event.reason) for event in track_events(rows)]
-    assert found == [("lost", 1, 4, 3, LOST), (SWITCHED, 6, 6, 1, SWITCH), ("lost", 7, None, 1, LOST)]
+    assert found == [
+        ("lost", 1, 4, 3, LOST),
+        ("doubtful", 4, 5, 1, ""),
+        (SWITCHED, 6, 6, 1, SWITCH),
+        ("lost", 7, None, 1, LOST),
+    ]
 
 
-def test_recording_without_losses_has_no_events() -> None:
-    assert track_events([row(0), row(1, "doubtful", "uncertain: x")]) == []
+def test_doubtful_stretches_are_events() -> None:
+    rows = [row(0), row(1, "doubtful", "uncertain: x"), row(2, "doubtful", "uncertain: y"), row(3), row(4, "doubtful")]
+    found = [(event.kind, event.first, event.back, event.frames, event.reason) for event in track_events(rows)]
+    assert found == [("doubtful", 1, 3, 2, "uncertain: x"), ("doubtful", 4, None, 1, "")]
+
+
+def test_recording_of_ok_frames_has_no_events() -> None:
+    assert track_events([row(0), row(1)]) == []
+
+
+def test_page_counts_why_frames_are_not_ok_and_links_the_video() -> None:
+    rows = [row(0), *(row(k, "doubtful", f"uncertain: tips within {k} mm") for k in (1, 2))]
+    page = render_track_page(replace(recording(rows), video="tracks.mp4"))
+    assert "Why frames are not ok" in page
+    assert "<li><b>2</b> uncertain</li>" in page
+    assert '<a href="tracks.mp4">' in page
+    without = render_track_page(recording([row(0)]))
+    assert "Why frames are not ok" not in without
+    assert "tracks.mp4" not in without
+
+
+def test_chart_that_ends_early_says_so() -> None:
+    rows = [row(0), row(1), {**row(2), "offsets": {}}, {**row(3), "offsets": {}}]
+    charts = {chart.name: chart for chart in track_charts(rows, None, {}, {})}
+    assert charts["offsets"].note.endswith("Ends at 0001: not known in 2 later frames with a pose.")
+    assert "Ends at" not in charts["joints"].note
+
+
+def test_distance_of_a_contour_is_finer_than_a_pixel() -> None:
+    rows, columns = np.mgrid[:200, :200]
+    mask = columns * 0.2 + rows < 120
+    shifted = columns * 0.2 + rows < 120.4
+    found = contour_distances(mask, shifted)
+    assert found is not None
+    assert 0.2 < np.median(found) < 0.6
 
 
 # curves

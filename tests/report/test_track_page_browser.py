@@ -71,7 +71,7 @@ def press(page: WebDriver, *keys: str) -> None:
 
 
 def test_page_opens_without_errors_or_requests(page: WebDriver, address: str) -> None:
-    assert page.title == "out é #1: 90 frames followed, 3 places to look at · dvrk-cmaes"
+    assert page.title == "out é #1: 90 frames followed, 4 places to look at · dvrk-cmaes"
     assert frame(page) == "0000"
     assert complaints(page) == []
     assert requests(page) == [address]
@@ -108,10 +108,10 @@ def test_cursor_links_curves_and_pictures(page: WebDriver) -> None:
 
 def test_buttons_go_to_losses_and_switches_and_back(page: WebDriver) -> None:
     seen = []
-    for button in ("next", "next", "next", "next", "previous"):
+    for button in ("next", "next", "next", "next", "next", "previous"):
         page.find_element(By.ID, button).click()
         seen.append(frame(page))
-    assert seen == ["0030", ODD, "0060", "0080", "0060"]
+    assert seen == ["0030", ODD, "0041", "0060", "0080", "0060"]
     assert page.find_element(By.ID, "at-reasons").text == SWITCH
     assert "doubtful" in page.find_element(By.ID, "at-status").text
 
@@ -178,5 +178,5 @@ def test_page_can_be_read_without_scripts(address: str, tmp_path: Path) -> None:
         driver.get(address)
         assert "drawn by a script" in driver.find_element(By.TAG_NAME, "noscript").text
         assert not driver.find_element(By.ID, "player").is_displayed()
-        assert len(driver.find_elements(By.CSS_SELECTOR, "#events tbody tr")) == 3
+        assert len(driver.find_elements(By.CSS_SELECTOR, "#events tbody tr")) == 4
         assert len(driver.find_elements(By.CSS_SELECTOR, "#strip img")) == 30

@@ -203,7 +203,8 @@ def test_folder_with_other_results_is_refused(batch: Batch, two: Path, tmp_path:
     other.write_text("{}")
     for resume in (True, False):
         assert refusal(batch, two, resume=resume) == (
-            f"{tmp_path / 'out'}: it has results, but not of a batch (no run.json); choose another --out"
+            f"{tmp_path / 'out'}: expected a new or empty folder, or one of an earlier batch, got one with "
+            "frames/x.json; nothing was changed"
         )
     assert other.read_text() == "{}"
 
@@ -223,8 +224,13 @@ def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path,
 def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "layers").write_text("mine")
+    assert refusal(batch, two).startswith(f"{tmp_path / 'out'}: expected a new or empty folder, ")
+    (tmp_path / "out" / "layers").rename(tmp_path / "layers")
+    batch(two, pattern="0001")
+    shutil.rmtree(tmp_path / "out" / "layers")
+    (tmp_path / "layers").rename(tmp_path / "out" / "layers")
     assert refusal(batch, two) == f"{tmp_path / 'out' / 'layers'}: expected a folder to write to, but a file is there"
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["layers"]
+    assert (tmp_path / "out" / "layers").read_text() == "mine"
 
 
 def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ _CLIP = 3.0  # standard deviations, beyond which a point of the outline does not
 _LARGEST = 8.0  # standard deviations to which errors are limited in the variance of a link
 _SHARED = 100.0  # px of outline; weight of the variance of the whole outline in that of a link
 _ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
-_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.45, 0.12  # on the variance of a measurement; fitted as those of `shared_errors`
+_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.45, 0.25  # on the variance of a measurement; fitted as those of `shared_errors`
 _LARGE = 1.5  # px, standard deviation of errors that are neither small nor normal, by which the variance doubles
 
 

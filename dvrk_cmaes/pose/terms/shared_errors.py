@@ -39,7 +39,7 @@ _NEAREST = 1e-3  # m; points that are nearer, or behind the camera, are taken to
 _MARGIN, _NODE, _SIDE, _LINK = 0.1, 0.2, 0.15, 0.15
 _LEAST_SIDE = 0.25  # px, of a side of the shaft
 # The same, in those of the part of the noise that stays the same over more contour than usual.
-_SIDE_OF_LONG, _LINK_OF_LONG = 1.5, 0.3
+_SIDE_OF_LONG, _LINK_OF_LONG = 0.8, 0.3
 _USUAL_LENGTH, _LENGTH_SCALE = 19.0, 17.0  # px of contour
 
 

@@ -51,12 +51,16 @@ class Mark:
 
 @dataclass(frozen=True)
 class Series:
-    """Marks of one shape and colour, and error bars (x, upper end, lower end)."""
+    """Marks of one shape and colour, and error bars (x, upper end, lower end).
+
+    colour : number of the colour; None for the series' place in its panel.
+    """
 
     name: str
     shape: str
     marks: tuple[Mark, ...]
     bars: tuple[tuple[float, float, float], ...] = ()
+    colour: int | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,7 +66,22 @@ def track_charts(
         _speed(rows, times),
         _spread(rows),
     )
-    return [chart for chart in charts if any(np.isfinite(curve.values).any() for curve in chart.curves)]
+    return [_with_end(chart, rows) for chart in charts if any(map(_is_known, chart.curves))]
+
+
+def _is_known(curve: Curve) -> bool:
+    """Whether a curve has any value."""
+    return bool(np.isfinite(curve.values).any())
+
+
+def _with_end(chart: Chart, rows: Sequence[Mapping[str, Any]]) -> Chart:
+    """Return a chart whose note says where its curves end, if that is before the last frame with a pose."""
+    last = max(np.flatnonzero(np.isfinite(curve.values))[-1] for curve in chart.curves if _is_known(curve))
+    later = sum(row["camera_from_root"] is not None for row in rows[last + 1 :])
+    if not later:
+        return chart
+    frames = f"{later} later frame{'' if later == 1 else 's'} with a pose"
+    return replace(chart, note=f"{chart.note} Ends at {rows[last]['frame']}: not known in {frames}.")
 
 
 def _joints(rows: Sequence[Mapping[str, Any]], readings: Mapping[str, Float64]) -> Chart:

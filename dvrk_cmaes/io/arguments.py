@@ -1,0 +1,51 @@
+"""Check the arguments of public functions, so that a wrong one is named in one line."""
+
+from __future__ import annotations
+
+import os
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import shown
+
+PATH = (str, os.PathLike)
+
+
+def check_type(name: str, value: object, kinds: type | tuple[type, ...], expected: str) -> None:
+    """Raise an InputError, which names the argument and what was expected, for a value of none of the types."""
+    if not isinstance(value, kinds):
+        raise InputError(f"{name}: expected {expected}, got {described(value)}")
+
+
+def checked_number(name: str, value: object, expected: str) -> float:
+    """Return a real number, finite or not, as a float; InputError, which names the argument, for anything else."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise InputError(f"{name}: expected {expected}, got {described(value)}")
+    return float(value)
+
+
+def checked_array(name: str, value: object, dtype: type, expected: str, dimensions: int | None = None) -> NDArray[Any]:
+    """Convert numbers to an array of a type; InputError, which names the argument, for paths, texts and ragged lists.
+
+    ``dimensions`` is the number of axes that it must have.
+    """
+    try:
+        array = None if isinstance(value, (*PATH, dict, bytes)) else np.asarray(value)
+        if array is not None and array.dtype.kind in "biuf" and dimensions in (None, array.ndim):
+            return array.astype(dtype, copy=False)
+    except (ValueError, TypeError):
+        pass
+    raise InputError(f"{name}: expected {expected}, got {described(value)}")
+
+
+def described(value: object) -> str:
+    """Describe a value for a message: an array by its shape, text, paths, numbers and None as they are, or its type."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    if value is None or isinstance(value, (*PATH, int, float)):
+        return shown(value if value is None or isinstance(value, int | float) else str(value))
+    return f"a value of type {type(value).__name__}"

@@ -1,0 +1,121 @@
+"""Joint readings from a table of the arm's measured Cartesian poses, by inverse kinematics.
+
+The table is CSV: ``time`` (s), the position ``x``, ``y``, ``z`` (m), the unit quaternion ``qx``, ``qy``, ``qz``,
+``qw``, and, if known, ``jaw`` (rad). Which frames the poses relate is not in such tables; `PoseTable` states it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import inverse, transform
+from dvrk_cmaes.instrument.arm import ROLL_OFFSET, TOOLTIP_OFFSET, WRIST_LENGTH, Arm
+from dvrk_cmaes.instrument.dvrk_description import Tool
+from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
+from dvrk_cmaes.io.csv_file import Rows, number_in, read_csv_rows
+from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.times import parse_time
+
+PosePoint = Literal["tip", "wrist-yaw"]
+
+_POSE = {"x": "m", "y": "m", "z": "m", "qx": "", "qy": "", "qz": "", "qw": ""}
+_EXPECTED = "a table of poses (CSV with time, x, y, z, qx, qy, qz, qw)"
+_UNIT = 1e-3  # tolerance of a quaternion's length
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTable:
+    """A table of poses and what they mean.
+
+    Parameters
+    ----------
+    path
+        The CSV file.
+    point
+        Origin of the posed frame: dVRK's tip, or the wrist yaw axis. Its axes are the tip frame's in both cases.
+    reference_from_base : (4, 4)
+        Pose of the arm's base in the frame that the poses are given in, m; the identity for ``local/measured_cp``.
+    arm
+        The arm's kinematics.
+    tool
+        The tool's description; None for the Large Needle Driver 400006.
+    """
+
+    path: Path
+    point: PosePoint
+    reference_from_base: NDArray[np.float64]
+    arm: Arm = "classic"
+    tool: Tool | None = None
+
+    def __str__(self) -> str:
+        """Return the path."""
+        return str(self.path)
+
+    def read(self) -> tuple[TimedReadings, ...]:
+        """Read the table and find the joints, NaN for poses that are not reached.
+
+        Raises
+        ------
+        InputError
+            The table is not valid, or no pose is reached; the message names the file and the line or the reason.
+        """
+        header, rows = read_csv_rows(self.path, expected=_EXPECTED)
+        missing = [name for name in ("time", *_POSE) if name not in header]
+        if missing or not rows:
+            got = f"no {', '.join(missing)} in {listed(header)}" if missing else "a header only"
+            raise InputError(f"{self.path}: header: expected {_EXPECTED}, got {got}")
+        rows = _in_order(rows)
+        times = [parse_time(where, cells["time"]) for where, cells in rows]
+        found, said = self._joints(_poses(rows))
+        series = [TimedReadings.of(f"{self.path} ({said})", POSED_JOINTS, times, found.tolist())]
+        if "jaw" in header:
+            jaw = [[number_in(where, "jaw", cells, "rad") if cells["jaw"] else np.nan] for where, cells in rows]
+            series.append(TimedReadings.of(str(self.path), ("jaw",), times, jaw))
+        return tuple(series)
+
+    def _joints(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+        """Find the joints (N, 6) of poses (N, 4, 4) in the table's reference frame, and say how."""
+        offset = np.array(TOOLTIP_OFFSET if self.tool is None else self.tool.tooltip_offset)
+        if self.point == "wrist-yaw":
+            offset[:3, 3] = 0.0
+        found = find_joints(
+            inverse(self.reference_from_base) @ poses,
+            self.arm,
+            roll_offset=ROLL_OFFSET if self.tool is None else self.tool.roll_offset,
+            wrist_length=WRIST_LENGTH if self.tool is None else self.tool.wrist_length,
+            tooltip_offset=offset,
+            limits=None if self.tool is None else self.tool.limits,
+        )
+        if all(found.reasons):
+            raise InputError(
+                f"{self.path}: expected poses that a {self.arm} arm reaches, got none, e.g. {found.reasons[0]}"
+            )
+        said = f"inverse kinematics of poses of the {self.point}, {self.arm} arm"
+        beyond = [reason for reason in found.reasons if reason]
+        if beyond:
+            said += f"; {len(beyond)} of {len(poses)} poses are not reached, e.g. {beyond[0]}"
+        return found.joints, said
+
+
+def _in_order(rows: Rows) -> Rows:
+    """Sort the rows by time, in which roll is continued."""
+    return sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))
+
+
+def _poses(rows: Rows) -> NDArray[np.float64]:
+    """Convert the cells of N rows to poses (N, 4, 4)."""
+    from scipy.spatial.transform import Rotation  # imported late: most imports do without
+
+    values = np.array([[number_in(where, name, cells, unit) for name, unit in _POSE.items()] for where, cells in rows])
+    lengths = np.linalg.norm(values[:, 3:], axis=1)
+    for (where, _), row, length in zip(rows, values, lengths, strict=True):
+        if abs(length - 1) > _UNIT:
+            raise InputError(f"{where}: qx: expected a unit quaternion qx, qy, qz, qw, got {shown(row[3:].tolist())}")
+    return transform(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])

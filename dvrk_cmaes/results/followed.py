@@ -1,0 +1,48 @@
+"""Frames of a followed recording, read from tracks.jsonl, as results of single frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.results.result import POSE_AXES, Result
+from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+
+_SAME = ("frame", "time", "reasons", "camera_from_root", "joints", "tips", "seconds")
+
+
+def read_followed(folder: Path) -> dict[str, Result]:
+    """Read the frames of a folder written by `track`, by name, in their order; errors as in ``read_tracks``."""
+    path = folder / TRACKS
+    return {row["frame"]: result_of_row(f"{path}: frame {row['frame']}", row) for row in read_tracks(path)}
+
+
+def result_of_row(where: str, row: Mapping[str, Any]) -> Result:
+    """Return a line of tracks.jsonl as a result; a lost frame is doubtful, or failed if it has no pose.
+
+    The covariance has the stated standard deviations, without correlations, which tracks.jsonl does not have.
+
+    Raises
+    ------
+    InputError
+        Beginning with ``where``: a field that is missing or wrong.
+    """
+    known = {name: row[name] for name in _SAME if row.get(name) is not None}
+    status = "ok" if row["status"] == "ok" else "doubtful" if row["camera_from_root"] is not None else "failed"
+    joints = list(row["joints"])
+    covariance = _covariance(row["std"], joints)
+    if covariance is not None:
+        known["covariance"] = {"axes": [*POSE_AXES, *joints], "matrix": covariance.tolist()}
+    return Result.from_dict({"camera_from_root": None, "joints": {}, **known, "status": status}, where=where)
+
+
+def _covariance(std: Mapping[str, Any] | None, joints: list[str]) -> NDArray[np.float64] | None:
+    """Return the covariance (6 + J, 6 + J), m and rad, of independent errors; None without standard deviations."""
+    if std is None:
+        return None
+    turned = [*std["rotation_deg"], *(std["joints_deg"][name] for name in joints)]
+    return np.diag(np.r_[np.array(std["translation_mm"]) / 1e3, np.radians(turned)] ** 2)

@@ -1,0 +1,120 @@
+"""Who owns an output folder: what an earlier run wrote there may be replaced, what anybody else put there may not.
+
+A run writes only to a folder that does not exist, is empty, or was written by a run of the same command; other files in
+it are left alone. A command that puts a new folder in the place of the old one asks for a folder without other files.
+OUT/run.json tells that a batch, a calibration or a followed recording wrote there. Where masks were written,
+OUT/.written.json names the command and has their digests, so that a mask which was corrected by hand since is known as
+the user's.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, Literal
+
+from msgspec import Struct
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.files import file_digest
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.results.folder import ALONE
+from dvrk_cmaes.results.track_files import TRACKS
+from dvrk_cmaes.runs.manifest import MANIFEST
+
+Command = Literal["batch", "calibrate", "segment", "track"]
+
+RECORD: Final = ".written.json"
+_EXPECTED: Final = "what an earlier run wrote (.written.json)"
+_LOCK: Final = ".lock"
+_TEMPORARY: Final = r"(?:.*/)?\.[0-9a-f]{32}\.(?:tmp|old)(?:/.*)?"
+_MASKS: Final = r"masks/(?:[^/]+/)?[^/]+\.png"
+_WRITES: Final[dict[str, str]] = {
+    "calibrate": rf"(?:frames|layers)/[^/]+\.json|(?:overlays|overlays_left_out)/[^/]+\.jpg|{_MASKS}|alone/.*|"
+    r"camera\.yaml|poses\.csv|summary\.json|session\.json|report\.html|run\.json"
+}
+"""What a command writes that puts a new folder in the place of the old one."""
+
+_BEGUN: Final = {f"{ALONE}/frames": "calibrate", "shards": "batch", "lag/frames": "batch", "session": "track"}
+"""Folders that commands write before run.json is there."""
+
+
+class _Record(Struct):
+    command: str
+    files: dict[str, str] = {}
+
+
+def check_owned(out: Path, command: Command, *, replaces: bool = False) -> None:
+    """Check, before any work, that a command may write to a folder.
+
+    Parameters
+    ----------
+    out
+        The folder. Links and ``..`` are followed.
+    command
+        The command.
+    replaces
+        Whether it replaces files that are there, and does not only add to them.
+
+    Raises
+    ------
+    InputError
+        The folder has a file that no run of the command wrote, or, if it is to be replaced, that was changed since.
+    """
+    target = Path(os.path.realpath(out))
+    if not target.is_dir():
+        return
+    files = list(_files(target))
+    if not files:
+        return
+    record = _record(target)
+    if record is None:
+        raise InputError(
+            f"{out}: expected a new or empty folder, or one of an earlier {command}, got one with {files[0]}; nothing "
+            "was changed"
+        )
+    if record.command != command:
+        raise InputError(f"{out}: it has what `{record.command}` wrote, which stays as it is; choose another --out")
+    for name in files if command in _WRITES else ():
+        if not re.fullmatch(_WRITES[command], name):
+            raise InputError(f"{out}: {name} was not written by `{command}`; choose another --out, or move it")
+    for name, digest in record.files.items() if replaces else ():
+        if (target / name).is_file() and file_digest(target / name) != digest:
+            raise InputError(f"{out}: {name} was changed since it was written; choose another --out, or move it")
+
+
+def record_masks(out: Path, command: Command) -> None:
+    """Note the masks in a folder, which a command has written, with their digests; nothing if there are none.
+
+    Errors as in `dvrk_cmaes.io.atomic.write_json`.
+    """
+    masks = {name: file_digest(out / name) for name in _files(out) if re.fullmatch(_MASKS, name)}
+    if masks:
+        write_json(out / RECORD, {"command": command, "files": masks})
+
+
+def _files(folder: Path) -> Iterator[str]:
+    """Iterate over the files in a folder by name, without those of locks, of this module, and temporary ones."""
+    names = []
+    for parent, _, inside in os.walk(folder):
+        names += [(Path(parent) / name).relative_to(folder).as_posix() for name in inside]
+    for name in sorted(names):
+        if Path(name).name not in (_LOCK, RECORD) and not re.fullmatch(_TEMPORARY, name):
+            yield name
+
+
+def _record(folder: Path) -> _Record | None:
+    """Return what is known of the run that wrote to a folder; None if nothing is."""
+    path = folder / RECORD
+    if path.exists():
+        return convert_document(str(path), read_json_object(path, expected=_EXPECTED), _Record)
+    if not (folder / MANIFEST).is_file():
+        return next((_Record(command) for part, command in _BEGUN.items() if (folder / part).is_dir()), None)
+    if (folder / TRACKS).exists():
+        return _Record("track")
+    solved = "solved" in read_json_object(folder / MANIFEST, expected="what a run was made with (run.json)")
+    return _Record("calibrate" if solved else "batch")

@@ -1,0 +1,120 @@
+"""A recording that was followed is exported, inspected and compared as results of single frames are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import run_command
+from helpers.track_rows import row
+
+from dvrk_cmaes.geometry import quaternion_wxyz
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.track_files import TRACKS, line_of
+
+ROWS = [row(0), row(1), row(2, "lost", "no mask"), row(3, "gone")]
+
+
+@pytest.fixture
+def tracks(tmp_path: Path) -> Path:
+    """A folder of `track` with four frames: ok, ok, lost with a predicted pose, lost without one."""
+    lines = []
+    for entry in ROWS:
+        status = "lost" if entry["status"] == "gone" else entry["status"]
+        std = entry["std"] and {**entry["std"], "translation_mm": [0.1, 0.2, 0.3], "rotation_deg": [1.0, 2.0, 3.0]}
+        lines.append(line_of({**entry, "status": status, "std": std}))
+    (tmp_path / "tracks").mkdir()
+    (tmp_path / "tracks" / TRACKS).write_text("".join(lines))
+    return tmp_path / "tracks"
+
+
+def test_frames_are_results(tracks: Path) -> None:
+    frames = read_results(tracks).frames
+    assert {name: result.status for name, result in frames.items()} == {
+        "0000": "ok",
+        "0001": "ok",
+        "0002": "doubtful",
+        "0003": "failed",
+    }
+    first = frames["0001"]
+    assert first.time == pytest.approx(1 / 30)
+    np.testing.assert_allclose(first.std_translation_mm, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(first.std_rotation_deg, [1.0, 2.0, 3.0])
+    assert first.std_joints_deg == pytest.approx({"wrist_pitch": 1.0, "wrist_yaw": 1.0, "jaw": 1.0})
+    assert frames["0002"].reasons == ("no mask",)
+
+
+@pytest.mark.parametrize("to", ["csv", "bop", "tum", "ros1-bag", "ros2-bag", "tracker"])
+def test_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path, to: str) -> None:
+    ran = run_command(capsys, "export", tracks, "--to", to, "--json")
+    assert ran.code == 0, ran.err
+    assert ran.result["left_out"] == ([] if to == "csv" else ["0003"])  # the table has a row of each frame
+    assert all(Path(path).stat().st_size for path in ran.result["written"])
+
+
+def test_tum_has_time_position_and_quaternion(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
+    assert run_command(capsys, "export", tracks, "--to", "tum", "--out", tracks.parent).code == 0
+    lines = [list(map(float, line.split())) for line in (tracks.parent / "PSM1.tum").read_text().splitlines()]
+    assert len(lines) == 3
+    for numbers, entry in zip(lines, ROWS, strict=False):
+        pose = np.array(entry["camera_from_root"])
+        assert numbers[0] == pytest.approx(entry["time"], abs=1e-6)
+        np.testing.assert_allclose(numbers[1:4], pose[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(np.roll(numbers[4:], 1), quaternion_wxyz(pose[:3, :3]), atol=1e-9)
+
+
+def test_tum_takes_times_and_says_where_there_are_none(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
+    table = tracks.parent / "images.csv"
+    table.write_text("frame,time\n0000,10.5\n0001,11\n0002,12\n0003,13\n")
+    arguments = ("export", tracks, "--to", "tum", "--out", tracks.parent)
+    assert run_command(capsys, *arguments, "--times", table).code == 0
+    assert (tracks.parent / "PSM1.tum").read_text().startswith("10.500000000 0.000000000 ")
+    text = (tracks / TRACKS).read_text().splitlines(keepends=True)
+    (tracks / TRACKS).write_text("".join(line_of({**json.loads(line), "time": None}) for line in text))
+    ran = run_command(capsys, *arguments)
+    assert "the frames' times are not known" in ran.err
+    assert (tracks.parent / "PSM1.tum").read_text().startswith("1.000000000 ")
+
+
+def test_base_of_the_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
+    write_json(tracks / "session.json", {"schema": 1, "camera_from_base": np.eye(4).tolist(), "frames": ["0000"]})
+    ran = run_command(capsys, "export", tracks, "--to", "dvrk", "--json")
+    assert ran.code == 0, ran.err
+    assert ran.result["base"]["camera_from_base"] == np.eye(4).tolist()
+
+
+def test_folder_is_inspected(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
+    ran = run_command(capsys, "inspect", tracks)
+    assert ran.code == 0, ran.err
+    assert "4 frames (1 doubtful, 1 failed, 2 ok)" in ran.out
+    assert "followed from image to image" in ran.out
+
+
+def test_comparison_with_the_truth_states_coverage(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
+    truth = {
+        entry["frame"]: {
+            "T_camera_roll_link": (np.array(entry["camera_from_root"]) + shift).tolist(),
+            "joints": entry["joints"],
+            "tips_camera_m": np.add(entry["tips"], shift[:3, 3]).tolist(),
+        }
+        for entry, shift in zip(ROWS[:3], (moved_by(0.4e-3), moved_by(0.9e-3), moved_by(1.1e-3)), strict=True)
+    }
+    golden = tracks.parent / "golden.json"
+    write_json(golden, {"schema": 1, "frames": truth})
+    ran = run_command(capsys, "compare", golden, tracks, "--json")
+    assert ran.code == 0, ran.err
+    assert ran.result["sets"]["B"]["tips_within_std"] == {"once": 1, "twice": 2, "of": 3}
+    printed = run_command(capsys, "compare", golden, tracks).out
+    assert (
+        "tips within their stated standard deviation of the truth: 33% of 3 frames, within twice of it 67%" in printed
+    )
+
+
+def moved_by(distance: float) -> np.ndarray:
+    """A change of a pose along the camera's axis, m."""
+    shift = np.zeros((4, 4))
+    shift[2, 3] = distance
+    return shift
