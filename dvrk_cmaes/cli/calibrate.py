@@ -14,11 +14,8 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
-<<<<<<< HEAD
-    MOST_SKIPPED,
-=======
     FOLDER,
->>>>>>> main
+    MOST_SKIPPED,
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
@@ -127,17 +124,13 @@ def calibrate(
     arms: dict[str, ArmInSession] = {}
     solved: dict[str, SolvedSession] = {}
     for name, tool in session_tools(session, instrument, only).items():
-<<<<<<< HEAD
         arms[name] = _share(tool.read(session, camera, joints=joints), every, keyframes)
-=======
-        arms[name] = tool.read(session, camera, joints=joints)
         if results is not None and (results / name).resolve() == (target / name).resolve():
             raise InputError(
                 f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
             )
         check_owned(target / name, "calibrate", replaces=True)
     for name, arm in arms.items():
->>>>>>> main
         solution = _calibrate_arm(
             arm,
             target / name,

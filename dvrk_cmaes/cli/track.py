@@ -196,32 +196,13 @@ def track(
             every,
             joints != "none",
             fps,
-            smooth,
+            causal,
             used,
             prompts.resolve(),
+            workers,
         )
     with stopping_on_interrupt() as stop:
-<<<<<<< HEAD
-        for name, tool in tools.items():
-            arm = source.read(tool, camera, recording, joints=files)
-            followed, used = used_session(arm.session, evidence)
-            arms[name] = arm = replace(arm, session=with_first_mask(followed, first_mask))
-            settings = TrackSettings(
-                method.resolve(),
-                arm.kinematics,
-                read_calibration_of(calibration, tool.tool.arm),
-                seconds,
-                every,
-                joints != "none",
-                fps,
-                causal,
-                used,
-                prompts.resolve(),
-                workers,
-            )
-=======
         for name, arm in arms.items():
->>>>>>> main
             finished[name] = done = track_folder(
                 arm.session,
                 target / name,
