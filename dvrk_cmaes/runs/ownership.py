@@ -114,7 +114,7 @@ def _record(folder: Path) -> _Record | None:
         return convert_document(str(path), read_json_object(path, expected=_EXPECTED), _Record)
     if not (folder / MANIFEST).is_file():
         return next((_Record(command) for part, command in _BEGUN.items() if (folder / part).is_dir()), None)
-    if (folder / TRACKS).exists():
+    manifest = read_json_object(folder / MANIFEST, expected="what a run was made with (run.json)")
+    if "track" in manifest or (folder / TRACKS).exists():
         return _Record("track")
-    solved = "solved" in read_json_object(folder / MANIFEST, expected="what a run was made with (run.json)")
-    return _Record("calibrate" if solved else "batch")
+    return _Record("calibrate" if "solved" in manifest else "batch")

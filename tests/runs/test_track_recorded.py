@@ -99,6 +99,20 @@ def test_run_that_was_interrupted_after_the_keyframes_does_not_solve_them_again(
     assert [{**row, "seconds": 0} for row in again] == [{**row, "seconds": 0} for row in before]
 
 
+def test_finished_recording_is_not_followed_again(
+    made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
+) -> None:
+    out, said = tmp_path / "out", []
+    shutil.copytree(tracks, out)
+    done = track_folder(
+        read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=True, notice=said.append
+    )
+    assert said == []
+    assert sum(done.counts.values()) == FRAMES
+    assert (out / "report.html").exists()
+    assert (out / "tracks.jsonl").read_bytes() == (tracks / "tracks.jsonl").read_bytes()
+
+
 def test_stopped_run_writes_no_tracks(made: tuple[Path, dict[str, Truth]], tmp_path: Path) -> None:
     stop = threading.Event()
     stop.set()
@@ -112,6 +126,7 @@ def test_damaged_solution_of_keyframes_is_named(
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(tracks, out)
+    (out / "tracks.jsonl").unlink()
     write_json(out / "keyframes.json", {"refused": None, "calibration": 3})
     with pytest.raises(InputError, match=r"keyframes\.json: calibration: expected a session's calibration, got none"):
         track_folder(read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=False)
