@@ -301,3 +301,19 @@ def test_both_eyes_are_calibrated_and_drawn_beside_each_other(
     for folder_of in ("overlays", "overlays_left_out"):
         alone, both = (cv2.imread(str(tmp_path / "out" / folder_of / f"000{k}.jpg")) for k in (0, 1))
         assert both.shape[1] == 2 * alone.shape[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--every", "0"], "--every: expected a whole number of at least 1, got 0"),
+        (["--keyframes", "2"], "--keyframes: expected a whole number of at least 3, got 2"),
+        (["--keyframes", "9", "--every", "2"], "--keyframes: expected either this or --every, got both"),
+    ],
+)
+def test_wrong_shares_of_a_recording_are_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: list[str], expected: str
+) -> None:
+    ran = run_command(capsys, "calibrate", str(tmp_path), *options)
+    assert ran.code == 2
+    assert expected in ran.err

@@ -137,6 +137,16 @@ def test_short_recording_is_followed_from_image_to_image_and_one_line_says_why(r
     ]
 
 
+def test_without_readings_no_frame_is_ok(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--out", str(tmp_path / "out"), "--joints", "none", "--every", "3", "--no-video", "--no-page"]
+    ran = run_command(capsys, "track", str(recording), *options)
+    assert ran.code == 3
+    assert "followed from image to image, as by --causal: without readings" in ran.err
+    rows = read_tracks(tmp_path / "out" / "tracks.jsonl")
+    assert {row["status"] for row in rows} == {"doubtful"}
+    assert all(any("mirror twin" in reason for reason in row["reasons"]) for row in rows)
+
+
 def test_results_of_other_settings_are_not_continued(
     recording: Path, tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
