@@ -15,7 +15,7 @@ TRUE = [[0.0, 0.0, 0.1], [0.0, 0.002, 0.1]]
 
 def row(frame: str, off_mm: float | None, status: str = "ok") -> dict[str, Any]:
     """Return a line of tracks.jsonl whose tips are some mm off, with a standard deviation of half a mm."""
-    tips = None if off_mm is None else (np.array(TRUE) + [1e-3 * off_mm, 0, 0]).tolist()
+    tips = None if off_mm is None else (np.array(TRUE) + np.array([1e-3 * off_mm, 0, 0])).tolist()
     return {"frame": frame, "status": status, "tips": tips, "std": None if tips is None else {"tip_mm": 0.5}}
 
 
