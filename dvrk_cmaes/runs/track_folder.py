@@ -163,12 +163,12 @@ def track_folder(
         if not kept:
             (out / KEYFRAMES).unlink(missing_ok=True)
         followed = _finished(run) if kept else None
+        tracker = settings.tracker(session.rig, body)
+        rows = _restored(out, tracker, body.instrument.joint_names) if kept and followed is None else []
         (out / SESSION).unlink(missing_ok=True)
         write_manifest(out, manifest)
         followed = followed or _by_keyframes(run, notice)
         if followed is None:
-            tracker = settings.tracker(session.rig, body)
-            rows = _restored(out, tracker, body.instrument.joint_names) if kept else []
             _forwards(run, tracker, rows)
             calibration = tracker.calibration(clock.interval, clock.unit)
             late = 0.0 if tracker.lag is None else tracker.lag.seconds
