@@ -103,8 +103,9 @@ def _locked(folder: Path, *, needed: bool = True) -> Iterator[None]:
 def replaced_folder(path: Path, *, kept: Sequence[str] = ()) -> Iterator[Path]:
     """Yield a temporary folder, which takes the place of a folder if the block raises no error, and is removed if not.
 
-    The folder that was there is removed afterwards; its subfolders ``kept`` are in the new one, too. At any moment one
-    of the two is there, whole.
+    The folder that was there is removed afterwards; its subfolders ``kept`` are in the new one from the start: files
+    there may be replaced, but not written into, since they can be the same ones. At any moment one of the two folders
+    is there, whole.
 
     Raises
     ------
@@ -117,10 +118,10 @@ def replaced_folder(path: Path, *, kept: Sequence[str] = ()) -> Iterator[Path]:
     beside = target
     try:
         with _folder_beside(target) as beside:
-            yield beside
             for name in kept:
                 if (target / name).is_dir():
-                    shutil.copytree(target / name, beside / name, copy_function=_linked, dirs_exist_ok=True)
+                    shutil.copytree(target / name, beside / name, copy_function=_linked)
+            yield beside
             _put(beside, target)
     except DvrkCmaesError as error:
         raise type(error)(str(error).replace(str(beside), str(path))) from None
@@ -129,9 +130,7 @@ def replaced_folder(path: Path, *, kept: Sequence[str] = ()) -> Iterator[Path]:
 
 
 def _linked(source: str, target: str) -> None:
-    """Give a file a second name, or copy it where the file system has none; a file that is there already stays."""
-    if os.path.lexists(target):
-        return
+    """Give a file a second name, or copy it where the file system has none."""
     try:
         os.link(source, target)
     except OSError:
