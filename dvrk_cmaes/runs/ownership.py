@@ -15,9 +15,12 @@ from pathlib import Path
 from typing import Final, Literal
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.files import file_digest
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.written_files import Written, files_in, read_written, write_written
+from dvrk_cmaes.io.written_files import RECORD, Written, files_in, read_written, write_written
 from dvrk_cmaes.results.folder import ALONE
+from dvrk_cmaes.results.paths import mask_path
 from dvrk_cmaes.results.track_files import TRACKS
 from dvrk_cmaes.runs.manifest import MANIFEST
 
@@ -72,6 +75,28 @@ def check_owned(out: Path, command: Command, *, replaces: bool = False) -> None:
     for name in record.files if replaces else ():
         if record.is_changed(target, name):
             raise InputError(f"{out}: {name} was changed since it was written; choose another --out, or move it")
+
+
+def check_mask(out: Path, frame: str) -> None:
+    """Raise InputError, before any work, if a frame has a mask in a folder that no run wrote, or was changed since."""
+    path = mask_path(Path(os.path.realpath(out)), frame)
+    if not os.path.lexists(path):
+        return
+    record, name = _recorded(path.parent.parent), f"{path.parent.name}/{path.name}"
+    if name not in record.files or record.is_changed(path.parent.parent, name):
+        raise InputError(f"{out}: {name} was not written by `estimate`, or changed since; choose another --out")
+
+
+def record_mask(out: Path, frame: str) -> None:
+    """Note the mask of a frame, which `estimate` has written, beside what is known of the folder."""
+    record, path = _recorded(out), mask_path(out, frame)
+    files = {**record.files, f"{path.parent.name}/{path.name}": file_digest(path)}
+    write_json(out / RECORD, {"command": record.command, "files": dict(sorted(files.items()))})
+
+
+def _recorded(folder: Path) -> Written:
+    """Return the record of a folder, an empty one of `estimate` if there is none."""
+    return read_written(folder) or Written("estimate")
 
 
 def record_masks(out: Path, command: Command) -> None:
