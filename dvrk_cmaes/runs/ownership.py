@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Literal
 
@@ -20,7 +21,6 @@ from dvrk_cmaes.io.files import file_digest
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.written_files import RECORD, Written, files_in, read_written, write_written
 from dvrk_cmaes.results.folder import ALONE
-from dvrk_cmaes.results.paths import mask_path
 from dvrk_cmaes.results.track_files import TRACKS
 from dvrk_cmaes.runs.manifest import MANIFEST
 
@@ -77,26 +77,36 @@ def check_owned(out: Path, command: Command, *, replaces: bool = False) -> None:
             raise InputError(f"{out}: {name} was changed since it was written; choose another --out, or move it")
 
 
-def check_mask(out: Path, frame: str) -> None:
-    """Raise InputError, before any work, if a frame has a mask in a folder that no run wrote, or was changed since."""
-    path = mask_path(Path(os.path.realpath(out)), frame)
-    if not os.path.lexists(path):
-        return
-    record, name = _recorded(path.parent.parent), f"{path.parent.name}/{path.name}"
-    if name not in record.files or record.is_changed(path.parent.parent, name):
-        raise InputError(f"{out}: {name} was not written by `estimate`, or changed since; choose another --out")
+def check_frame_files(out: Path, names: Iterable[Path]) -> None:
+    """Check, before any work, that `estimate` may write files to a folder to which it may have written others.
+
+    Raises
+    ------
+    InputError
+        Another command has noted what it wrote there, or a file is there that `estimate` did not write, or that was
+        changed since.
+    """
+    folder = Path(os.path.realpath(out))
+    record = _estimated(out)
+    for path in names:
+        name = path.relative_to(out).as_posix()
+        if os.path.lexists(folder / name) and (name not in record.files or record.is_changed(folder, name)):
+            raise InputError(f"{out}: {name} was not written by `estimate`, or changed since; choose another --out")
 
 
-def record_mask(out: Path, frame: str) -> None:
-    """Note the mask of a frame, which `estimate` has written, beside what is known of the folder."""
-    record, path = _recorded(out), mask_path(out, frame)
-    files = {**record.files, f"{path.parent.name}/{path.name}": file_digest(path)}
-    write_json(out / RECORD, {"command": record.command, "files": dict(sorted(files.items()))})
+def record_frame_files(out: Path, paths: Iterable[Path]) -> None:
+    """Note files that `estimate` has written beside those that it wrote before."""
+    added = {path.relative_to(out).as_posix(): file_digest(path) for path in paths}
+    files = {**_estimated(out).files, **added}
+    write_json(out / RECORD, {"command": "estimate", "files": dict(sorted(files.items()))})
 
 
-def _recorded(folder: Path) -> Written:
-    """Return the record of a folder, an empty one of `estimate` if there is none."""
-    return read_written(folder) or Written("estimate")
+def _estimated(out: Path) -> Written:
+    """Return what `estimate` wrote to a folder; InputError if that is noted of another command."""
+    record = read_written(out) or Written("estimate")
+    if record.command != "estimate":
+        raise InputError(f"{out}: it has what `{record.command}` wrote, which stays as it is; choose another --out")
+    return record
 
 
 def record_masks(out: Path, command: Command) -> None:

@@ -121,6 +121,17 @@ def test_mask_of_a_session_is_not_replaced_by_that_of_an_estimate(
     assert content(session) == before
 
 
+def test_result_of_a_batch_is_not_replaced_by_that_of_an_estimate(
+    capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path
+) -> None:
+    KINDS["batch"](tmp_path / "out")
+    before = content(tmp_path / "out")
+    options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv", "--out", tmp_path / "out")
+    ran = run_command(capsys, "estimate", "--mask", session / "masks" / "0000.png", *options)
+    assert "frames/0000.json was not written by `estimate`" in ran.refusal
+    assert content(tmp_path / "out") == before
+
+
 def run_of(session: Path, frames: dict[str, Any]) -> str:
     return json.dumps(
         {"version": "1", "session": str(session), "instrument": {"name": "lnd"}, "config": {}, "frames": frames}
