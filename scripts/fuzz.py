@@ -5,6 +5,8 @@
     python scripts/fuzz.py --family mask --only 17  # one try again
     python scripts/fuzz.py tracker --steps 100000   # a tracker with damaged masks, images, readings and times
     python scripts/fuzz.py kills --tries 200        # commands that are killed, or whose disk is full
+    python scripts/fuzz.py folders                  # commands that are told to write to folders of all kinds
+    python scripts/fuzz.py earlier --tries 100      # commands that are killed while they replace an earlier result
 
 Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
 traceback or an internal error; anything but one line on stderr, or anything on stdout or written, with exit code 2; a
@@ -25,7 +27,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from measure.fuzz.damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
+from measure.fuzz.earlier import EarlierReport, fuzz_earlier
 from measure.fuzz.families import FAMILIES, OPTIONS, Family, write_material
+from measure.fuzz.folders import FolderReport, fuzz_folders
 from measure.fuzz.kills import FAULTS, KillReport, fuzz_kills
 from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
 from measure.fuzz.tracker import TrackerReport, fuzz_tracker
@@ -40,7 +44,9 @@ def main() -> int:
     """Run the tries and print the report; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [family.name for family in FAMILIES]
-    parser.add_argument("what", nargs="?", choices=("inputs", "tracker", "kills"), default="inputs")
+    parser.add_argument(
+        "what", nargs="?", choices=("inputs", "tracker", "kills", "folders", "earlier"), default="inputs"
+    )
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
     parser.add_argument("--steps", type=int, default=100_000, metavar="N", help="of tracker (default: %(default)s)")
     parser.add_argument("--family", choices=names, action="append", help="only this family; may be repeated")
@@ -50,9 +56,11 @@ def main() -> int:
     parser.add_argument("--fault", choices=FAULTS, action="append", help="of kills, only this one; may be repeated")
     arguments = parser.parse_args()
     if arguments.what != "inputs":
-        report: TrackerReport | KillReport
+        report: TrackerReport | KillReport | FolderReport | EarlierReport
         if arguments.what == "tracker":
             report = fuzz_tracker(arguments.steps, arguments.seed)
+        elif arguments.what in ("folders", "earlier"):
+            report = _over_earlier_files(arguments.what, arguments.tries, arguments.seed)
         else:
             report = fuzz_kills(arguments.tries, arguments.seed, faults=arguments.fault or FAULTS)
         print(report)
@@ -74,6 +82,18 @@ def main() -> int:
                 violations, tries = violations + len(found.violations), tries + found.tries
     print(f"{tries} tries, {violations} violations")
     return 1 if violations else 0
+
+
+def _over_earlier_files(what: str, tries: int, seed: int) -> FolderReport | EarlierReport:
+    """Run commands on folders that have files: in this process, or, where they are killed, in processes."""
+    with tempfile.TemporaryDirectory() as place:
+        material = Path(place, "material")
+        material.mkdir()
+        write_material(material)
+        if what == "earlier":
+            return fuzz_earlier(tries, seed, material, Path(place, "try"))
+        with stubbed(material):
+            return fuzz_folders(material, Path(place, "try"), in_this_process)
 
 
 class Report:

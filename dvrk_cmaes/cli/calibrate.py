@@ -117,6 +117,7 @@ def calibrate(
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, session_tools
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.runs.manifest import check_same_session
     from dvrk_cmaes.runs.ownership import check_owned
 
     target = session / "calibration" if out is None else out
@@ -130,6 +131,7 @@ def calibrate(
                 f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
             )
         check_owned(target / name, "calibrate", replaces=True)
+        check_same_session(target / name, arms[name].session)
     for name, arm in arms.items():
         solution = _calibrate_arm(
             arm,

@@ -153,13 +153,18 @@ def estimate(
     from dvrk_cmaes.frames.frame import FrameFiles, frame_size
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
+    from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
     picked = None if pick is None else parse_pixel("pick", pick)
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
+    if out is not None:
+        kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
+        check_frame_files(out, [path(out, name) for path in kinds])
     camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
         camera_file = camera.read(lambda: frame_size(files))
@@ -185,6 +190,8 @@ def estimate(
         settings=model.resolve(),
         hints=prompts.resolve(),
     )
+    if out is not None:
+        record_frame_files(out, run.written)
     for text in run.result.warnings:
         warn(text)
     if json:

@@ -173,7 +173,7 @@ def import_recording(
     poses
         The meaning of poses.
     overwrite
-        Replace an existing session folder with all its files.
+        Replace a session folder that this command wrote, unless a file in it was added or changed since.
     json
         Print only a summary, as JSON, on stdout.
     """

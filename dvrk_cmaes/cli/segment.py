@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,6 +48,10 @@ class ImageOutcome:
         if self.found is None:
             return "failed"
         return "doubtful" if self.found.confidence < GUESS else "ok"
+
+    def moved(self, before: Path, now: Path) -> ImageOutcome:
+        """Return the outcome with its files in another folder."""
+        return replace(self, written={kind: now / path.relative_to(before) for kind, path in self.written.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -114,7 +118,9 @@ def segment(
 
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.atomic_folder import replaced_folder
     from dvrk_cmaes.results.paths import check_output
+    from dvrk_cmaes.runs.output import locked
     from dvrk_cmaes.runs.ownership import check_owned, record_masks
 
     settings, hints = model.resolve(), prompts.resolve()
@@ -124,18 +130,18 @@ def segment(
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
     check_owned(out, "segment", replaces=True)
-    outcomes = []
-    try:
+    with locked(out), replaced_folder(out, kept=("masks", "overlays", "scores")) as beside:
+        outcomes = []
         for frame, path in images.items():
             try:
-                outcomes.append(_segment(frame, path, settings, hints, threads, out))
+                outcomes.append(_segment(frame, path, settings, hints, threads, beside))
             except DvrkCmaesError as error:
                 if single:
                     raise
                 outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
-    finally:
-        if out.is_dir():
-            record_masks(out, "segment")
+        record_masks(beside, "segment")
+        check_owned(out, "segment", replaces=True)  # masks may have been corrected meanwhile
+    outcomes = [outcome.moved(beside, out) for outcome in outcomes]
     if json:
         document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
         print(json_text(document), end="")

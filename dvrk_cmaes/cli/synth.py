@@ -117,7 +117,7 @@ def synth(
     mp4
         Write the images of --motion video, of one eye, as video.mp4, not as files in images/.
     overwrite
-        Replace an existing synthetic session.
+        Replace a synthetic session, unless a file in it was added or changed since.
     camera
         The camera.
     instrument

@@ -140,7 +140,7 @@ def write_session(
     """
     names: list[str] = []
     times: list[int] = []
-    with whole_folder(out, sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
+    with whole_folder(out, command="import", sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         pairing = None if recording.right is None else Pairing(recording.right.images)
         size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)

@@ -17,11 +17,12 @@ from msgspec import Struct, field
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrustConfig, __version__
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
-from dvrk_cmaes.runs.digests import calibration_digest, instrument_digest
+from dvrk_cmaes.runs.digests import calibration_digest, frame_digests, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
 Manifest = dict[str, Any]
@@ -31,6 +32,7 @@ FrameParts = Mapping[str, Mapping[str, str] | None]
 MANIFEST: Final = "run.json"
 _SCHEMA: Final = 1
 _NOT_COMPARED: Final = ("session", "frames")
+_OF_FILES: Final = ("mask", "image", "video")
 _MOST_SHOWN: Final = 5
 _ADVICE: Final = "choose another --out, or begin anew with --overwrite"
 
@@ -127,6 +129,21 @@ def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
         raise InputError(
             f"{out}: its results were made otherwise ({'; '.join(changes[:_MOST_SHOWN])}{more}): {_ADVICE}"
         )
+
+
+def check_same_session(out: Path, session: Session) -> None:
+    """Raise InputError if the results in a folder are those of another session.
+
+    A session is the same one if it is where it was, or, if it was moved, if files of a frame are what they were.
+    """
+    old = read_manifest(out)
+    if old is None or Path(old["session"]).resolve() == session.folder.resolve():
+        return
+    for files in session.frames:
+        before = old["frames"].get(files.name) or {}
+        if any(before.get(part) == digest for part, digest in frame_digests(files).items() if part in _OF_FILES):
+            return
+    raise InputError(f"{out}: it has the results of another session ({old['session']}); choose another --out")
 
 
 def check_same_frames(

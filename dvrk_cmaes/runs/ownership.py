@@ -11,41 +11,31 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Literal
-
-from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.files import file_digest
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.io.written_files import RECORD, Written, files_in, read_written, write_written
 from dvrk_cmaes.results.folder import ALONE
 from dvrk_cmaes.results.track_files import TRACKS
 from dvrk_cmaes.runs.manifest import MANIFEST
 
 Command = Literal["batch", "calibrate", "segment", "track"]
 
-RECORD: Final = ".written.json"
-_EXPECTED: Final = "what an earlier run wrote (.written.json)"
-_LOCK: Final = ".lock"
-_TEMPORARY: Final = r"(?:.*/)?\.[0-9a-f]{32}\.(?:tmp|old)(?:/.*)?"
 _MASKS: Final = r"masks/(?:[^/]+/)?[^/]+\.png"
 _WRITES: Final[dict[str, str]] = {
     "calibrate": rf"(?:frames|layers)/[^/]+\.json|(?:overlays|overlays_left_out)/[^/]+\.jpg|{_MASKS}|alone/.*|"
-    r"camera\.yaml|poses\.csv|summary\.json|session\.json|report\.html|run\.json"
+    r"camera\.yaml|poses\.csv|summary\.json|session\.json|report\.html|run\.json",
+    "segment": rf"{_MASKS}|scores/(?:[^/]+/)?[^/]+\.png|overlays/(?:[^/]+/)?[^/]+\.jpg",
 }
 """What a command writes that puts a new folder in the place of the old one."""
 
 _BEGUN: Final = {f"{ALONE}/frames": "calibrate", "shards": "batch", "lag/frames": "batch", "session": "track"}
 """Folders that commands write before run.json is there."""
-
-
-class _Record(Struct):
-    command: str
-    files: dict[str, str] = {}
 
 
 def check_owned(out: Path, command: Command, *, replaces: bool = False) -> None:
@@ -68,7 +58,7 @@ def check_owned(out: Path, command: Command, *, replaces: bool = False) -> None:
     target = Path(os.path.realpath(out))
     if not target.is_dir():
         return
-    files = list(_files(target))
+    files = list(files_in(target))
     if not files:
         return
     record = _record(target)
@@ -82,9 +72,41 @@ def check_owned(out: Path, command: Command, *, replaces: bool = False) -> None:
     for name in files if command in _WRITES else ():
         if not re.fullmatch(_WRITES[command], name):
             raise InputError(f"{out}: {name} was not written by `{command}`; choose another --out, or move it")
-    for name, digest in record.files.items() if replaces else ():
-        if (target / name).is_file() and file_digest(target / name) != digest:
+    for name in record.files if replaces else ():
+        if record.is_changed(target, name):
             raise InputError(f"{out}: {name} was changed since it was written; choose another --out, or move it")
+
+
+def check_frame_files(out: Path, names: Iterable[Path]) -> None:
+    """Check, before any work, that `estimate` may write files to a folder to which it may have written others.
+
+    Raises
+    ------
+    InputError
+        Another command has noted what it wrote there, or a file is there that `estimate` did not write, or that was
+        changed since.
+    """
+    folder = Path(os.path.realpath(out))
+    record = _estimated(out)
+    for path in names:
+        name = path.relative_to(out).as_posix()
+        if os.path.lexists(folder / name) and (name not in record.files or record.is_changed(folder, name)):
+            raise InputError(f"{out}: {name} was not written by `estimate`, or changed since; choose another --out")
+
+
+def record_frame_files(out: Path, paths: Iterable[Path]) -> None:
+    """Note files that `estimate` has written beside those that it wrote before."""
+    added = {path.relative_to(out).as_posix(): file_digest(path) for path in paths}
+    files = {**_estimated(out).files, **added}
+    write_json(out / RECORD, {"command": "estimate", "files": dict(sorted(files.items()))})
+
+
+def _estimated(out: Path) -> Written:
+    """Return what `estimate` wrote to a folder; InputError if that is noted of another command."""
+    record = read_written(out) or Written("estimate")
+    if record.command != "estimate":
+        raise InputError(f"{out}: it has what `{record.command}` wrote, which stays as it is; choose another --out")
+    return record
 
 
 def record_masks(out: Path, command: Command) -> None:
@@ -92,29 +114,18 @@ def record_masks(out: Path, command: Command) -> None:
 
     Errors as in `dvrk_cmaes.io.atomic.write_json`.
     """
-    masks = {name: file_digest(out / name) for name in _files(out) if re.fullmatch(_MASKS, name)}
+    masks = [name for name in files_in(out) if re.fullmatch(_MASKS, name)]
     if masks:
-        write_json(out / RECORD, {"command": command, "files": masks})
+        write_written(out, command, masks)
 
 
-def _files(folder: Path) -> Iterator[str]:
-    """Iterate over the files in a folder by name, without those of locks, of this module, and temporary ones."""
-    names = []
-    for parent, _, inside in os.walk(folder):
-        names += [(Path(parent) / name).relative_to(folder).as_posix() for name in inside]
-    for name in sorted(names):
-        if Path(name).name not in (_LOCK, RECORD) and not re.fullmatch(_TEMPORARY, name):
-            yield name
-
-
-def _record(folder: Path) -> _Record | None:
+def _record(folder: Path) -> Written | None:
     """Return what is known of the run that wrote to a folder; None if nothing is."""
-    path = folder / RECORD
-    if path.exists():
-        return convert_document(str(path), read_json_object(path, expected=_EXPECTED), _Record)
+    if (written := read_written(folder)) is not None:
+        return written
     if not (folder / MANIFEST).is_file():
-        return next((_Record(command) for part, command in _BEGUN.items() if (folder / part).is_dir()), None)
+        return next((Written(command) for part, command in _BEGUN.items() if (folder / part).is_dir()), None)
     manifest = read_json_object(folder / MANIFEST, expected="what a run was made with (run.json)")
     if "track" in manifest or (folder / TRACKS).exists():
-        return _Record("track")
-    return _Record("calibrate" if "solved" in manifest else "batch")
+        return Written("track")
+    return Written("calibrate" if "solved" in manifest else "batch")

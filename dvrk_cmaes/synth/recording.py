@@ -85,7 +85,7 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
     """
     level = motion_level(plan)
     rng = np.random.default_rng([plan.seed, level_index(plan), 2])
-    with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
         arm = record_arm(plan, level, rng)
         with ExitStack() as opened:
             views = [opened.enter_context(_view(folder, plan, arm.truths, pictures, rng))]

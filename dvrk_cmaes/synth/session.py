@@ -196,7 +196,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
     DvrkCmaesError
         As in `make_truths` and `make_frames`.
     """
-    with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
         camera_from_base, truths = make_truths(plan)
         readings: dict[str, Mapping[str, float]] = {}
         tips, markers, golden = [], [], {}

@@ -81,7 +81,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
 
     ``tool`` is what session.toml says of the instrument of both arms. Errors as `synth.session.write_session`.
     """
-    with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
         arms = make_arms(plan)
         names = [frame_name(plan, k) for k in range(plan.frames)]
         for k, name in enumerate(names):

@@ -121,7 +121,7 @@ def write_recording_of_arms(
     """
     level = motion_level(plan)
     levels = (level, level if plan.lag is not None else _with_own_lag(plan, level))
-    with whole_folder(out, sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
         arms = record_arms(plan, levels)
         visible = _write_views(folder, plan, arms, pictures)
         for number, (name, arm) in enumerate(zip(ARMS, arms, strict=True)):

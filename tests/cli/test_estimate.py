@@ -92,7 +92,11 @@ def test_good_frame_writes_result_and_overlay(run: Run, tmp_path: Path) -> None:
     assert (tmp_path / "out/frames/0000.json").read_text(encoding="utf-8") == done.out
     overlay = cv2.imread(str(tmp_path / "out/overlays/0000.jpg"))
     assert overlay.shape[1] == 1280
-    assert sorted(p.name for p in (tmp_path / "out").rglob("*") if p.is_file()) == ["0000.jpg", "0000.json"]
+    assert sorted(p.name for p in (tmp_path / "out").rglob("*") if p.is_file()) == [
+        ".written.json",
+        "0000.jpg",
+        "0000.json",
+    ]
 
 
 def test_text_output_lists_pose_joints_and_files(run: Run, quick: Path) -> None:

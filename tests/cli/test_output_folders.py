@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers.commands import run_command
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.runs.manifest import check_same_session
 from dvrk_cmaes.runs.ownership import check_owned
 
 DEMO = bundled_path() / "demo"
@@ -99,3 +104,48 @@ def test_other_files_beside_results_stay_unless_the_folder_is_replaced(tmp_path:
     KINDS["notes"](tmp_path / "calibrated")
     with pytest.raises(InputError, match=r"notes\.json was not written by `calibrate`"):
         check_owned(tmp_path / "calibrated", "calibrate", replaces=True)
+
+
+@pytest.mark.parametrize("way", ["session", "session/images/..", "link"])
+def test_mask_of_a_session_is_not_replaced_by_that_of_an_estimate(
+    capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path, way: str
+) -> None:
+    os.symlink(session, tmp_path / "link")
+    before = content(session)
+    image = session / "images" / "0000.jpg"
+    options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv")
+    ran = run_command(capsys, "estimate", "--image", image, *options, "--out", tmp_path / way)
+    assert ran.refusal == (
+        f"{tmp_path / way}: masks/0000.png was not written by `estimate`, or changed since; choose another --out"
+    )
+    assert content(session) == before
+
+
+def test_result_of_a_batch_is_not_replaced_by_that_of_an_estimate(
+    capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path
+) -> None:
+    KINDS["batch"](tmp_path / "out")
+    before = content(tmp_path / "out")
+    options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv", "--out", tmp_path / "out")
+    ran = run_command(capsys, "estimate", "--mask", session / "masks" / "0000.png", *options)
+    assert "frames/0000.json was not written by `estimate`" in ran.refusal
+    assert content(tmp_path / "out") == before
+
+
+def run_of(session: Path, frames: dict[str, Any]) -> str:
+    return json.dumps(
+        {"version": "1", "session": str(session), "instrument": {"name": "lnd"}, "config": {}, "frames": frames}
+    )
+
+
+def test_calibration_of_another_session_is_told_from_one_that_was_moved(session: Path, tmp_path: Path) -> None:
+    read, out = read_session(session), tmp_path / "out"
+    digests = {files.name: frame_digests(files) for files in read.frames}
+    other = {name: dict.fromkeys(parts, "other") for name, parts in digests.items()}
+    written(out, run_json=run_of(session, other))
+    check_same_session(out, read)
+    written(out, run_json=run_of(tmp_path / "before", digests))
+    check_same_session(out, read)
+    written(out, run_json=run_of(tmp_path / "before", other))
+    with pytest.raises(InputError, match=r"it has the results of another session \("):
+        check_same_session(out, read)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +18,10 @@ from helpers.drawn_tools import draw_tool
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.written_files import read_written
+from dvrk_cmaes.runs.output import locked
+
+cli_segment = import_module("dvrk_cmaes.cli.segment")
 
 DEMO = bundled_path("demo")
 
@@ -108,6 +114,63 @@ def test_mask_that_was_corrected_by_hand_is_not_replaced(
         f"{out}: masks/0001.png was changed since it was written; choose another --out, or move it"
     )
     assert mask.read_bytes() == before
+
+
+def test_interrupted_run_leaves_the_earlier_masks(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "found"
+    assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
+    before = {path: path.read_bytes() for path in out.rglob("*.*") if path.name != ".lock"}
+    done = []
+    segment_one = cli_segment._segment
+
+    def interrupted(frame: str, *rest: Any) -> Any:
+        if done:
+            raise KeyboardInterrupt
+        done.append(frame)
+        return segment_one(frame, *rest)
+
+    monkeypatch.setattr(cli_segment, "_segment", interrupted)
+    run_command(capsys, "segment", folder, "--out", out, "--point", "30,110")
+    assert done == ["0001"]
+    assert {path: path.read_bytes() for path in out.rglob("*.*") if path.name != ".lock"} == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["found", "session"]
+
+
+def test_images_that_are_segmented_one_by_one_share_a_folder(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "found"
+    for name in ("0001", "0002"):
+        ran = run_command(capsys, "segment", folder / "images" / f"{name}.png", "--out", out, "--json")
+        assert Path(ran.result["frames"][name]["mask"]) == out / "masks" / f"{name}.png"
+    assert sorted(path.name for path in (out / "masks").iterdir()) == ["0001.png", "0002.png"]
+    written = read_written(out)
+    assert written is not None
+    assert set(written.files) == {"masks/0001.png", "masks/0002.png"}
+
+
+def test_folder_with_notes_of_the_user_is_refused(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "found"
+    assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
+    (out / "notes.txt").write_text("mine")
+    assert run_command(capsys, "segment", folder, "--out", out).refusal == (
+        f"{out}: notes.txt was not written by `segment`; choose another --out, or move it"
+    )
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_folder_that_another_run_writes_to_is_left_to_it(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    with locked(tmp_path / "found"):
+        ran = run_command(capsys, "segment", folder, "--out", tmp_path / "found")
+    assert ran.code == 1
+    assert "is writing there" in ran.err
+    assert [path.name for path in (tmp_path / "found").iterdir()] == [".lock"]
 
 
 def test_guess_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

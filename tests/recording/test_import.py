@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from helpers.commands import run_command
 from helpers.made_recordings import (
     ARM,
     BEGIN,
@@ -44,7 +45,7 @@ from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import Selection, write_session
 
 CAMERA = Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (-0.21, 0.1, 1e-05, -2e-05, 0.0))
-WRITTEN = ["camera.yaml", "images", "images.csv", "joints.csv", "session.toml"]
+WRITTEN = [".written.json", "camera.yaml", "images", "images.csv", "joints.csv", "session.toml"]
 
 Import = Callable[..., dict[str, Any]]
 
@@ -404,7 +405,8 @@ def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:
 
 def test_video_is_imported_with_readings(imported: Import, tmp_path: Path) -> None:
     imported(write_bag(tmp_path / "bag", "mcap", good()))
-    camera = Path("session/camera.yaml").rename(tmp_path / "camera.yaml")
+    camera = tmp_path / "camera.yaml"
+    camera.write_bytes(Path("session/camera.yaml").read_bytes())
     video = write_video(tmp_path / "video.avi")
     table = [
         "time,wrist_pitch,jaw",
@@ -412,7 +414,6 @@ def test_video_is_imported_with_readings(imported: Import, tmp_path: Path) -> No
     ]
     (tmp_path / "readings.csv").write_text("\n".join(table))
     arguments = ("--camera", camera, "--joints", tmp_path / "readings.csv", "--video-start", 100.005, "--every", 3)
-    (Path("session") / "camera.yaml").touch()
     summary = imported(video, *arguments, "--overwrite")
     assert [row["time"] for row in rows("images.csv")] == [f"100.{ms}000000" for ms in ("005", "125", "245", "365")]
     frames = read_session("session").frames
@@ -427,3 +428,18 @@ def test_video_is_imported_with_readings(imported: Import, tmp_path: Path) -> No
         assert frame.image is not None
         assert np.array_equal(read_image(frame.image), pixels(int(frame.name)))
     assert "times: the video's, its first frame at 100.005 s of the readings' clock" in summary["notes"]
+
+
+def test_masks_that_were_drawn_in_an_imported_session_are_never_removed(
+    capsys: pytest.CaptureFixture[str], imported: Import, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / "bag", "mcap", good())
+    imported(bag)
+    mask = Path("session/masks/000000.png")
+    mask.parent.mkdir()
+    mask.write_bytes(b"drawn by hand")
+    ran = run_command(capsys, "import", bag, "--out", "session", "--overwrite")
+    assert ran.refusal == (
+        "session: --overwrite: masks/000000.png was added or changed since; move it; nothing removed"
+    )
+    assert mask.read_bytes() == b"drawn by hand"

@@ -182,3 +182,46 @@ def test_violations_are_seen(material: Path, code: int, out: str, err: str, chan
     outcome: Outcome = Outcome(code, out, err, 1.0)
     found = violation_of(outcome, ["estimate"], changed=changed, unreadable=False)
     assert (found is None) if told is None else (found is not None and told in found)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("batch", "batch --overwrite", "calibrate", "track", "track --overwrite", "segment", "synth"),
+        *("synth --overwrite", "import", "import --overwrite", "estimate", "export"),
+    ],
+)
+def test_no_file_of_the_user_is_changed_in_any_kind_of_folder(material: Path, tmp_path: Path, command: str) -> None:
+    from measure.fuzz.folders import KINDS, fuzz_folders
+    from measure.fuzz.runs import in_this_process
+
+    report = fuzz_folders(material, tmp_path / "try", in_this_process, (command,))
+    assert report.tries == 2 * len(KINDS)
+    assert report.violations == []
+
+
+def test_view_of_the_file_system_sees_files_that_are_changed(material: Path, tmp_path: Path) -> None:
+    from measure.fuzz.folders import fuzz_folders
+    from measure.fuzz.runs import Outcome
+
+    def careless(command: list[str]) -> Outcome:
+        if command[0] == "export":
+            Path("session/camera.yaml").unlink()
+            for path in Path(command[-1]).glob("*.txt"):
+                path.write_text("replaced")
+        else:
+            Path(command[-1]).mkdir(exist_ok=True)
+        return Outcome(0, "", "", 0.0)
+
+    report = fuzz_folders(material, tmp_path / "try", careless, ("export",))
+    assert sum("changed or removed" in text and "session/camera.yaml" in text for text in report.violations) == 16
+    assert sum("written outside OUT" in text for text in report.violations) == 16
+    assert sum("made/notes.txt" in text for text in report.violations) == 8
+
+
+def test_killed_run_leaves_the_earlier_result_or_the_new_one(material: Path, tmp_path: Path) -> None:
+    from measure.fuzz.earlier import fuzz_earlier
+
+    report = fuzz_earlier(3, 0, material, tmp_path / "try", ("segment",))
+    assert report.earlier + report.new == 3
+    assert report.violations == []

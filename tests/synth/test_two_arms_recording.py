@@ -135,7 +135,7 @@ def test_first_arm_moves_as_in_a_recording_of_one(folder: Path, plan: SessionPla
 def test_same_seed_gives_the_same_recording(folder: Path, plan: SessionPlan, tmp_path: Path) -> None:
     write_recording_of_arms(tmp_path / "again", plan, TOOL, pictures="files")
     files = sorted(path.relative_to(folder) for path in folder.rglob("*.*"))
-    assert len(files) == 4 * 2 * FRAMES + 8
+    assert len(files) == 4 * 2 * FRAMES + 9
     for path in files:
         assert (tmp_path / "again" / path).read_bytes() == (folder / path).read_bytes(), path
 

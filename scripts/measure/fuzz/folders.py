@@ -1,0 +1,187 @@
+"""Each command that writes, told to write to each kind of existing folder: no file of the user is changed or removed.
+
+All files in the folder of the material are the user's, but for those that an earlier run of the same command wrote to
+OUT. A view of the file system notes the paths that Python opens for writing, renames or removes; what OpenCV writes is
+seen by the contents of the files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from measure.fuzz.runs import Runner
+
+_QUICK: Final = ("--config", "quick.toml")
+_OUT: Final = "made"
+COMMANDS: Final[dict[str, tuple[str, ...]]] = {
+    "batch": ("batch", "session", *_QUICK, "--workers", "1", "--out"),
+    "batch --overwrite": ("batch", "session", *_QUICK, "--workers", "1", "--overwrite", "--out"),
+    "calibrate": ("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results", "--out"),
+    "track": ("track", "session", *_QUICK, "--out"),
+    "track --overwrite": ("track", "session", *_QUICK, "--overwrite", "--out"),
+    "segment": ("segment", "session", "--out"),
+    "synth": ("synth", "--frames", "1", "--no-images"),
+    "synth --overwrite": ("synth", "--frames", "1", "--no-images", "--overwrite"),
+    "import": ("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv", "--out"),
+    "import --overwrite": (
+        *("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv", "--overwrite", "--out"),
+    ),
+    "estimate": (
+        *("estimate", "--image", "session/images/0000.jpg", "--camera", "session/camera.yaml"),
+        *("--joints", "session/joints.csv", *_QUICK, "--out"),
+    ),
+    "export": ("export", "results", "--to", "csv", "--out"),
+}
+"""Command lines without the folder, which is the last word."""
+
+_NOTES: Final = "notes.txt"
+
+
+def _made_by(*command: str) -> Callable[[Path, Runner], None]:
+    def make(out: Path, run: Runner) -> None:
+        ended = run([*command, str(out)])
+        if ended.code not in (0, 3):
+            raise SystemExit(f"fuzz: the folder could not be made: {' '.join(command)}: {ended.err}")
+
+    return make
+
+
+def _calibration(out: Path, run: Runner) -> None:
+    shutil.copytree("results", out, dirs_exist_ok=True)
+    shutil.copy("session.json", out / "session.json")
+    document = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(document | {"solved": "together"}))
+
+
+def _copy_of(name: str) -> Callable[[Path, Runner], None]:
+    def make(out: Path, run: Runner) -> None:
+        shutil.copytree(name, out, dirs_exist_ok=True)
+
+    return make
+
+
+KINDS: Final[dict[str, Callable[[Path, Runner], None]]] = {
+    "empty": lambda out, run: None,
+    "session": _copy_of("session"),
+    "images": _copy_of("session/images"),
+    "batch": _copy_of("results"),
+    "calibration": _calibration,
+    "tracks": _made_by(*COMMANDS["track"]),
+    "segment": _made_by(*COMMANDS["segment"]),
+    "import": _made_by(*COMMANDS["import"]),
+}
+"""How each kind of existing folder is made, in the folder of the material."""
+
+_MAKERS: Final = {"batch": "batch", "calibration": "calibrate", "tracks": "track", "segment": "segment"}
+
+
+@dataclass
+class FolderReport:
+    """Number of tries, how many were refused, and violations."""
+
+    tries: int = 0
+    refused: int = 0
+    violations: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        head = f"folders: {self.tries} tries, {self.refused} refused, {len(self.violations)} violations"
+        return "\n".join([head, *self.violations])
+
+
+def fuzz_folders(material: Path, place: Path, run: Runner, commands: tuple[str, ...] = tuple(COMMANDS)) -> FolderReport:
+    """Tell each command to write to each kind of folder, with and without a file of the user in it.
+
+    ``place`` is a folder for a copy of the material; it is the working folder meanwhile.
+    """
+    report = FolderReport()
+    for kind in KINDS:
+        shutil.rmtree(place, ignore_errors=True)
+        shutil.copytree(material, place)
+        shutil.rmtree(place / _OUT, ignore_errors=True)
+        (place / _OUT).mkdir()
+        with contextlib.chdir(place):
+            KINDS[kind](Path(_OUT), run)
+        for notes in (False, True):
+            for name in commands:
+                fresh = place.with_name(f"{place.name} again")
+                shutil.rmtree(fresh, ignore_errors=True)
+                shutil.copytree(place, fresh)
+                if notes:
+                    (fresh / _OUT / _NOTES).write_text("mine")
+                with contextlib.chdir(fresh):
+                    _attempt(report, name, kind, run)
+                shutil.rmtree(fresh, ignore_errors=True)
+    return report
+
+
+def _attempt(report: FolderReport, name: str, kind: str, run: Runner) -> None:
+    """Run a command in the working folder and add what it violated to the report."""
+    own = {_MAKERS.get(kind, kind), f"{_MAKERS.get(kind, kind)} --overwrite"}
+    before = _contents()
+    with _written_paths() as touched:
+        ended = run([*COMMANDS[name], _OUT])
+    after = _contents()
+    lost = [path for path, data in before.items() if after.get(path) != data]
+    if name in own:  # what it wrote itself may be replaced
+        lost = [path for path in lost if Path(path).parts[0] != _OUT or path.endswith(_NOTES)]
+    here = Path.cwd()
+    outside = sorted({path for path in touched if _is_foreign(Path(path), here)})
+    report.tries += 1
+    report.refused += ended.code == 2
+    what = f"  {name} into a folder of kind {kind}: exit code {ended.code}: "
+    if lost:
+        report.violations.append(what + f"changed or removed: {', '.join(sorted(lost))[:300]}")
+    if outside:
+        report.violations.append(what + f"written outside OUT: {', '.join(outside)[:300]}")
+    if ended.code == 1 and "internal error" in ended.err:
+        report.violations.append(what + ended.err.strip()[-300:])
+
+
+def _contents() -> dict[str, bytes]:
+    """Return the files below the working folder by path, without those of locks."""
+    return {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file() and path.name != ".lock"}
+
+
+def _is_foreign(path: Path, here: Path) -> bool:
+    """Return whether a path is in the folder of the material, but neither OUT nor a temporary folder beside it."""
+    if not path.is_relative_to(here) or path == here:
+        return False
+    return not path.relative_to(here).parts[0].startswith((_OUT, "."))
+
+
+_noted: list[set[str]] = []
+_hooked: list[bool] = []
+
+
+@contextlib.contextmanager
+def _written_paths() -> Iterator[set[str]]:
+    """Yield a set to which the absolute paths are added that are opened for writing, renamed or removed meanwhile."""
+    if not _hooked:
+        sys.addaudithook(_note)  # there is no way to remove it
+        _hooked.append(True)
+    _noted.append(set())
+    try:
+        yield _noted[-1]
+    finally:
+        _noted.pop()
+
+
+def _note(event: str, arguments: tuple[Any, ...]) -> None:
+    if not _noted:
+        return
+    paths: tuple[Any, ...] = ()
+    if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_TRUNC):
+        paths = arguments[:1]
+    elif event in ("os.remove", "os.rmdir", "os.mkdir", "os.truncate", "shutil.rmtree"):
+        paths = arguments[:1] if len(arguments) < 2 or arguments[-1] in (-1, None) or event == "os.mkdir" else ()
+    elif event in ("os.rename", "os.link", "os.symlink"):
+        paths = arguments[:2]
+    _noted[-1].update(os.path.abspath(os.fsdecode(path)) for path in paths if isinstance(path, str | bytes | Path))
