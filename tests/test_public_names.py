@@ -56,7 +56,7 @@ def qualified_name(function: Callable[..., Any]) -> str:
     "function", [*FUNCTIONS, *(f for kind in USED for f in annotations_of(kind))], ids=qualified_name
 )
 def test_classes_of_signatures_are_public(function: Callable[..., Any]) -> None:
-    met = {kind for hint in get_type_hints(function).values() for kind in classes_in(hint)}
+    met = {kind for hint in get_type_hints(function, localns=PUBLIC).values() for kind in classes_in(hint)}
     assert {kind.__name__ for kind in met} <= set(PUBLIC), function.__qualname__
     assert all(PUBLIC[kind.__name__] is kind for kind in met)
 

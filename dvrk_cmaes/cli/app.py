@@ -8,60 +8,81 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from cyclopts import App, CycloptsError, MissingArgumentError
 
-from dvrk_cmaes.cli.batch import batch
-from dvrk_cmaes.cli.calibrate import calibrate
-from dvrk_cmaes.cli.compare import compare
-from dvrk_cmaes.cli.consistency import consistency
-from dvrk_cmaes.cli.demo import demo
-from dvrk_cmaes.cli.estimate import estimate
-from dvrk_cmaes.cli.export import export
-from dvrk_cmaes.cli.golden import golden
-from dvrk_cmaes.cli.help import help_topic, topic_pages
-from dvrk_cmaes.cli.import_recording import import_recording
-from dvrk_cmaes.cli.inspect import inspect
 from dvrk_cmaes.cli.layout import HelpFormatter, TrimmedOutput
-from dvrk_cmaes.cli.live import live
-from dvrk_cmaes.cli.pnp import pnp
-from dvrk_cmaes.cli.segment import segment
-from dvrk_cmaes.cli.synth import synth
 from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
-from dvrk_cmaes.cli.track import track
-from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
 _DEBUG = "--debug"
 _INTERRUPTED = 130  # as in shells: 128 + SIGINT
 
-app = App(
-    name="dvrk-cmaes",
-    help="""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
+SUMMARIES: Final = {
+    "estimate": "Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.",
+    "segment": "Find the instrument in an image, or in each image of a folder.",
+    "demo": "Estimate the bundled session, print the errors against the true poses, and write results and overlays.",
+    "batch": "Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML "
+    "report.",
+    "calibrate": "Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each "
+    "joint's readings.",
+    "track": "Follow an instrument through the consecutive frames of a session or a video, by masks or images, and "
+    "readings.",
+    "live": "Follow an instrument on a running robot: images and readings from ROS topics, its pose to ROS topics.",
+    "export": "Write results in the formats of other programs.",
+    "golden": "Record the poses of a session's frames, and compare later estimates with them.",
+    "compare": "Compare two or more sets of poses of the same frames, by frame and in sum, without estimating again.",
+    "consistency": "Measure how well the frames of a session agree, without true poses: the paper's Table I and "
+    "further measures.",
+    "pnp": "Estimate the poses of a session from image points and readings by PnP, as a baseline for comparisons.",
+    "synth": "Write a synthetic session with known true poses, in the layout of a session folder.",
+    "inspect": "Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous "
+    "content.",
+    "import": "Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session "
+    "folder.",
+    "help": "Print a reference page, or the options of a command; without a topic, list the topics.",
+}
+"""The commands, with the first sentence of what they do, so that listing them imports none of them."""
 
-Try `dvrk-cmaes demo` first; `dvrk-cmaes help` lists the reference pages.
+_FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
+"""Module and function of the commands that are not named as these."""
+
+
+def _version() -> str:
+    """Return the version of the package."""
+    from dvrk_cmaes.config import __version__
+
+    return __version__
+
+
+def command_line(*, listed: bool = False) -> App:
+    """Return the app with all commands, each imported when it is used.
+
+    Parameters
+    ----------
+    listed
+        Whether it is only to list the commands: their own help is then the first sentence alone.
+    """
+    commands = App(
+        name="dvrk-cmaes",
+        help="""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
+
+Try "dvrk-cmaes demo" first; "dvrk-cmaes help" lists the reference pages.
 Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
-With `--debug`, any command shows where in the program an error was raised.""",
-    version=__version__,
-    suppress_keyboard_interrupt=False,
-    help_formatter=HelpFormatter(),
-)
-app.command(estimate)
-app.command(segment)
-app.command(demo)
-app.command(batch)
-app.command(calibrate)
-app.command(track)
-app.command(live)
-app.command(export)
-app.command(golden)
-app.command(compare)
-app.command(consistency)
-app.command(pnp)
-app.command(synth)
-app.command(inspect)
-app.command(import_recording, name="import")
-app.command(help_topic, name="help")
+With --debug, any command shows where in the program an error was raised.""",
+        version=_version,
+        suppress_keyboard_interrupt=False,
+        help_formatter=HelpFormatter(),
+        help_format="plaintext" if listed else None,
+    )
+    for name, summary in SUMMARIES.items():
+        path = f"dvrk_cmaes.cli.{_FUNCTIONS.get(name, f'{name}:{name}')}"
+        commands.command(path, name=name, help=summary if listed else None)
+    return commands
+
+
+app = command_line()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,17 +90,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prepare_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug = _DEBUG in tokens
-    if tokens[:1] == ["help"] and len(tokens) == 2 and tokens[1] in app and tokens[1] not in topic_pages():
+    commands = command_line(listed=True) if tokens[:1] in ([], ["--help"], ["-h"]) else app
+    if tokens[:1] == ["help"] and len(tokens) == 2 and _is_only_command(tokens[1]):
         tokens = [tokens[1], "--help"]
     if not tokens or not {"--help", "-h"}.isdisjoint(tokens):
         from rich.console import Console
 
-        app.console = Console(file=TrimmedOutput())
+        commands.console = Console(file=TrimmedOutput())
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
         try:
-            code = app(
+            code = commands(
                 [token for token in tokens if token != _DEBUG],
                 exit_on_error=False,
                 print_error=False,
@@ -91,6 +113,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if debug:
                 traceback.print_exc()
             return _said(error, tokens)
+
+
+def _is_only_command(name: str) -> bool:
+    """Return whether a name is that of a command and not of a reference page."""
+    from dvrk_cmaes.cli.help import topic_pages
+
+    return name in SUMMARIES and name not in topic_pages()
 
 
 def _said(error: BaseException, tokens: Sequence[str]) -> int:

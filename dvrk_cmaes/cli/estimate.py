@@ -155,7 +155,6 @@ def estimate(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
-    from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
@@ -163,6 +162,8 @@ def estimate(
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
     if out is not None:
+        from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
+
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
         check_frame_files(out, [path(out, name) for path in kinds])
     camera_file: CameraFile | RigFile

@@ -130,13 +130,15 @@ def read_calibration_of(path: Path | None, arm: str = "") -> SessionCalibration 
     InputError
         There is no session.json, or it is not valid.
     """
+    if path is None:
+        return None
     from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.results.folder import SESSION
 
-    if path is not None and path.is_dir():
+    if path.is_dir():
         own = path / arm / SESSION
         path = own if own.exists() else path / SESSION
-    return None if path is None else read_calibration(path)
+    return read_calibration(path)
 
 
 def solve_crossing_tools(

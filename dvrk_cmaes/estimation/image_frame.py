@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import estimate_views
@@ -24,6 +24,9 @@ from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
 
 Bool = NDArray[np.bool_]
 

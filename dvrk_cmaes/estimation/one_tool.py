@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration
-from dvrk_cmaes.calibration.prediction import fit_session_pose
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
@@ -30,6 +29,9 @@ from dvrk_cmaes.results.result import Result, Source
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
 from dvrk_cmaes.silhouette.threads import single_blas_thread
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
 
 
 def estimate(
@@ -134,7 +136,7 @@ def estimate_views(
     check_config(settings)
     check_arm(arm)
     if session is not None:
-        check_type("session", session, SessionCalibration, CALIBRATION_EXPECTED)
+        _check_session(session)
     if start is not None:
         check_type("start", start, Result, "a Result")
     body = body_by(prepare(instrument), settings.silhouette.method)
@@ -150,6 +152,8 @@ def estimate_views(
     views = _frame_views(shown, body, settings)
     predicted = None
     if session is not None and shown[0] is reference:
+        from dvrk_cmaes.calibration.prediction import fit_session_pose
+
         predicted = fit_session_pose(session, views, readings, given, settings)
     source: Source
     if session is not None and isinstance(predicted, FoundPose):
@@ -205,6 +209,13 @@ def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
         )
         for number, (pose, joints) in enumerate([(start.camera_from_root, start.joints), *others])
     ]
+
+
+def _check_session(session: object) -> None:
+    """Raise an InputError for what is not a calibration; the solver of sessions is imported only for those."""
+    from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration
+
+    check_type("session", session, SessionCalibration, CALIBRATION_EXPECTED)
 
 
 def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig) -> list[FrameView]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -23,6 +23,9 @@ from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
 
 Bool = NDArray[np.bool_]
 

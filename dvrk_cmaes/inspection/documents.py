@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import read_marker_table
@@ -165,6 +164,8 @@ _BY_KEY: dict[str, Callable[[Path, Mapping[str, Any]], Finding]] = {
 
 def _pose_text(pose: NDArray[Any]) -> str:
     """Format a pose (4, 4) as a position, mm, and an axis-angle, degrees."""
+    from scipy.spatial.transform import Rotation  # takes long to import
+
     turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True)
     return f"position {_triple(1e3 * pose[:3, 3])} mm, axis-angle {_triple(turn)} deg"
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.frame_layers import frame_layers
@@ -24,6 +24,9 @@ from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
 
 
 @dataclass(frozen=True, eq=False)
