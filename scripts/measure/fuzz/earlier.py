@@ -63,12 +63,11 @@ def fuzz_earlier(
             raise SystemExit(f"fuzz: {name}: both command lines make the same files")
         there = 0
         for _ in range(tries // len(commands) + (number < tries % len(commands))):
-            process = _start(place, name, 1 - there)
-            try:
-                process.wait(chance.uniform(0, seconds))
-            except subprocess.TimeoutExpired:
-                process.kill()
-            process.wait()
+            with _start(place, name, 1 - there) as process:
+                try:
+                    process.communicate(timeout=chance.uniform(0, seconds))
+                except subprocess.TimeoutExpired:
+                    process.kill()
             now: dict[str, Any] | None = written(place / "made") if (place / "made").is_dir() else None
             if now == known[there]:
                 report.earlier += 1
@@ -92,6 +91,7 @@ def _start(place: Path, name: str, which: int) -> subprocess.Popen[str]:
 
 def _ended_well(name: str, process: subprocess.Popen[str]) -> None:
     """Wait for a command; SystemExit if it fails."""
-    err = process.communicate()[1]
+    with process:
+        err = process.communicate()[1]
     if process.returncode not in _DONE:
         raise SystemExit(f"fuzz: {name} ended with {process.returncode}: {err[-300:]}")
