@@ -129,6 +129,7 @@ def live(
     from dvrk_cmaes.live.follow import LiveSetup, follow
     from dvrk_cmaes.live.inputs import InputTopics
     from dvrk_cmaes.live.rclpy_node import RclpyConnection
+    from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 
     image = topics.image_topic
@@ -152,7 +153,8 @@ def live(
         rectified,
         overlay,
     )
-    connection = RclpyConnection(note) if via == "rclpy" else RosbridgeConnection(host, port, note)
+    report = RepeatedLines(note)  # of the connection; follow has its own
+    connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
     with _stopped(seconds) as stop:
         connection.open(timeout=2.0)
         try:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 Receive = Callable[[Mapping[str, Any]], None]
 Report = Callable[[str], None]
 """Takes a line for the user."""
+
+LARGEST_MESSAGE: Final = 2**20
+"""Bytes of a message of readings or of a camera."""
+LARGEST_IMAGE: Final = 40 * 2**20
+"""Bytes of a message of an image: in base64, 10 megapixels of three bytes."""
+
+
+def too_large(topic: str, size: int, largest: int) -> str:
+    """Return the line for a message of more bytes than the largest that is read."""
+    return f"{topic}: expected a message of at most {largest / 2**20:.0f} MB, got {size / 2**20:.1f} MB; it is left out"
 
 
 class Connection(Protocol):
@@ -22,8 +32,14 @@ class Connection(Protocol):
     def close(self) -> None:
         """Close the connection."""
 
-    def subscribe(self, topic: str, kind: str, receive: Receive, *, newest: bool = False) -> None:
-        """Call ``receive`` with the fields of each message, on another thread; ``newest`` allows to skip late ones."""
+    def subscribe(
+        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
+    ) -> None:
+        """Call ``receive`` with the fields of each message, on another thread.
+
+        A message of more than ``largest`` bytes is reported and dropped before it is read. ``newest`` allows to skip
+        late ones.
+        """
 
     def advertise(self, topic: str, kind: str) -> None:
         """Announce a topic before messages are published on it."""

@@ -12,9 +12,10 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.live.connection import Connection, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
-from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
+from dvrk_cmaes.live.loop import LiveCounts, LiveLoop, PresentState
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.overlay import LiveOverlay
+from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.tracker import Tracker
 
@@ -49,28 +50,33 @@ def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event
     InputError
         A setting is not valid.
     """
-    inputs = Inputs(setup.topics, report, rectified=setup.rectified)
+    say = RepeatedLines(report)
+    inputs = Inputs(setup.topics, say, rectified=setup.rectified)
     inputs.subscribe(connection)
     outputs = Outputs(connection, setup.names, setup.body.instrument.root_link)
-    camera = setup.camera or _received(inputs, stop)
+    camera = setup.camera or _received(inputs, PresentState(outputs, "waiting for the camera"), stop)
     if camera is None:
         return LiveCounts()
     report(f"camera: {camera.width} x {camera.height} px, focal length {camera.fx:.1f} px")
-    tracker = Tracker(camera, setup.body, setup.calibration, setup.config, arm=setup.arm, lag=setup.lag)
+
+    def make_tracker() -> Tracker:
+        return Tracker(camera, setup.body, setup.calibration, setup.config, arm=setup.arm, lag=setup.lag)
+
     loop = LiveLoop(
-        tracker,
+        make_tracker,
         inputs,
         outputs,
-        report,
+        say,
         draw=LiveOverlay(setup.body, camera) if setup.overlay else None,
     )
     return loop.run(stop)
 
 
-def _received(inputs: Inputs, stop: Event) -> Camera | None:
+def _received(inputs: Inputs, state: PresentState, stop: Event) -> Camera | None:
     """Wait for the camera; None if ``stop`` is set before it comes."""
     while not stop.is_set():
         camera = inputs.cameras.take(_WAIT)
         if camera is not None:
             return camera
+        state.publish_if_due()
     return None

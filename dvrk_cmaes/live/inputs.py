@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.live.connection import Connection, Report
+from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
 from dvrk_cmaes.live.messages import JointMessage, read_camera, read_joint_message, read_pixels, read_stamp
 
 _MOST_READINGS: Final = 1000  # of two topics of 100 Hz, those of five seconds
 _MOST_IMAGES: Final = 8  # that wait for their masks
+_MOST_WAITING: Final = 2 * LARGEST_IMAGE  # bytes of these, beside the newest
 
 _IMAGE, _COMPRESSED = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 _CAMERA_INFO, _JOINT_STATE = "sensor_msgs/CameraInfo", "sensor_msgs/JointState"
@@ -84,12 +85,35 @@ class Inputs:
 
     def subscribe(self, connection: Connection) -> None:
         """Subscribe to all topics."""
-        connection.subscribe(self.topics.image, _image_kind(self.topics.image), self._on_image, newest=True)
-        if self.topics.mask is not None:
-            connection.subscribe(self.topics.mask, _image_kind(self.topics.mask), self._on_mask, newest=True)
-        connection.subscribe(self.topics.camera, _CAMERA_INFO, self._on_camera, newest=True)
-        for topic in self.topics.joints:
-            connection.subscribe(topic, _JOINT_STATE, partial(self._on_joints, topic))
+        topics = self.topics
+        self._subscribe(connection, topics.image, _image_kind(topics.image), self._on_image, largest=LARGEST_IMAGE)
+        if topics.mask is not None:
+            self._subscribe(connection, topics.mask, _image_kind(topics.mask), self._on_mask, largest=LARGEST_IMAGE)
+        self._subscribe(connection, topics.camera, _CAMERA_INFO, self._on_camera)
+        for topic in topics.joints:
+            self._subscribe(connection, topic, _JOINT_STATE, partial(self._on_joints, topic), newest=False)
+
+    def _subscribe(
+        self,
+        connection: Connection,
+        topic: str,
+        kind: str,
+        take: Callable[[Mapping[str, Any]], None],
+        *,
+        largest: int = LARGEST_MESSAGE,
+        newest: bool = True,
+    ) -> None:
+        """Subscribe to a topic; whatever is wrong with a message costs that message and a line."""
+
+        def receive(fields: Mapping[str, Any]) -> None:
+            try:
+                take(fields)
+            except InputError as error:
+                self._report(str(error))
+            except Exception as error:
+                self._report(f"{topic}: a message that cannot be read: {one_line(error)}")
+
+        connection.subscribe(topic, kind, receive, largest=largest, newest=newest)
 
     def report_silence(self, longest: float) -> tuple[str, ...]:
         """Report each topic once when it has been silent for ``longest`` seconds, and once when it is heard again.
@@ -109,20 +133,21 @@ class Inputs:
 
     def _on_image(self, fields: Mapping[str, Any]) -> None:
         frame = self._frame(self.topics.image, fields, image_fields=fields)
-        if frame is None:
-            return
         if self.topics.mask is None:
             self.frames.put(frame)
             return
         self._images[frame.time] = fields
-        if len(self._images) > _MOST_IMAGES:
+        while len(self._images) > _MOST_IMAGES or (len(self._images) > 1 and self._waiting() > _MOST_WAITING):
             del self._images[next(iter(self._images))]
+
+    def _waiting(self) -> int:
+        """Return the bytes of the images that wait for their masks."""
+        return sum(len(fields.get("data", ())) for fields in self._images.values())
 
     def _on_mask(self, fields: Mapping[str, Any]) -> None:
         assert self.topics.mask is not None
         frame = self._frame(self.topics.mask, fields, mask_fields=fields)
-        if frame is not None:
-            self.frames.put(replace(frame, image_fields=self._images.pop(frame.time, None)))
+        self.frames.put(replace(frame, image_fields=self._images.pop(frame.time, None)))
 
     def _frame(
         self,
@@ -130,30 +155,19 @@ class Inputs:
         fields: Mapping[str, Any],
         image_fields: Mapping[str, Any] | None = None,
         mask_fields: Mapping[str, Any] | None = None,
-    ) -> LiveFrame | None:
-        """Note that a topic was heard, and make a frame of a message; None if its time is not valid."""
-        try:
-            stamp = read_stamp(topic, fields)
-        except InputError as error:
-            self._report(str(error))
-            return None
+    ) -> LiveFrame:
+        """Note that a topic was heard, and make a frame of a message; InputError if its time is not valid."""
+        stamp = read_stamp(topic, fields)
         self._heard[topic] = clock.monotonic()
         return LiveFrame(stamp.time, stamp.ros1, self.topics, image_fields, mask_fields)
 
     def _on_joints(self, topic: str, fields: Mapping[str, Any]) -> None:
-        try:
-            readings = read_joint_message(topic, fields)
-        except InputError as error:
-            self._report(str(error))
-            return
+        readings = read_joint_message(topic, fields)
         self._heard[topic] = clock.monotonic()
         self.readings.put(readings)
 
     def _on_camera(self, fields: Mapping[str, Any]) -> None:
-        try:
-            self.cameras.put(read_camera(self.topics.camera, fields, rectified=self._rectified))
-        except InputError as error:
-            self._report(str(error))
+        self.cameras.put(read_camera(self.topics.camera, fields, rectified=self._rectified))
 
 
 def _image_kind(topic: str) -> str:

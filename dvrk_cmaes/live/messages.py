@@ -26,6 +26,8 @@ from dvrk_cmaes.recording.messages import image_pixels, joint_names, stored_imag
 _STAMPS = (("sec", "nanosec"), ("secs", "nsecs"))  # of ROS 2 and ROS 1
 
 
+_MOST_SECONDS = 2**33
+
 Bytes = Annotated[bytes, Meta(description="bytes in base64")]  # converted from base64 where they are a text
 
 
@@ -73,10 +75,11 @@ class _RawImage(NamedTuple):
 
 @dataclass(frozen=True)
 class JointMessage:
-    """Readings of a JointState at its time, ns: joints by name, rad, or m for ``insertion``."""
+    """Readings of a JointState at its time, ns: joints by name, rad, or m for ``insertion``; and their topic."""
 
     time: int
     joints: Mapping[str, float]
+    topic: str = ""
 
 
 def read_stamp(where: str, fields: Mapping[str, Any]) -> Stamp:
@@ -84,6 +87,8 @@ def read_stamp(where: str, fields: Mapping[str, Any]) -> Stamp:
     stamp = convert_document(where, fields, _Stamped).header.stamp
     for ros1, (seconds, rest) in enumerate(_STAMPS):
         if seconds in stamp and rest in stamp:
+            if not (abs(stamp[seconds]) < _MOST_SECONDS and 0 <= stamp[rest] < NANOSECONDS):
+                break
             return Stamp(stamp[seconds] * NANOSECONDS + stamp[rest], bool(ros1))
     raise InputError(f"{where}: header.stamp: expected sec and nanosec, or secs and nsecs, got {shown(stamp)}")
 
@@ -112,7 +117,7 @@ def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:
     if len(names) != len(message.position):
         raise InputError(f"{where}: position: expected {len(names)} numbers, got {len(message.position)}")
     joints = {name: joint_reading(where, name, value) for name, value in zip(names, message.position, strict=True)}
-    return JointMessage(read_stamp(where, fields).time, joints)
+    return JointMessage(read_stamp(where, fields).time, joints, where)
 
 
 def read_camera(where: str, fields: Mapping[str, Any], *, rectified: bool = False) -> Camera:

@@ -8,7 +8,7 @@ the image. A lost instrument has a status, and no pose and joints.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 import cv2
@@ -84,6 +84,13 @@ class Outputs:
         sent = [self._connection.publish(message.topic, f) for message, f in zip(messages, fields, strict=True)]
         return all(sent)
 
+    def publish_state(
+        self, time: int, state: str, reason: str = "", *, ros1: bool = False, silent: Sequence[str] = ()
+    ) -> bool:
+        """Publish a status without a result, at a time, ns: why there is no pose now; returns whether it was sent."""
+        message = self._status_message(time, 2, state, {"reasons": reason, "silent_topics": " ".join(silent)})
+        return self._connection.publish(message.topic, _as_ros1(message.fields) if ros1 else message.fields)
+
     def _topics(self) -> dict[str, str]:
         """Return the types of all topics."""
         return {
@@ -112,10 +119,14 @@ class Outputs:
             "age_ms": f"{1e3 * age:.1f}",
             "silent_topics": " ".join(silent),
         }
+        return self._status_message(time, level, result.status, values)
+
+    def _status_message(self, time: int, level: int, text: str, values: Mapping[str, str]) -> RosMessage:
+        """Return the message of a status of some level with values by key."""
         status = {
             "level": level,
             "name": f"dvrk_cmaes: {self._names.arm}",
-            "message": result.status,
+            "message": text,
             "hardware_id": self._names.arm,
             "values": [{"key": key, "value": value} for key, value in values.items()],
         }

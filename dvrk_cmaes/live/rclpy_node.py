@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.live.connection import Receive, Report
+from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive, Report, too_large
 
 _NODE: Final = "dvrk_cmaes"
 _DEPTH: Final = 100  # of the queue of a topic whose messages all matter
@@ -61,12 +61,17 @@ class RclpyConnection:
         self._thread.join()
         self._node.destroy_node()
 
-    def subscribe(self, topic: str, kind: str, receive: Receive, *, newest: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
+    ) -> None:
         """Subscribe, with any publisher's reliability; as in `Connection`."""
         quality = self._profile(depth=1 if newest else _DEPTH, reliability=self._best_effort)
 
         def convert(message: Any) -> None:
             try:
+                if (size := _least_size(message)) > largest:
+                    self._report(too_large(topic, size, largest))
+                    return
                 fields = plain_fields(message)
             except (AttributeError, TypeError, ValueError) as error:
                 self._report(f"{topic}: a message that cannot be read: {one_line(error)}")
@@ -92,6 +97,12 @@ class RclpyConnection:
         executor.add_node(self._node)
         while self._context.ok():
             executor.spin_once(timeout_sec=0.1)
+
+
+def _least_size(message: Any) -> int:
+    """Return the bytes of a message's longest field at least: one for each element."""
+    fields = (getattr(message, name) for name in message.get_fields_and_field_types())
+    return max((len(value) for value in fields if hasattr(value, "__len__")), default=0)
 
 
 def plain_fields(message: Any) -> Any:

@@ -1,21 +1,37 @@
 """Connection to ROS over a websocket, to a rosbridge server, with the library roslibpy.
 
 The connection is opened again whenever it is lost. Messages are published only while it is open and the server takes
-them; they are never queued, so that memory does not grow and what arrives is new.
+them; of those that it does not take yet, the newest of each topic is kept, so that memory does not grow and what
+arrives is new.
+
+Messages are told apart here, not by roslibpy, whose events of topics and of the connection share their names.
 """
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from threading import Event
+from threading import Event, Lock
 from typing import Any, Final
 
+import msgspec
+
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.live.connection import Receive, Report
+from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
+_LARGEST_PAYLOAD: Final = LARGEST_IMAGE + 2**20  # bytes of a websocket message, beyond which the connection is closed
+
+
+class _Operation(msgspec.Struct):
+    """An operation of rosbridge's protocol, whose message is not read yet."""
+
+    op: str
+    topic: str = ""
+    msg: msgspec.Raw = msgspec.Raw()
+    level: str = ""
 
 
 class RosbridgeConnection:
@@ -46,12 +62,12 @@ class RosbridgeConnection:
         self._address = host, port
         self._name = f"rosbridge {host}:{port}"
         self._report = report
-        self._receivers: dict[str, Receive] = {}
+        self._receivers: dict[str, tuple[Receive, int]] = {}
         self._announcements: list[dict[str, Any]] = []
         self._ready = Event()
         self._protocol: Any = None
         self._ros: Any = None
-        self._flow = _Flow()
+        self._flow = _Flow(self._send)
         self._log = _LogReports(self._name, report)
 
     def open(self, timeout: float) -> bool:
@@ -61,8 +77,7 @@ class RosbridgeConnection:
         self._ros = self._roslibpy.Ros(host, port)
         factory = self._ros.factory
         factory.maxDelay = _LONGEST_WAIT
-        for topic, receive in self._receivers.items():
-            factory.on(topic, receive)
+        factory.setProtocolOptions(maxMessagePayloadSize=_LARGEST_PAYLOAD)
         self._ros.call_later(0, partial(self._await_connections, factory))
         factory.manager.run()
         if self._ready.wait(timeout):
@@ -79,11 +94,11 @@ class RosbridgeConnection:
             ros.close()
         self._log.stop()
 
-    def subscribe(self, topic: str, kind: str, receive: Receive, *, newest: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
+    ) -> None:
         """Subscribe, now or when the connection opens; as in `Connection`."""
-        self._receivers[topic] = receive
-        if self._ros is not None:
-            self._ros.factory.on(topic, receive)
+        self._receivers[topic] = receive, largest
         self._announce({"op": "subscribe", "topic": topic, "type": kind, "queue_length": 1 if newest else 0})
 
     def advertise(self, topic: str, kind: str) -> None:
@@ -91,10 +106,16 @@ class RosbridgeConnection:
         self._announce({"op": "advertise", "topic": topic, "type": kind})
 
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
-        """Send a message unless there is no connection or the server does not take what was sent before."""
-        if not self._ready.is_set() or self._flow.stopped:
+        """Send a message unless there is no connection or the server does not take what was sent before.
+
+        Of messages that it does not take yet, the newest of each topic is sent when it goes on.
+        """
+        if not self._ready.is_set():
             return False
-        self._send({"op": "publish", "topic": topic, "msg": dict(fields)})
+        message = {"op": "publish", "topic": topic, "msg": dict(fields)}
+        if self._flow.keeps(topic, message):
+            return False
+        self._send(message)
         return True
 
     def _announce(self, message: dict[str, Any]) -> None:
@@ -120,10 +141,9 @@ class RosbridgeConnection:
     def _on_ready(self, protocol: Any) -> None:
         if protocol is self._protocol:
             return
-        self._flow.stopped = False
+        self._flow.begin()
         protocol.registerProducer(self._flow, True)
-        # roslibpy knows the operation and has no handler for it
-        protocol._message_handlers["status"] = self._on_status
+        protocol.on_message = self._on_message
         self._protocol = protocol
         for message in self._announcements:
             self._send(message)
@@ -136,25 +156,76 @@ class RosbridgeConnection:
             self._ready.clear()
             self._report(f"{self._name}: connection lost; trying again")
 
-    def _on_status(self, message: Mapping[str, Any]) -> None:
-        if message.get("level") in ("error", "warning"):
-            self._report(f"{self._name}: {' '.join(str(message.get('msg')).split())[:200]}")
+    def _on_message(self, payload: bytes) -> None:
+        """Hand a message to the receiver of its topic; an error is reported by `_LogReports`."""
+        operation, read = _read_operation(payload)
+        if operation.op == "status":
+            if operation.level in ("error", "warning"):
+                self._report(f"{self._name}: {' '.join(str(read()).split())[:200]}")
+            return
+        if operation.op != "publish":
+            raise ValueError(f"expected the operation publish or status, got {operation.op[:50]!r}")
+        receive, largest = self._receivers.get(operation.topic, (None, 0))
+        if receive is None:
+            return
+        if len(payload) > largest:
+            self._report(too_large(operation.topic, len(payload), largest))
+        else:
+            receive(read())
+
+
+def _read_operation(payload: bytes) -> tuple[_Operation, Callable[[], Any]]:
+    """Read an operation without its message, and return a function that reads that too."""
+    try:
+        operation = msgspec.json.decode(payload, type=_Operation)
+    except msgspec.ValidationError:
+        raise
+    except msgspec.DecodeError:  # some servers write NaN, which is not JSON
+        document = json.loads(payload) if len(payload) <= LARGEST_MESSAGE else {}
+        fields = {name: str(document[name]) for name in ("op", "topic", "level") if name in document}
+        operation = _Operation(fields["op"], fields.get("topic", ""), level=fields.get("level", ""))
+        return operation, lambda: document.get("msg")
+    return operation, lambda: json.loads(bytes(operation.msg))
 
 
 class _Flow:
-    """Is told by the websocket's buffer when to stop sending, and when to go on."""
+    """Is told by the websocket's buffer when to stop sending, and when to go on; keeps the newest messages meanwhile.
 
-    def __init__(self) -> None:
-        self.stopped = False
+    ``send`` is called with them when sending goes on.
+    """
+
+    def __init__(self, send: Callable[[dict[str, Any]], None]) -> None:
+        self._send = send
+        self._stopped = False
+        self._newest: dict[str, dict[str, Any]] = {}
+        self._lock = Lock()
+
+    def keeps(self, topic: str, message: dict[str, Any]) -> bool:
+        """Keep a message until sending goes on, instead of an earlier one of its topic; False if it may be sent."""
+        with self._lock:
+            if self._stopped:
+                self._newest[topic] = message
+            return self._stopped
+
+    def begin(self) -> None:
+        """Begin with a new connection, which nothing was sent to."""
+        with self._lock:
+            self._stopped = False
+            self._newest.clear()
 
     def pauseProducing(self) -> None:  # noqa: N802 (Twisted's name)
-        self.stopped = True
+        with self._lock:
+            self._stopped = True
 
     def resumeProducing(self) -> None:  # noqa: N802
-        self.stopped = False
+        with self._lock:
+            newest, self._newest = self._newest, {}
+            self._stopped = False
+        for message in newest.values():
+            self._send(message)
 
     def stopProducing(self) -> None:  # noqa: N802
-        self.stopped = True
+        self.pauseProducing()
 
 
 class _LogReports(logging.Handler):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,9 @@ class ReadingAt:
 class ReadingBuffer:
     """The readings of the last seconds; readings may arrive at any rate, before or after the images they belong to.
 
+    Joints may be read at times of their own, as the jaw is on its own topic: each is interpolated between its own
+    readings.
+
     Parameters
     ----------
     joint_names
@@ -62,6 +65,7 @@ class ReadingBuffer:
         self._gap = gap
         self._still = still
         self._count = 0
+        self._complete = True  # whether every row has all joints
         self._times = np.empty(_MOST + _BLOCK + 1)
         self._rows = np.empty((len(self._times), len(self._names)))
 
@@ -88,6 +92,7 @@ class ReadingBuffer:
             self._times[at] = time
             self._count += 1
         self._rows[at] = row
+        self._complete &= not np.isnan(row).any()
         self._drop()
 
     def _drop(self) -> None:
@@ -105,10 +110,12 @@ class ReadingBuffer:
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
-        series, outer = self.series, len(OUTER_JOINTS)
-        rate = _rate(series, time)
-        row = series.at(np.array([time], dtype=np.float64), extrapolated(self._gap), weighted_mean, rate)[0]
-        still = _is_still(series, time, self._still)
+        outer = len(OUTER_JOINTS)
+        row, rate = np.full(len(self._names), np.nan), np.zeros(len(self._names))
+        for columns, series in self._read_together():
+            rate[columns] = of_series = _rate(series, time)
+            row[columns] = series.at(np.array([time]), extrapolated(self._gap), weighted_mean, of_series)[0]
+        still = _is_still(self._of_outer(), time, self._still)
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still)
 
     def outer_at(self, times: Float64) -> Float64:
@@ -116,13 +123,35 @@ class ReadingBuffer:
 
         Only readings that are at most the gap before the first time or after the last are used.
         """
-        series, outer = self.series, len(OUTER_JOINTS)
+        series, outer = self._of_outer(), len(OUTER_JOINTS)
         begin, end = series.times.searchsorted([times.min() - self._gap, times.max() + self._gap])
         if end - begin < 2:
             return np.full((len(times), outer), np.nan)
-        near = TimedReadings(OUTER_JOINTS, series.times[begin:end], series.values[begin:end, :outer])
+        near = TimedReadings(OUTER_JOINTS, series.times[begin:end], series.values[begin:end])
         rate = (near.values[-1] - near.values[-2]) / (near.times[-1] - near.times[-2])
         return near.at(times, continued(self._gap), straight_line, rate)
+
+    def _read_together(self) -> Iterator[tuple[NDArray[np.intp], TimedReadings]]:
+        """Give the columns of joints that are read at the same times, and their readings, without missing ones."""
+        series = self.series
+        if self._complete:
+            yield np.arange(len(self._names)), series
+            return
+        read = ~np.isnan(series.values)
+        patterns, pattern_of = np.unique(read, axis=1, return_inverse=True)
+        for number, rows in enumerate(patterns.T):
+            columns = np.flatnonzero(pattern_of.ravel() == number)
+            names = tuple(self._names[column] for column in columns)
+            yield columns, TimedReadings(names, series.times[rows], series.values[rows][:, columns])
+
+    def _of_outer(self) -> TimedReadings:
+        """Return the readings of the outer joints, of the times that have all of them."""
+        series, outer = self.series, len(OUTER_JOINTS)
+        values = series.values[:, :outer]
+        if self._complete:
+            return TimedReadings(OUTER_JOINTS, series.times, values)
+        read = ~np.isnan(values).any(axis=1)
+        return TimedReadings(OUTER_JOINTS, series.times[read], values[read])
 
 
 def _rate(series: TimedReadings, time: float) -> Float64:
@@ -149,5 +178,4 @@ def _is_still(series: TimedReadings, time: float, seconds: float) -> bool:
     first = int(series.times.searchsorted(series.times[last] - seconds))
     if last - first < 3 or series.times[last] - series.times[first] < 0.8 * seconds:
         return False
-    outer = series.values[first : last + 1, : len(OUTER_JOINTS)]
-    return bool(np.ptp(outer, axis=0).max() == 0) if not np.isnan(outer).any() else False
+    return bool(np.ptp(series.values[first : last + 1], axis=0).max() == 0)

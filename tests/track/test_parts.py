@@ -56,6 +56,20 @@ def test_readings_are_interpolated_and_forgotten() -> None:
     assert np.isnan(buffer.at(201.0).outer[0])
 
 
+def test_jaw_of_its_own_topic_is_interpolated_between_its_own_readings() -> None:
+    buffer = ReadingBuffer(NAMES, gap=0.15, still=0.25)
+    for k in range(100):
+        arm = dict.fromkeys(("yaw", "pitch", "roll", "insertion", *NAMES[:2]), k / 1000)
+        buffer.add(k / 100, arm)
+        buffer.add(k / 100 + 0.004, {"jaw": k / 500})
+    at = buffer.at(0.507)
+    assert np.allclose(at.outer, 0.0507)
+    assert np.allclose(at.joints, [0.0507, 0.0507, 0.1006])
+    assert np.allclose([at.outer_rate[0], at.joint_rate[2]], [0.1, 0.2])
+    assert np.allclose(buffer.outer_at(np.array([0.203, 0.507])), [[0.0203] * 4, [0.0507] * 4])
+    assert not at.still
+
+
 def test_frozen_readings_are_noticed() -> None:
     buffer = ReadingBuffer(NAMES, gap=0.15, still=0.25)
     for k in range(60):

@@ -1,0 +1,324 @@
+"""Faults of messages and of their times: each costs at most a few images and one line, and the loop goes on."""
+
+from __future__ import annotations
+
+import threading
+import time as clock
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.rosbridge_server import RosbridgeServer, wait_for
+
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.live import loop as live_loop
+from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
+from dvrk_cmaes.live.inputs import Inputs, InputTopics
+from dvrk_cmaes.live.loop import LiveLoop
+from dvrk_cmaes.live.outputs import Outputs
+from dvrk_cmaes.live.repeated_lines import RepeatedLines
+from dvrk_cmaes.live.rosbridge import RosbridgeConnection
+from dvrk_cmaes.live.stamps import ImageTimes
+
+SECOND = 10**9
+BEGIN = 1_795_000_000 * SECOND
+IMAGE, JOINTS = "/left/image", "/PSM1/measured_js"
+TOPICS = InputTopics(IMAGE, "/left/camera_info", (JOINTS,))
+
+
+@dataclass
+class Wire:
+    """A connection within this process, which keeps what is published."""
+
+    receivers: dict[str, Receive] = field(default_factory=dict)
+    published: list[tuple[str, Mapping[str, Any]]] = field(default_factory=list)
+
+    def open(self, timeout: float) -> bool:
+        return True
+
+    def close(self) -> None:
+        self.receivers.clear()
+
+    def subscribe(
+        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
+    ) -> None:
+        self.receivers[topic] = receive
+
+    def advertise(self, topic: str, kind: str) -> None:
+        assert topic
+        assert kind
+
+    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
+        self.published.append((topic, fields))
+        return True
+
+    @property
+    def states(self) -> list[dict[str, Any]]:
+        return [fields["status"][0] for topic, fields in self.published if topic == "/diagnostics"]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A result of a step."""
+
+    camera_from_root: np.ndarray | None = field(default_factory=lambda: np.eye(4))
+    joints: dict[str, float] = field(default_factory=dict)
+    status: str = "ok"
+    reasons: tuple[str, ...] = ()
+    tips: np.ndarray | None = None
+
+
+@dataclass
+class Follower:
+    """A tracker that keeps the times it was given, and raises the errors it was told to."""
+
+    errors: list[Exception]
+    times: list[float] = field(default_factory=list)
+    readings: list[float] = field(default_factory=list)
+
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        self.readings.append(time)
+
+    def step(self, time: float, mask: np.ndarray | None = None, image: np.ndarray | None = None) -> Found:
+        assert not self.times or time > self.times[-1]
+        if self.errors:
+            raise self.errors.pop()
+        self.times.append(time)
+        return Found()
+
+
+@dataclass
+class Live:
+    """A loop on another thread, whose trackers share the errors that are still to be raised."""
+
+    wire: Wire
+    lines: list[str]
+    trackers: list[Follower]
+    errors: list[Exception]
+    loop: LiveLoop
+
+    def image(self, time: float) -> bool:
+        """Send an image at a time, s, and wait until it was judged; returns whether it was followed."""
+        counts = self.loop.counts
+        before = counts.followed, counts.refused
+        self.wire.receivers[IMAGE](
+            {"header": stamp(time), "width": 4, "height": 2, "step": 4, "encoding": "mono8", "data": "AAAAAAAAAAA="}
+        )
+        wait_for(lambda: (counts.followed, counts.refused) != before)
+        return counts.followed > before[0]
+
+    def joints(self, time: float) -> None:
+        """Send readings at a time, s."""
+        self.wire.receivers[JOINTS]({"header": stamp(time), "name": ["jaw"], "position": [0.5]})
+
+
+def stamp(time: float) -> dict[str, Any]:
+    seconds, rest = divmod(BEGIN + round(time * SECOND), SECOND)
+    return {"stamp": {"sec": seconds, "nanosec": rest}}
+
+
+@pytest.fixture
+def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
+    monkeypatch.setattr(live_loop, "_STATE_EVERY", 0.1)
+    monkeypatch.setattr(live_loop, "_WAIT", 0.02)
+    wire, lines, trackers, errors = Wire(), list[str](), list[Follower](), list[Exception]()
+
+    def make_tracker() -> Follower:
+        trackers.append(Follower(errors))
+        return trackers[-1]
+
+    inputs = Inputs(TOPICS, RepeatedLines(lines.append))
+    inputs.subscribe(wire)
+    loop = LiveLoop(make_tracker, inputs, Outputs(wire, FrameNames()), RepeatedLines(lines.append), longest_silence=1e6)
+    stop = threading.Event()
+    thread = threading.Thread(target=loop.run, args=(stop,), daemon=True)
+    thread.start()
+    yield Live(wire, lines, trackers, errors, loop)
+    stop.set()
+    thread.join(60)
+    assert not thread.is_alive()
+
+
+YEAR, HOUR = 31_536_000.0, 3600.0
+
+
+@pytest.mark.parametrize("jump", [YEAR, HOUR, 11.0, -0.05, -HOUR, -YEAR])
+def test_single_image_of_another_time_is_left_out_with_one_line(live: Live, jump: float) -> None:
+    assert [live.image(k / 10) for k in range(3)] == [True] * 3
+    assert not live.image(0.2 + jump)
+    assert [live.image(0.3 + k / 10) for k in range(3)] == [True] * 3
+    assert live.lines == [f"{IMAGE}: header.stamp: images that are {jump:+.1f} s from the last one are left out"]
+    assert len(live.trackers) == 1
+
+
+@pytest.mark.parametrize("jump", [YEAR, HOUR, 11.0, -0.5, -HOUR, -YEAR])
+def test_clock_that_was_set_begins_following_anew_with_one_line(live: Live, jump: float) -> None:
+    for k in range(5):
+        assert live.image(k / 30)
+    followed = [live.image(1 / 6 + jump + k / 30) for k in range(10)]
+    assert followed == [False, False, *[True] * 8]
+    assert len(live.trackers) == 2
+    (line,) = live.lines
+    what = f"the time of the images has jumped by {jump + 0.1:+.1f} s; following begins anew"
+    assert line == f"{IMAGE}: header.stamp: {what}"
+
+
+def test_time_that_stands_still_is_named_once_and_in_the_status(live: Live) -> None:
+    assert live.image(1.0)
+    assert not any(live.image(1.0) for _ in range(20))
+    line = f"{IMAGE}: header.stamp: images that are at the time of the last one are left out"
+    assert live.lines == [line]
+    before = len(live.wire.states)
+    wait_for(lambda: len(live.wire.states) > before)
+    state = live.wire.states[-1]
+    assert (state["level"], state["message"]) == (2, "image left out")
+    assert state["values"][0] == {"key": "reasons", "value": line}
+    assert live.image(1.1)
+    assert live.wire.states[-1]["message"] == "ok"
+
+
+def test_images_without_a_time_are_named_once(live: Live) -> None:
+    assert not any(live.image(-BEGIN / SECOND) for _ in range(5))
+    assert live.lines == [f"{IMAGE}: header.stamp: expected the time of the image, got 0 s"]
+    assert live.image(0.0)
+
+
+def test_first_image_of_another_time_does_not_stop_what_follows(live: Live) -> None:
+    assert live.image(YEAR)
+    assert [live.image(k / 10) for k in range(4)] == [False, False, True, True]
+
+
+def test_readings_of_another_time_are_left_out_with_one_line(live: Live) -> None:
+    assert live.image(0.0)
+    for k in range(50):
+        live.joints(HOUR + k / 100)
+    live.joints(0.1)
+    assert live.image(0.1)
+    assert live.trackers[0].readings == [pytest.approx(BEGIN / SECOND + 0.1, abs=1e-6)]
+    assert live.lines == [f"{JOINTS}: readings +3599.9 s from the images are left out"]
+
+
+def test_step_that_fails_costs_an_image_and_one_line(live: Live) -> None:
+    live.errors += [np.linalg.LinAlgError("Singular matrix")]
+    assert [live.image(k / 10) for k in range(3)] == [False, True, True]
+    (line,) = live.lines
+    assert line.startswith("internal error: LinAlgError at test_time_faults.py:")
+    assert line.endswith("Singular matrix; the image is left out")
+    assert len(live.trackers) == 1
+
+
+def test_three_steps_in_a_row_that_fail_begin_following_anew(live: Live) -> None:
+    live.errors += [MemoryError()] * 3
+    assert [live.image(k / 10) for k in range(5)] == [False] * 3 + [True] * 2
+    assert live.lines == ["out of memory; the image is left out", "out of memory; following begins anew"]
+    assert len(live.trackers) == 2
+
+
+def test_status_says_what_is_waited_for_while_nothing_comes(live: Live) -> None:
+    wait_for(lambda: len(live.wire.states) > 2)
+    assert {state["message"] for state in live.wire.states} == {"waiting for images"}
+    assert live.image(0.0)
+    assert live.wire.states[-1]["message"] == "ok"
+    before = len(live.wire.states)
+    wait_for(lambda: len(live.wire.states) > before)
+    assert live.wire.states[-1]["message"] == "waiting for images"
+
+
+def test_error_of_any_kind_in_a_message_costs_that_message(live: Live) -> None:
+    live.wire.receivers[JOINTS]({"header": stamp(0.0), "name": 3, "position": [0.5]})
+    live.wire.receivers[JOINTS](["no mapping"])  # type: ignore[arg-type]
+    assert len(live.lines) == 2
+    assert live.image(0.0)
+
+
+def test_images_late_by_the_network_are_left_out_without_a_restart() -> None:
+    times = ImageTimes()
+    used = []
+    for k in (0, 1, 2, 4, 3, 5, 6, 8, 7, 9):
+        judged = times.judge(BEGIN + k * SECOND // 30)
+        used.append(judged.used)
+        assert not judged.restarts
+        if judged.used:
+            times.follow(BEGIN + k * SECOND // 30)
+    assert used == [True] * 4 + [False] + [True] * 3 + [False] + [True]
+
+
+def test_lines_of_a_kind_are_said_once_while_they_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(clock, "monotonic", lambda: now[0])
+    said: list[str] = []
+    lines = RepeatedLines(said.append)
+    for k in range(700):
+        now[0] = k / 10
+        lines(f"a: {k} px")
+    lines("b")
+    now[0] += 11
+    lines("a: 7 px")
+    assert said == ["a: 0 px", "a: 601 px (and 600 like it)", "b", "a: 7 px"]
+
+
+def test_line_that_cannot_be_written_is_lost_without_an_error() -> None:
+    def full(line: str) -> None:
+        raise OSError(28, "No space left on device")
+
+    lines = RepeatedLines(full)
+    lines("x")
+    lines("y")
+
+
+@pytest.fixture
+def connected() -> Iterator[tuple[RosbridgeServer, RosbridgeConnection, list[str]]]:
+    server, lines = RosbridgeServer(), list[str]()
+    server.start()
+    connection = RosbridgeConnection("127.0.0.1", server.port, lines.append)
+    assert connection.open(60)
+    yield server, connection, lines
+    connection.close()
+    server.stop()
+
+
+@pytest.mark.parametrize("topic", ["close", "ready", "/a b", "", "status"])
+def test_topic_may_have_any_name(connected: tuple[RosbridgeServer, RosbridgeConnection, list[str]], topic: str) -> None:
+    server, connection, lines = connected
+    received: list[Mapping[str, Any]] = []
+    connection.subscribe(topic, "std_msgs/String", received.append)
+    wait_for(lambda: topic in server.subscribed)
+    for k in range(3):
+        server.send(topic, {"data": str(k)})
+    wait_for(lambda: len(received) == 3)
+    assert connection.publish("/tf", {})
+    assert len(lines) == 1  # connected
+
+
+def test_message_that_is_too_large_is_dropped_before_it_is_read(
+    connected: tuple[RosbridgeServer, RosbridgeConnection, list[str]],
+) -> None:
+    server, connection, lines = connected
+    received: list[Mapping[str, Any]] = []
+    connection.subscribe(JOINTS, "sensor_msgs/JointState", received.append)
+    wait_for(lambda: JOINTS in server.subscribed)
+    server.send(JOINTS, {"name": ["x" * 100] * 20_000})
+    server.send(JOINTS, {"name": ["jaw"], "position": [float("nan")]})  # NaN, which is not JSON, is read
+    wait_for(lambda: received)
+    assert received[0]["name"] == ["jaw"]
+    assert lines[1:] == [f"{JOINTS}: expected a message of at most 1 MB, got 2.0 MB; it is left out"]
+
+
+def test_of_messages_that_a_slow_server_does_not_take_the_newest_is_sent(
+    connected: tuple[RosbridgeServer, RosbridgeConnection, list[str]],
+) -> None:
+    server, connection, _ = connected
+    for topic in ("/tf", "/pose"):
+        connection.advertise(topic, "std_msgs/String")
+    wait_for(lambda: len(server.advertised) == 2)
+    connection._flow.pauseProducing()
+    for k in range(100):
+        assert not connection.publish("/tf", {"data": str(k)})
+    assert not connection.publish("/pose", {"data": "only"})
+    connection._flow.resumeProducing()
+    wait_for(lambda: len(server.received) == 2)
+    assert connection.publish("/tf", {"data": "later"})
+    wait_for(lambda: len(server.received["/tf"]) == 2)
+    assert [message["data"] for _, message in server.received["/tf"]] == ["99", "later"]
