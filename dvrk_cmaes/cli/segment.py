@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,7 +20,7 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, note, show
 from dvrk_cmaes.errors import DvrkCmaesError
 
 if TYPE_CHECKING:
@@ -81,8 +81,10 @@ def segment(
 
     Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
     OUT/scores/FRAME.png (8-bit; 128 and more is instrument). Without prompts, the model classic takes for instrument
-    what is grey before a colourful background and reaches the image's border; if this does not hold, give a box or a
-    point. In a folder, the same prompts are used for every image.
+    what is grey before a colourful background and reaches the image's border. Where that is not found, it takes what
+    differs from the background: one learned from at least 8 images of a camera that stands still, or in a single image
+    a smooth one, as of paper. If this does not hold either, give a box or a point. In a folder, the same prompts are
+    used for every image.
 
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
@@ -120,13 +122,19 @@ def segment(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.atomic_folder import replaced_folder
     from dvrk_cmaes.results.paths import check_output
+    from dvrk_cmaes.runs.backgrounds import learned_backgrounds
     from dvrk_cmaes.runs.output import locked
     from dvrk_cmaes.runs.ownership import check_owned, record_masks
 
-    settings, hints = model.resolve(), prompts.resolve()
+    hints = prompts.resolve()
     cv2.setNumThreads(threads)
     single = not source.is_dir()
     images = {source.stem: source} if single else find_images(source)
+    views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
+    settings = learned_backgrounds(model.resolve(), views)
+    for view in settings.backgrounds:
+        where = f" of {view}" if view else ""
+        note(f"images{where}: the instrument is told from a background learned from all of them")
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
     check_owned(out, "segment", replaces=True)
@@ -150,6 +158,14 @@ def segment(
     return 0 if all(outcome.status == "ok" for outcome in outcomes) else _DOUBTFUL
 
 
+def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
+    """Return the names of images by view, which is before a slash in them."""
+    views: dict[str, list[str]] = {}
+    for frame in frames:
+        views.setdefault(frame.rpartition("/")[0], []).append(frame)
+    return views
+
+
 def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path) -> ImageOutcome:
     """Segment one image and write score, overlay and, as the last file, the mask."""
     from time import perf_counter
@@ -165,7 +181,10 @@ def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, th
     image = read_image(path)
     started = perf_counter()
     prompts: dict[str, Any] = {"box": hints.box, "points": hints.points, "not_points": hints.not_points}
-    found = segment_image(image, model=settings.model, weights=settings.weights, threads=threads, **prompts)
+    background = settings.backgrounds.get(frame.rpartition("/")[0])
+    found = segment_image(
+        image, model=settings.model, weights=settings.weights, threads=threads, background=background, **prompts
+    )
     seconds = perf_counter() - started
     if not found.mask.any():
         raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
@@ -184,12 +203,13 @@ def _lines(outcome: ImageOutcome) -> Iterator[Line]:
         yield Line(f"{outcome.frame}: failed: {outcome.problem}", STATUS_STYLES["failed"])
         return
     share = f"{100 * float(outcome.found.mask.mean()):.1f} % of the image"
+    before = "" if outcome.found.before is None else f", by its {outcome.found.before}"
     word = "a guess, " if outcome.status == "doubtful" else ""
     yield Line(
-        f"{outcome.frame}: {word}confidence {outcome.found.confidence:.2f}, {share}, {outcome.seconds:.2f} s",
+        f"{outcome.frame}: {word}confidence {outcome.found.confidence:.2f}, {share}{before}, {outcome.seconds:.2f} s",
         STATUS_STYLES[outcome.status],
     )
-    for note in outcome.found.notes:
-        if note != "a guess":
-            yield Line(f"  {note}")
+    for text in outcome.found.notes:
+        if text != "a guess":
+            yield Line(f"  {text}")
     yield Line("  " + "   ".join(f"{kind}: {path}" for kind, path in outcome.written.items()))

@@ -69,7 +69,7 @@ def segment_and_estimate(
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
-    silhouette as prior, up to two times. A learned model's mask is kept as it is. The result of a frame of one view is
+    silhouette as prior, up to two times. A mask by a background, or of a learned model, is kept as it is. The result of a frame of one view is
     doubtful if the mask's confidence is low; if it is doubtful, it states whether the mask or the pose is likely to be
     wrong.
 
@@ -145,9 +145,10 @@ def _find_mask(
     if outside.any():
         view = replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
         notes = ("the image is a round picture in black: what is outside of it is ignored",)
-    found = segment_first(image, view.ignore, settings=settings, hints=hints, threads=threads)
+    found = segment_first(image, view.ignore, settings=settings, hints=hints, threads=threads, view=view.name)
     result = None
-    for _ in range(_ITERATIONS if settings.model == "classic" else 0):
+    by_colours = settings.model == "classic" and found.before is None
+    for _ in range(_ITERATIONS if by_colours else 0):
         own = replace(view, view_from_camera=np.eye(4), mask=found.mask, keypoints=None, given=True)
         result = solve([own])
         silhouette = _silhouette(result, view, body)
@@ -155,7 +156,8 @@ def _find_mask(
         if again is None:
             break
         found, result = again, None
-    how = f"mask found in the image by the {settings.model} model, confidence {found.confidence:.2f}"
+    means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
+    how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, notes=(how, *found.notes))
     return _FoundMask(replace(view, mask=found.mask, given=True), found, (*notes, *found.notes), result)
 

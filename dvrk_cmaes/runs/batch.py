@@ -24,6 +24,7 @@ from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.base_agreement import compare_bases
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
@@ -175,7 +176,8 @@ def run_batch(
     check_names(folder, chosen)
     home = Path(os.path.abspath(session.folder))
     check_owned(folder, "batch", replaces=not resume)
-    setup = BatchSetup(instrument, session.rig, settings, arm, home, segment or SegmentSettings(), calibration)
+    masks = with_backgrounds(segment or SegmentSettings(), session.frames, session.rig.names)
+    setup = BatchSetup(instrument, session.rig, settings, arm, home, masks, calibration)
     started = time.monotonic()
     with locked(folder):
         refuse_occupied_places(folder)

@@ -17,6 +17,7 @@ from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.files import file_digest
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 _FILES = ("mask", "image", "ignore")
 _LENGTH = 16
@@ -34,6 +35,11 @@ def instrument_digest(instrument: Instrument) -> str:
 def calibration_digest(calibration: SessionCalibration) -> str:
     """Compute the digest of a session's calibration."""
     return _digest(json_text(calibration.to_dict()))
+
+
+def background_digests(settings: SegmentSettings) -> dict[str, str]:
+    """Compute the digests of the backgrounds before which masks are found, by view."""
+    return {view: _digest(background) for view, background in sorted(settings.backgrounds.items())}
 
 
 def frame_digests(files: FrameFiles) -> dict[str, str]:

@@ -22,7 +22,7 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
-from dvrk_cmaes.runs.digests import calibration_digest, frame_digests, instrument_digest
+from dvrk_cmaes.runs.digests import background_digests, calibration_digest, frame_digests, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
 Manifest = dict[str, Any]
@@ -71,6 +71,7 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
         "segment": {
             "model": setup.segment.model,
             "weights": None if setup.segment.weights is None else str(setup.segment.weights),
+            **({"backgrounds": backgrounds} if (backgrounds := background_digests(setup.segment)) else {}),
         },
         "calibration": None if setup.calibration is None else calibration_digest(setup.calibration),
         "session": str(setup.folder),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -17,6 +17,7 @@ from dvrk_cmaes.io.encode import encoded_fields
 Pixel = tuple[float, float]
 Box = tuple[float, float, float, float]
 Model = Literal["classic", "sam2"]
+Background = Literal["learned background", "smooth background"]
 MODELS: tuple[Model, ...] = get_args(Model)
 
 
@@ -28,20 +29,27 @@ class Segmentation:
     score : (H, W) float32, probability of instrument at each pixel, 0 to 1; None if there is none.
     confidence : 0 to 1; below 0.5, the mask is called a guess.
     notes : messages for the user about the mask.
+    before : what the instrument was told from, if that was a background.
     """
 
     mask: NDArray[np.bool_]
     score: NDArray[np.float32] | None = None
     confidence: float = 1.0
     notes: tuple[str, ...] = field(default=())
+    before: Background | None = None
 
 
 @dataclass(frozen=True)
 class SegmentSettings:
-    """How masks are found in images: the model, and the folder of its weights if it has any."""
+    """How masks are found in images: the model, and the folder of its weights if it has any.
+
+    ``backgrounds`` are those before which the instrument moves, (h, w, 3) uint8 BGR by name of the view, "" for the
+    only one; of views without one, masks are found in each image by itself.
+    """
 
     model: Model = "classic"
     weights: Path | None = None
+    backgrounds: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True)

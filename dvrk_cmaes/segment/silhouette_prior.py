@@ -33,8 +33,9 @@ def segment_first(
     settings: SegmentSettings,
     hints: Hints,
     threads: int,
+    view: str = "",
 ) -> Segmentation:
-    """Segment the instrument in an image (H, W, 3) BGR without a pose.
+    """Segment the instrument in an image (H, W, 3) BGR of a view without a pose.
 
     ``ignore`` (H, W) are pixels that count neither way.
 
@@ -53,6 +54,7 @@ def segment_first(
         model=settings.model,
         weights=settings.weights,
         threads=threads,
+        background=settings.backgrounds.get(view),
     )
     if not segmentation.mask.any() or (ignore is not None and not (segmentation.mask & ~ignore).any()):
         raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")

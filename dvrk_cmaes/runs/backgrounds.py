@@ -1,0 +1,78 @@
+"""Backgrounds that are learned from the images of a whole session, before which its masks are found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.segment.background import FEWEST, MOST, learn_background
+from dvrk_cmaes.segment.classic import segment_classic
+from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.segmentation import SegmentSettings
+
+_TRIED: Final = 3  # images in which the instrument is looked for by colours
+
+
+def with_backgrounds(
+    settings: SegmentSettings, frames: Sequence[FrameFiles], views: Sequence[str] = ("",)
+) -> SegmentSettings:
+    """Return settings with the backgrounds of a session's frames, for the frames that have images and no masks.
+
+    ``views`` are the names of the session's views, the reference first. As `learned_backgrounds`.
+    """
+    images: dict[str, list[Path]] = {name: [] for name in views}
+    for files in frames:
+        for name in views:
+            own = files if name == views[0] else files.others.get(name)
+            if own is not None and own.mask is None and own.image is not None and own.problem is None:
+                images[name].append(own.image)
+    return learned_backgrounds(settings, images)
+
+
+def learned_backgrounds(settings: SegmentSettings, images: Mapping[str, Sequence[Path]]) -> SegmentSettings:
+    """Return settings with the backgrounds of images by view, where the camera stands still before the instrument.
+
+    They are used by the classic model alone, and only of views in whose images it does not find the instrument by
+    colours. Images that cannot be read do not count.
+    """
+    if settings.model != "classic":
+        return settings
+    found = {view: learned for view, paths in images.items() if (learned := _learn(paths)) is not None}
+    return replace(settings, backgrounds=found)
+
+
+def _learn(paths: Sequence[Path]) -> NDArray[np.uint8] | None:
+    """Learn the background of the images of one view; None if there is none, or it is not needed."""
+    if len(paths) < FEWEST or _found_by_colours(_spread(paths, _TRIED)):
+        return None
+    return learn_background(_readable(_spread(paths, MOST)))
+
+
+def _found_by_colours(paths: Sequence[Path]) -> bool:
+    """Return whether the instrument is found in images by colours, mostly."""
+    sure = [segment_classic(image).confidence >= GUESS for image in _readable(paths)]
+    return 2 * sum(sure) > len(sure)
+
+
+def _readable(paths: Sequence[Path]) -> list[NDArray[np.uint8]]:
+    """Read the images that can be read."""
+    images = []
+    for path in paths:
+        try:
+            images.append(read_image(path))
+        except DvrkCmaesError:
+            continue
+    return images
+
+
+def _spread(paths: Sequence[Path], most: int) -> list[Path]:
+    """Return at most some of the paths, spread evenly over all."""
+    return [paths[int(k)] for k in np.unique(np.linspace(0, len(paths) - 1, most).round())]
