@@ -69,9 +69,9 @@ def segment_and_estimate(
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
-    silhouette as prior, up to two times. A mask by a background, or of a learned model, is kept as it is. The result of a frame of one view is
-    doubtful if the mask's confidence is low; if it is doubtful, it states whether the mask or the pose is likely to be
-    wrong.
+    silhouette as prior, up to two times. A mask by a background, or of a learned model, is kept as it is. The result of
+    a frame of one view is doubtful if the mask's confidence is low; if it is doubtful, it states whether the mask or
+    the pose is likely to be wrong.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ page, are in ``OUT/layers/<frame>.json``.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -39,15 +40,22 @@ def layers_path(out: Path, frame: str) -> Path:
     return out / "layers" / f"{frame}.json"
 
 
-def mask_path(out: Path, frame: str) -> Path:
-    """Return the path of the mask that was segmented from the image of a frame without a mask."""
-    return out / "masks" / f"{frame}.png"
+def mask_path(out: Path, frame: str, view: str = "") -> Path:
+    """Return the path of the mask that was found in the image of a frame, or in that of one of its views."""
+    return out / "masks" / view / f"{frame}.png"
 
 
 def check_frame_name(frame: str) -> None:
     """Raise an InputError for the name of a frame that is not valid as the name of a file."""
     if not frame or "/" in frame or os.sep in frame or frame.startswith(".") or not frame.isprintable():
         raise InputError(f"frame: expected a name that can be a file's (no slash, no leading dot), got {shown(frame)}")
+
+
+def found_masks(out: Path, frame: str) -> list[Path]:
+    """Return the paths of the masks in a folder that were found in the images of a frame, of all its views."""
+    masks = mask_path(out, frame).parent
+    views = sorted(path for path in masks.iterdir() if path.is_dir()) if masks.is_dir() else []
+    return [path for folder in (masks, *views) if (path := folder / f"{frame}.png").exists()]
 
 
 def check_output(out: Path, frame: str) -> None:
@@ -74,7 +82,7 @@ def check_writable(folder: Path, *, named: Path | None = None) -> None:
 
 
 def write_frame(
-    out: Path, result: Result, overlay: NDArray[np.uint8], found_mask: NDArray[np.bool_] | None = None
+    out: Path, result: Result, overlay: NDArray[np.uint8], found_masks: Mapping[str, NDArray[np.bool_]] | None = None
 ) -> tuple[Path, ...]:
     """Write the files of a frame, each atomically; the result is written last, when the others are complete.
 
@@ -86,18 +94,18 @@ def write_frame(
         The frame's result.
     overlay
         (H, W, 3) BGR.
-    found_mask
-        (H, W), segmented from the image of a frame without a mask.
+    found_masks
+        (H, W), found in the images of a frame without masks, by name of the view, "" for the only one.
 
     Returns
     -------
     paths
-        Of the result, the overlay and, if given, the mask. Errors as in ``dvrk_cmaes.io.atomic.write_bytes``.
+        Of the result, the overlay and the masks, if there are any. Errors as in ``dvrk_cmaes.io.atomic.write_bytes``.
     """
     paths = [result_path(out, result.frame), overlay_path(out, result.frame)]
-    if found_mask is not None:
-        paths.append(mask_path(out, result.frame))
-        write_image(paths[2], found_mask)
+    for view, mask in (found_masks or {}).items():
+        paths.append(mask_path(out, result.frame, view))
+        write_image(paths[-1], mask)
     write_image(paths[1], overlay)
     write_json(paths[0], result.to_dict())
     return tuple(paths)

@@ -24,7 +24,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_bytes, write_json
 from dvrk_cmaes.io.atomic_folder import replaced_folder
 from dvrk_cmaes.results.folder import ALONE, SESSION
-from dvrk_cmaes.results.paths import check_output, layers_path, left_out_path, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import check_output, found_masks, layers_path, left_out_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
@@ -107,11 +107,14 @@ def calibrate_folder(
 
 
 def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
-    """Return a frame with the mask that was found in its image, where it has no mask of its own."""
-    if files.mask is not None or alone is None:
+    """Return a frame with the masks that were found in its images, where it has no masks of its own."""
+    if files.has_mask or alone is None:
         return files
-    mask = mask_path(alone, files.name)
-    return replace(files, mask=mask if mask.exists() else None)
+    masks = {path.parent.name: path for path in found_masks(alone, files.name)}
+    if not files.others:
+        return replace(files, mask=next(iter(masks.values()), None))
+    others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
+    return replace(files, mask=next(iter(masks.values()), None), others=others)
 
 
 def _write(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,14 +32,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SolvedFrame:
-    """A frame in memory and its result; ``found_mask`` tells whether the mask was found in the image.
+    """A frame in memory and its result; ``found_masks`` are those found in images, by view, "" for the only one.
 
     The camera of ``data`` is that of the result: a session's calibration may have changed it.
     """
 
     data: FrameData
     result: Result
-    found_mask: bool = False
+    found_masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +85,7 @@ def run_frame(
     if out is None:
         return FrameRun(solved.result, ())
     overlay = draw_views(solved.result, solved.data.views, body)
-    found_mask = solved.data.mask if solved.found_mask else None
-    return FrameRun(solved.result, write_frame(out, solved.result, overlay, found_mask))
+    return FrameRun(solved.result, write_frame(out, solved.result, overlay, solved.found_masks))
 
 
 def solve_frame(
@@ -111,7 +111,9 @@ def solve_frame(
     segmented = segment_and_estimate(
         frame, files, body, arm=arm, session=session, config=config, settings=settings, hints=hints
     )
-    return SolvedFrame(as_calibrated(segmented.data, session), segmented.result, found_mask=len(frame.views) == 1)
+    alone = len(frame.views) == 1
+    masks = {"" if alone else view.name: view.mask for view in segmented.data.views if view.given}
+    return SolvedFrame(as_calibrated(segmented.data, session), segmented.result, masks)
 
 
 def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:

@@ -13,7 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import not_written
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path, result_path
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.manifest import (
     MANIFEST,
@@ -93,7 +93,7 @@ def _move_results(folder: Path, out: Path) -> None:
         except InputError:  # damaged, therefore treated as missing
             continue
         for source, target in (
-            (mask_path(folder, frame), mask_path(out, frame)),
+            *((path, out / path.relative_to(folder)) for path in found_masks(folder, frame)),
             (overlay_path(folder, frame), overlay_path(out, frame)),
             (layers_path(folder, frame), layers_path(out, frame)),
             (path, result_path(out, frame)),

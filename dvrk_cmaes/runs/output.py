@@ -18,7 +18,7 @@ from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.written_files import RECORD
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import SESSION, SUMMARY
-from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import found_masks, layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.manifest import MANIFEST, read_manifest
 from dvrk_cmaes.runs.worker import FrameOutcome
@@ -90,7 +90,8 @@ def remove_results(out: Path) -> None:
     with suppress(InputError):  # a damaged manifest does not tell which masks a batch has written
         for frame, parts in (read_manifest(out) or {"frames": {}})["frames"].items():
             if parts and "mask" not in parts:
-                mask_path(out, frame).unlink(missing_ok=True)
+                for path in found_masks(out, frame):
+                    path.unlink()
     for name in _FOLDERS:
         for path in (out / name).glob("*") if (out / name).is_dir() else ():
             if path.suffix in (".json", ".jpg"):
@@ -158,8 +159,8 @@ def complete_results(out: Path) -> dict[str, Status]:
 
 def write_outcome(out: Path, outcome: FrameOutcome) -> None:
     """Write a frame's files, the result last, so that a frame with a result has all its files."""
-    if outcome.mask is not None:
-        write_bytes(mask_path(out, outcome.frame), outcome.mask)
+    for view, mask in outcome.masks.items():
+        write_bytes(mask_path(out, outcome.frame, view), mask)
     for path, data in (
         (overlay_path(out, outcome.frame), outcome.overlay),
         (layers_path(out, outcome.frame), outcome.layers),

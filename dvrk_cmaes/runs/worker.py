@@ -14,6 +14,7 @@ import pickle
 import socket
 import threading
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -76,8 +77,7 @@ class FrameOutcome:
     """Contents of the files of a frame's result: JSON, the overlay's JPEG, and the layers of its drawing, JSON.
 
     ``overlay`` is None if the frame failed and neither its image nor its mask can be read; ``layers`` is None for every
-    frame that failed before its pose was drawn. ``mask`` is a PNG if the
-    mask was found in the image, else None.
+    frame that failed before its pose was drawn. ``masks`` are PNGs of the masks found in images, by view.
     """
 
     frame: str
@@ -86,7 +86,7 @@ class FrameOutcome:
     seconds: float
     result: bytes = field(repr=False)
     overlay: bytes | None = field(repr=False)
-    mask: bytes | None = field(default=None, repr=False)
+    masks: Mapping[str, bytes] = field(default_factory=dict, repr=False)
     layers: bytes | None = field(default=None, repr=False)
 
 
@@ -141,7 +141,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
     return _outcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))
 
 
-def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, bytes | None, bytes]:
+def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, Mapping[str, bytes], bytes]:
     frame = read_any_frame(files, setup.rig)
     frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
     solved = solve_frame(
@@ -155,9 +155,11 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
         hints=_hints(files),
     )
     drawing = draw_views(solved.result, solved.data.views, body)
-    mask = encoded_image(mask_path(Path(), files.name), solved.data.mask) if solved.found_mask else None
+    masks = {
+        view: encoded_image(mask_path(Path(), files.name, view), mask) for view, mask in solved.found_masks.items()
+    }
     layers = json_text(layers_of_frame(solved.result, solved.data, body).to_dict()).encode()
-    return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), mask, layers
+    return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks, layers
 
 
 def _hints(files: FrameFiles) -> Hints | None:
@@ -167,10 +169,12 @@ def _hints(files: FrameFiles) -> Hints | None:
 
 
 def _outcome(
-    result: Result, overlay: bytes | None, mask: bytes | None = None, layers: bytes | None = None
+    result: Result, overlay: bytes | None, masks: Mapping[str, bytes] | None = None, layers: bytes | None = None
 ) -> FrameOutcome:
     document = json_text(result.to_dict()).encode()
-    return FrameOutcome(result.frame, result.status, result.reasons, result.seconds, document, overlay, mask, layers)
+    return FrameOutcome(
+        result.frame, result.status, result.reasons, result.seconds, document, overlay, masks or {}, layers
+    )
 
 
 def relative_text(folder: Path, text: str) -> str:

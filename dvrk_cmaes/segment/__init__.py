@@ -15,7 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.segment.segmentation import MODELS, Background, Box, Model, Pixel, Segmentation, check_prompts
+from dvrk_cmaes.segment.segmentation import (
+    MODELS,
+    Background,
+    Box,
+    Model,
+    Pixel,
+    Segmentation,
+    check_background,
+    check_prompts,
+)
 
 __all__ = ["MODELS", "Box", "Model", "Pixel", "Segmentation", "segment"]
 
@@ -54,10 +63,13 @@ def segment(
     Raises
     ------
     InputError
-        Prompts outside the image, an unknown model, ``sam2`` without weights or ``classic`` with weights.
+        Prompts outside the image, a background of another shape, an unknown model, ``sam2`` without weights or
+        ``classic`` with weights.
     """
     image = np.asarray(image)
     check_prompts(image, box, points, not_points)
+    if background is not None:
+        check_background(background)
     if model == "classic":
         if weights is not None:
             raise InputError("weights: the classic model has none; expected them only with model sam2")

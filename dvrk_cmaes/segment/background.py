@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.segment.colours import measure_colours
 from dvrk_cmaes.segment.confidence import GUESS, assess_mask
+from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
@@ -46,11 +47,14 @@ _DARK: Final = 3.0  # grey levels added before logarithms, so that noise in the 
 _RATIO: Final = np.array([-0.7, -0.5, -0.38, -0.28, -0.12, -0.06, 0.06, 0.12, 0.3])
 _ODDS: Final = np.array([4.0, 3.0, 1.0, -0.3, -1.0, -4.0, -4.0, 0.0, 3.0])
 """Log-odds of instrument by the logarithm of brightness against the background's; shadows are about -0.25."""
+_LARGEST_PRIOR: Final = 2.0  # log-odds by sides or silhouette, which what surely differs outweighs
 _FAR: Final = 0.04  # of the longer side; farther from what surely differs there is no instrument
 _CUTS: Final = 3
 _GAP: Final = 0.02  # of the longer side, between pieces of an instrument
 _CLOSING: Final = 0.011  # of the longer side: highlights at the outline are closed
+_EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
+_SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted
 _SURFACE_PASSES: Final = 8
 _NEAR_SURFACE: Final = 0.05  # logarithm of brightness
 _LEAST_SURFACE: Final = 0.4  # share of the pixels that a smooth background fits
@@ -82,6 +86,8 @@ def smooth_background(image: Image) -> Image | None:
     """Fit a smooth background to one image (H, W, 3) uint8 BGR; None if it does not fit 40 % of the pixels."""
     small = _reduced(image, 160)
     height, width = small.shape[:2]
+    if min(height, width) < _SMALLEST:
+        return None
     v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, u**4, v**4, u * u * v * v], axis=-1).reshape(-1, 9)
     values = np.log(small.reshape(-1, 3) + _DARK)
@@ -129,13 +135,17 @@ def segment_before(image: Image, background: Image, prompts: Prompts, odds: Floa
     total = by_ratio
     for _ in range(_CUTS):
         known = shaft_log_odds(mask) if odds is None else odds
-        total = by_ratio if known is None else by_ratio + known
+        total = by_ratio if known is None else by_ratio + np.clip(known, -_LARGEST_PRIOR, _LARGEST_PRIOR)
         mask = cut(total, np.asarray(smooth, np.float32), background=beyond, tool=prompts.tool)
         mask = fill_holes(instrument_region(mask, _GAP * longer, prompts))
         if not mask.any() or mask.all():
             return nothing
-    size = max(round(_CLOSING * longer), 1)
-    mask = fill_holes(_closed(mask, size))
+    mask = fill_holes(_closed(mask, max(round(_CLOSING * longer), 1)))
+    mask = _at_edges(image, mask, np.asarray(smooth, np.float32))
+    if prompts.background is not None:
+        mask &= ~prompts.background
+    if not mask.any() or mask.all():
+        return nothing
     left, top, across, down = window_around(mask, max(round(_WINDOW * longer), 2))
     window = np.s_[top : top + down, left : left + across]
     colours = measure_colours(np.ascontiguousarray(image[window]))
@@ -165,7 +175,7 @@ def _free_of_instrument(image: Image, background: Image) -> Bool:
     hull = np.zeros(mask.shape, np.uint8)
     v, u = np.nonzero(mask)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.stack([u, v], axis=1).astype(np.int32)), 1)
-    return distance_to(hull > 0) > _MARGIN * max(mask.shape)
+    return np.asarray(distance_to(hull > 0) > _MARGIN * max(mask.shape))
 
 
 def _median_of_free(stack: Image, free: Bool, otherwise: Image) -> Image:
@@ -175,6 +185,14 @@ def _median_of_free(stack: Image, free: Bool, otherwise: Image) -> Image:
     values.sort(axis=0)
     middle = np.take_along_axis(values, (np.maximum(count - 1, 0) // 2)[None, ..., None], axis=0)[0]
     return np.where((count >= _LEAST_FREE)[..., None], np.minimum(middle, 255), otherwise).astype(np.uint8)
+
+
+def _at_edges(image: Image, mask: Bool, guide: Float32) -> Bool:
+    """Move the outline of a mask (H, W), by at most a few pixels, to where the edges of the image are halfway."""
+    moved = cut(
+        edge_log_odds(image, mask), guide, background=distance_to(mask) > _EDGE, tool=distance_to(~mask) > _EDGE
+    )
+    return fill_holes(moved)
 
 
 def _log_ratio(image: Image, background: Image) -> Float32:

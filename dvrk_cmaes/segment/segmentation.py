@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.arguments import described
 from dvrk_cmaes.io.encode import encoded_fields
 
 Pixel = tuple[float, float]
@@ -63,6 +64,14 @@ class Hints:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
         return encoded_fields(self, "box", "points", "not_points")
+
+
+def check_background(background: NDArray[np.uint8]) -> None:
+    """Raise InputError for a background that is not (h, w, 3) uint8."""
+    if not (isinstance(background, np.ndarray) and background.dtype == np.uint8 and background.size):
+        raise InputError(f"background: expected (h, w, 3) uint8, got {described(background)}")
+    if background.ndim != 3 or background.shape[2] != 3:
+        raise InputError(f"background: expected (h, w, 3) uint8, got {background.shape} {background.dtype}")
 
 
 def check_prompts(

@@ -83,7 +83,10 @@ def test_unusable_frames_fail_with_reason(batch: Batch, tmp_path: Path) -> None:
     (masks / "black.png").write_bytes(cv2.imencode(".png", np.zeros((120, 160), np.uint8))[1].tobytes())
     (masks / "torn.png").write_bytes((masks / "good.png").read_bytes()[:50])
     (session / "images").mkdir()
-    shutil.move(masks / "unmasked.png", session / "images")
+    (masks / "unmasked.png").unlink()
+    (session / "images" / "unmasked.png").write_bytes(
+        cv2.imencode(".png", np.full((120, 160), 128, np.uint8))[1].tobytes()
+    )
     (session / "ignore").mkdir()
     (session / "ignore" / "large ignore.png").write_bytes(
         cv2.imencode(".png", np.zeros((240, 320), np.uint8))[1].tobytes()

@@ -1,0 +1,168 @@
+"""The instrument before a background that stands still, on drawings of a bench with known masks and on real images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.drawn_tools import Drawing, draw_tool
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes.runs.backgrounds import learned_backgrounds
+from dvrk_cmaes.segment import segment
+from dvrk_cmaes.segment.background import learn_background, segment_before, smooth_background
+from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.segmentation import SegmentSettings
+
+HEIGHT, WIDTH = 240, 320
+PAPER, CLOTH = (165, 165, 165), (120, 90, 40)
+
+
+def bench(number: int, ground: tuple[int, int, int] = PAPER, *, texture: float = 0.0) -> Drawing:
+    """Draw an instrument with a soft shadow and highlights over a table under a lamp, at a place by its number."""
+    rng = np.random.default_rng(number)
+    fine, shapes = 4, np.zeros((HEIGHT * 4, WIDTH * 4), np.uint8)
+    shift = np.array([-60 + 11 * (number % 12), -70 + 47 * (number % 5)])
+    for part in (
+        [[-200, 70], [170, 104], [170, 142], [-200, 110]],
+        [[168, 104], [205, 110], [210, 132], [168, 142]],
+        [[204, 110], [252, 112], [253, 118], [212, 124]],
+        [[206, 120], [250, 132], [248, 138], [202, 130]],
+    ):
+        cv2.fillPoly(shapes, [(np.array(part) + shift) * fine], 1)
+    cover = cv2.resize(shapes.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    v, u = np.indices((HEIGHT, WIDTH))
+    lamp = 1 - 0.9 * ((u / WIDTH - 0.55) ** 2 + (v / HEIGHT - 0.5) ** 2)
+    folds = cv2.GaussianBlur(np.random.default_rng(99).standard_normal((HEIGHT, WIDTH)).astype(np.float32), (0, 0), 3)
+    image = np.array(ground, np.float32) * (lamp * (1 + texture * folds / folds.std()))[..., None]
+    image *= (1 - 0.25 * cv2.GaussianBlur(np.pad(cover, ((9, 0), (3, 0)))[:HEIGHT, :WIDTH], (0, 0), 4))[..., None]
+    colour = (lamp * (52 + 25 * np.cos((v - shift[1] - 112) / 9)))[..., None] * np.ones(3)
+    image = image * (1 - cover[..., None]) + colour * cover[..., None]
+    for _ in range(6):
+        at = shift + rng.uniform((172, 108), (205, 130))
+        image[np.hypot(u - at[0], v - at[1]) < 1.6] = 240
+    image = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0, 1.0, image.shape[:2])[..., None]
+    return Drawing(np.clip(image, 0, 255).astype(np.uint8), cover > 0.5)
+
+
+DRAWN = {
+    "paper": [bench(k) for k in range(16)],
+    "textured cloth": [bench(k, CLOTH, texture=0.08) for k in range(16)],
+}
+
+
+@pytest.mark.parametrize("drawn", DRAWN.values(), ids=DRAWN)
+def test_moving_instrument_is_told_from_what_stands_still(drawn: list[Drawing]) -> None:
+    background = learn_background([each.image for each in drawn])
+    assert background is not None
+    for each in drawn[::3]:
+        found = segment(each.image, background=background)
+        assert each.overlap(found.mask) > 0.93
+        assert found.confidence > 0.7
+
+
+def test_learned_background_shows_no_instrument() -> None:
+    drawn = DRAWN["textured cloth"]
+    background = learn_background([each.image for each in drawn])
+    assert background is not None
+    free = np.stack([np.where(each.mask[..., None], np.nan, each.image.astype(float)) for each in drawn])
+    assert np.abs(np.nanmedian(free, axis=0) - background).mean() < 3
+
+
+def test_single_image_is_told_from_a_smooth_background() -> None:
+    for each in DRAWN["paper"][::4]:
+        found = segment(each.image)
+        assert found.before == "smooth background"
+        assert each.overlap(found.mask) > 0.93
+        assert found.confidence > 0.7
+
+
+def test_grey_image_is_segmented_as_a_coloured_one() -> None:
+    drawn = DRAWN["paper"][3]
+    grey = np.repeat(drawn.image[..., :1], 3, axis=2)
+    assert drawn.overlap(segment(grey).mask) > 0.93
+
+
+@pytest.mark.parametrize(("gain", "offset", "noise"), [(0.6, 0, 0), (1.4, 0, 0), (1.0, 30, 0), (0.8, 10, 5)])
+def test_other_light_and_noise_change_little(gain: float, offset: float, noise: float) -> None:
+    rng = np.random.default_rng(0)
+    images = [
+        np.clip(gain * each.image + offset + rng.normal(0, noise, each.image.shape), 0, 255).astype(np.uint8)
+        for each in DRAWN["paper"]
+    ]
+    background = learn_background(images)
+    assert background is not None or noise
+    for each, image in list(zip(DRAWN["paper"], images, strict=True))[::5]:
+        found = segment(image, background=background)
+        assert each.overlap(found.mask) > 0.9
+
+
+def test_instrument_on_tissue_is_found_by_colours_as_before() -> None:
+    drawn = draw_tool(shadow=0.5, vignette=0.8, glare=15)
+    found = segment(drawn.image)
+    assert found.before is None
+    assert drawn.overlap(found.mask) > 0.9
+
+
+def test_prompts_hold_before_a_background() -> None:
+    drawn = DRAWN["paper"][3]
+    background = learn_background([each.image for each in DRAWN["paper"]])
+    assert background is not None
+    v, u = np.argwhere(drawn.mask)[5000]
+    found = segment(drawn.image, background=background, not_points=[(float(u), float(v))])
+    assert not found.mask[v, u]
+    assert segment(drawn.image, background=background, points=[(float(u), float(v))]).mask[v, u]
+
+
+def test_background_that_moves_or_is_seen_too_seldom_is_not_learned() -> None:
+    images = [each.image for each in DRAWN["textured cloth"]]
+    assert learn_background(images[:7]) is None
+    assert learn_background([np.roll(image, 9 * k, axis=1) for k, image in enumerate(images)]) is None
+    assert learn_background([*images, images[0][:100]]) is None
+
+
+def test_image_without_a_smooth_background_has_none() -> None:
+    rng = np.random.default_rng(0)
+    assert smooth_background(rng.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)) is None
+
+
+def test_empty_table_has_no_instrument() -> None:
+    background = learn_background([each.image for each in DRAWN["paper"]])
+    assert background is not None
+    found = segment_before(background, background, Prompts())
+    assert not found.mask.any()
+    assert found.confidence == 0
+
+
+def test_backgrounds_are_learned_only_where_colours_do_not_tell(tmp_path: Path) -> None:
+    for name, drawn in (("bench", DRAWN["paper"]), ("tissue", [draw_tool(seed=k) for k in range(8)])):
+        for k, each in enumerate(drawn):
+            write_image(tmp_path / name / f"{k}.png", each.image)
+    paths = {name: sorted((tmp_path / name).iterdir()) for name in ("bench", "tissue")}
+    (tmp_path / "bench" / "broken.png").write_bytes(b"no image")
+    paths["bench"].append(tmp_path / "bench" / "broken.png")
+    assert list(learned_backgrounds(SegmentSettings(), paths).backgrounds) == ["bench"]
+    assert not learned_backgrounds(SegmentSettings("sam2"), paths).backgrounds
+
+
+def test_wrong_background_is_refused() -> None:
+    with pytest.raises(InputError, match=r"background: expected \(h, w, 3\) uint8, got \(4, 4\) uint8"):
+        segment(DRAWN["paper"][0].image, background=np.zeros((4, 4), np.uint8))
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_real_bench_is_segmented(shared: Path, eye: str) -> None:
+    paths = sorted((shared / "frames" / "bench" / "b" / "images" / eye).iterdir())
+    settings = learned_backgrounds(SegmentSettings(), {eye: paths})
+    for path in paths[5::40]:
+        image = read_image(path)
+        found = segment(image, background=settings.backgrounds[eye])
+        alone = segment(image)
+        assert min(found.confidence, alone.confidence) > 0.85 > GUESS
+        both = found.mask & alone.mask
+        assert both.sum() > 0.96 * (found.mask | alone.mask).sum()
