@@ -57,6 +57,15 @@ def not_written(path: str | Path, error: OSError | ValueError, what: str) -> Dvr
 
 
 @contextlib.contextmanager
+def places_to_write(path: str | Path, what: str) -> Iterator[None]:
+    """Raise the error of ``not_written`` for errors of the system in the block, which looks at or writes to a path."""
+    try:
+        yield
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        raise not_written(path, error, what) from None
+
+
+@contextlib.contextmanager
 def written_beside(path: Path, what: str) -> Iterator[Path]:
     """Give a path beside a target, of the same extension, for a program that writes files itself.
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.atomic import places_to_write, write_json
 from dvrk_cmaes.io.files import file_digest
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.written_files import RECORD, Written, files_in, read_written, write_written
@@ -84,14 +84,15 @@ def check_frame_files(out: Path, names: Iterable[Path]) -> None:
     ------
     InputError
         Another command has noted what it wrote there, or a file is there that `estimate` did not write, or that was
-        changed since.
+        changed since, or the folder cannot be written to.
     """
-    folder = Path(os.path.realpath(out))
-    record = _estimated(out)
-    for path in names:
-        name = path.relative_to(out).as_posix()
-        if os.path.lexists(folder / name) and (name not in record.files or record.is_changed(folder, name)):
-            raise InputError(f"{out}: {name} was not written by `estimate`, or changed since; choose another --out")
+    with places_to_write(out, "a folder"):
+        folder = Path(os.path.realpath(out))
+        record = _estimated(out)
+        for path in names:
+            name = path.relative_to(out).as_posix()
+            if os.path.lexists(folder / name) and (name not in record.files or record.is_changed(folder, name)):
+                raise InputError(f"{out}: {name} was not written by `estimate`, or changed since; choose another --out")
 
 
 def record_frame_files(out: Path, paths: Iterable[Path]) -> None:
