@@ -6,12 +6,14 @@ It imports little, so that Ctrl-C ends the program with one line as soon as Pyth
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import sys
 from collections.abc import Callable, Iterable
 from types import FrameType
 
 _INTERRUPTED = 130
+_LEAST_MEMORY = 1_000_000_000  # bytes of address space; with fewer, libraries end the process without a message
 
 
 def main() -> int:
@@ -23,6 +25,10 @@ def main() -> int:
     }
     ours = [number for number, handler in defaults.items() if signal.getsignal(number) is handler]  # others are ignored
     _handle(ours, _end)
+    if 0 <= (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) < _LEAST_MEMORY:
+        least, given = (f"{size // 1024} kB" for size in (_LEAST_MEMORY, limit))
+        os.write(2, f"dvrk-cmaes: expected a limit of at least {least} of memory, got {given} (ulimit -v)\n".encode())
+        return 1
     try:
         from dvrk_cmaes.cli import main as run_command_line
 

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,12 +30,11 @@ from typing import Final, Literal
 from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.files import read_text
+from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.paths import check_frame_name
 
 SESSION_FILE: Final = "session.toml"
-_LARGEST = 1_000_000  # bytes
 _EXPECTED = {str: "text in quotes", dict: "a table", tuple: "a list of tables"}
 
 
@@ -115,18 +113,14 @@ def read_session_toml(folder: str | Path) -> SessionEntries | None:
     Raises
     ------
     InputError
-        The file is no TOML file, a key is unknown or has a value of another type, two tools have one arm or one label,
-        or a tool among several has neither a label nor a folder of masks.
+        The file is no TOML file or too large, a key is unknown or has a value of another type, two tools have one arm
+        or one label, or a tool among several has neither a label nor a folder of masks.
     """
     root = Path(folder)
     path = root / SESSION_FILE
     if not os.path.lexists(path):
         return None
-    text = read_text(path, expected="a session's description (TOML)", largest=_LARGEST)
-    try:
-        document = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected TOML, got no valid TOML: {error}") from None
+    document = read_toml(path, expected="a session's description (TOML)")
     _check_keys(path, document)
     read = convert_document(str(path), document, _Document, _EXPECTED)
     own = read.camera

@@ -14,6 +14,8 @@ from dvrk_cmaes.instrument.jaws import find_jaw_tips
 from dvrk_cmaes.instrument.model import Instrument, Shaft
 from dvrk_cmaes.instrument.symmetry import resembles_twin
 
+_RADII = (0.25e-3, 25e-3)  # m, of shafts; those of instruments have 1.5 to 8 mm
+
 Axis = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -32,11 +34,17 @@ def with_measurements(instrument: Instrument, *, radius: float | None = None, ax
     Raises
     ------
     InputError
-        The radius is not positive, or only one of radius and axis is given and the other cannot be measured.
+        The radius is not positive, only one of radius and axis is given and the other cannot be measured, or the shaft
+        is as thin or thick as with meshes in other units than those of the URDF.
     """
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise InputError(f"shaft_radius: expected a positive number of metres, got {radius!r}")
-    instrument = replace(instrument, shaft=_shaft(instrument, radius, axis))
+    instrument = replace(instrument, shaft=(shaft := _shaft(instrument, radius, axis)))
+    if shaft is not None and not _RADII[0] <= shaft.radius <= _RADII[1]:
+        raise InputError(
+            f"{instrument.name}: expected a shaft with a radius of {1e3 * _RADII[0]:g} to {1e3 * _RADII[1]:g} mm, got "
+            f"{1e3 * shaft.radius:.3g} mm: are the meshes in metres? (scale in the URDF changes their unit)"
+        )
     instrument = replace(instrument, jaw_tips=find_jaw_tips(instrument))
     return replace(instrument, has_twin=resembles_twin(instrument))
 

@@ -12,7 +12,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
 
-_LARGEST = 100_000_000  # bytes
+_LARGEST = 20_000_000  # bytes
+_MOST_VALUES = 6_000_000  # commas and opening brackets; empty lists take some 20 times their text in memory
 _MOST_DIGITS = 20  # of a whole number
 _SUSPECT = re.compile(r"\d{20}|[eE]\+?\d{3}")
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
@@ -35,7 +36,8 @@ def read_json_object(path: str | Path, *, expected: str, comments: bool = False)
     Raises
     ------
     InputError
-        The file is not readable, larger than 100 MB, not JSON, nested too deeply, or not an object.
+        The file is not readable, larger than 20 MB, of more than six million values, not JSON, nested too deeply, or
+        not an object.
     """
     document = read_json(path, expected=expected, comments=comments)
     if not isinstance(document, dict):
@@ -46,6 +48,8 @@ def read_json_object(path: str | Path, *, expected: str, comments: bool = False)
 def read_json(path: str | Path, *, expected: str, comments: bool = False) -> Any:
     """Read a JSON file of any document; parameters and errors as in ``read_json_object``."""
     text = read_text(path, expected=expected, largest=_LARGEST)
+    if (values := sum(map(text.count, ",[{"))) > _MOST_VALUES:
+        raise InputError(f"{path}: expected {expected}, got {values} values; at most {_MOST_VALUES} are read")
     try:
         return parse_json(_without_comments(text) if comments else text)
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Read settings from a TOML file, whose tables and keys are the fields of a tree of dataclasses.
+"""Read TOML files: any, or settings, whose tables and keys are the fields of a tree of dataclasses.
 
 Example::
 
@@ -26,7 +26,9 @@ from dvrk_cmaes.io.typed_document import convert_document, refused
 T = TypeVar("T")
 
 _LARGEST = 1_000_000  # bytes
-_MOST_DOTS = 100  # in a key or a value; the memory that tomllib needs grows with the square of a key's parts
+_MOST_PARTS = 20  # of a key; the memory that tomllib needs grows with their square
+_QUOTED = re.compile(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'')
+_BETWEEN = re.compile(r"[=\n,{}\[\]]")  # what separates keys and values
 _SUGGESTED = 3
 _CLOSE = 0.75  # similarity from which a known name is probably the one that was meant
 _LARGEST_INTEGER = 2**63 - 1  # of TOML
@@ -41,16 +43,20 @@ def read_config(path: str | Path, default: T) -> T:
     InputError
         The file is no TOML file, has an unknown key (the nearest known are named), or a value of another type.
     """
-    text = read_text(path, expected="settings (TOML)", largest=_LARGEST)
-    if any(part.count(".") > _MOST_DOTS for part in re.split(r"[=\n]", text)):
-        raise InputError(f"{path}: expected settings (TOML), got a key of more than {_MOST_DOTS} parts")
+    return updated(default, read_toml(path, expected="settings (TOML)"), where=str(path))
+
+
+def read_toml(path: str | Path, *, expected: str) -> dict[str, Any]:
+    """Read a TOML file; InputError if it is not readable, larger than 1 MB, no TOML, or has a key of over 20 parts."""
+    text = read_text(path, expected=expected, largest=_LARGEST)
+    if any(part.count(".") >= _MOST_PARTS for part in _BETWEEN.split(_QUOTED.sub("", text))):
+        raise InputError(f"{path}: expected {expected}, got a key of more than {_MOST_PARTS} parts")
     import tomllib
 
     try:
-        document = tomllib.loads(text)
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also an integer of too many digits
-        raise InputError(f"{path}: expected settings (TOML), got no valid TOML: {error}") from None
-    return updated(default, document, where=str(path))
+        raise InputError(f"{path}: expected {expected}, got no valid TOML: {error}") from None
 
 
 def updated(default: T, values: Mapping[str, Any], *, where: str) -> T:

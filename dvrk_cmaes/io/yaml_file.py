@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,16 @@ def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[s
     return documents
 
 
+def check_yaml(path: str | Path, *, expected: str, longest: int = _LONGEST) -> None:
+    """Raise the errors of ``read_yaml_mapping`` for a file that a library will read.
+
+    ``longest`` is the largest number of characters of a value.
+    """
+    text = read_text(path, expected=expected, largest=_LARGEST)
+    with _errors_as_input_errors(path, expected):
+        _check_events(path, text, yaml.SafeLoader, _MOST_DOCUMENTS, longest)
+
+
 def yaml_text(document: Mapping[str, Any]) -> str:
     """Format a mapping as the text of a YAML file, in its order, with lists of numbers on one line."""
     text: str = yaml.safe_dump(dict(document), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
@@ -83,9 +94,16 @@ def yaml_text(document: Mapping[str, Any]) -> str:
 
 def _documents(path: str | Path, text: str, expected: str, loader: Any, *, most: int) -> Iterator[Any]:
     """Construct the first ``most`` documents of a text after their events have been checked."""
-    try:
+    with _errors_as_input_errors(path, expected):
         _check_events(path, text, loader, most)
         yield from islice(yaml.load_all(text, Loader=loader), most)
+
+
+@contextmanager
+def _errors_as_input_errors(path: str | Path, expected: str) -> Iterator[None]:
+    """Convert the errors of PyYAML to InputError."""
+    try:
+        yield
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({line}{error.problem})") from None
@@ -94,7 +112,7 @@ def _documents(path: str | Path, text: str, expected: str, loader: Any, *, most:
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({reason})") from None
 
 
-def _check_events(path: str | Path, text: str, loader: Any, most: int) -> None:
+def _check_events(path: str | Path, text: str, loader: Any, most: int, longest: int = _LONGEST) -> None:
     """Raise an InputError for aliases and for too many or too deep values; only parsing events are held in memory."""
     depth = items = documents = 0
     for event in yaml.parse(text, Loader=loader):
@@ -105,7 +123,7 @@ def _check_events(path: str | Path, text: str, loader: Any, most: int) -> None:
                 return
         if isinstance(event, yaml.AliasEvent):
             raise InputError(f"{path}: expected plain values, got a YAML alias ({shown(event.anchor)})")
-        if isinstance(event, yaml.ScalarEvent) and len(event.value) > _LONGEST:
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > longest:
             raise InputError(f"{path}: expected a small file, got a YAML value of {len(event.value)} characters")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST or items > _MOST_ITEMS:

@@ -47,7 +47,7 @@ TIME_TOLERANCE = NANOSECONDS // 20
 """Default of the largest distance in time between an image and the readings before and after it, ns."""
 
 _LARGEST = 1_000_000_000  # bytes; one hour at 1 kHz has half as many
-_LARGEST_YAML = 20_000_000  # bytes; about 50,000 messages, read in half a minute
+_LARGEST_YAML = 10_000_000  # bytes; about 25,000 messages, read in a quarter of a minute
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.yaml_file import check_yaml
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
@@ -21,6 +22,9 @@ from dvrk_cmaes.recording.topics import TopicRequest, Topics, choose_topics
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
+
+_LONGEST_QOS = 100_000  # characters of a value in metadata.yaml, which may hold the QoS of many publishers
+_LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 """Suffixes of ROS recordings; a recording may also be a folder."""
@@ -120,6 +124,8 @@ def _open(path: Path) -> Iterator[AnyReader]:
             f"{path}: expected a ROS 2 recording, got a folder without metadata.yaml "
             "(give its .mcap or .db3 file, or run: ros2 bag reindex)"
         )
+    if path.is_dir():
+        check_yaml(path / "metadata.yaml", expected="metadata of a ROS 2 recording", longest=_LONGEST_QOS)
     with _errors_as_input_errors(path):
         # recordings of ROS 2 before Iron lack message definitions; those of sensor_msgs are unchanged since
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -142,16 +148,22 @@ def _errors_as_input_errors(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected a ROS recording, got one that cannot be read: {reason}") from None
 
 
-def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[int, Any]]:
-    """Yield the messages of a topic in the order of the recording, each with its recording time, ns."""
+def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield the messages of a topic in the order of the recording, each with its recording time, ns.
+
+    InputError for one that is too large, before it is parsed.
+    """
     connections = [connection for connection in reader.connections if connection.topic == topic]
+    largest = _LARGEST_IMAGE if any("Image" in connection.msgtype for connection in connections) else _LARGEST_MESSAGE
     for connection, time, data in reader.messages(connections):
+        if len(data) > largest:
+            raise InputError(f"{path}: {topic}: expected messages of at most {largest} bytes, got one of {len(data)}")
         yield time, reader.deserialize(data, connection.msgtype)
 
 
 def _first(reader: AnyReader, path: Path, topic: str) -> Any:
     """Return the first message of a topic; InputError if there is none."""
-    for _, message in _messages(reader, topic):
+    for _, message in _messages(reader, path, topic):
         return message
     raise InputError(f"{path}: {listed([topic])}: expected messages, got none, though the recording lists some")
 
@@ -162,7 +174,7 @@ def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
     name = topics.image.strip("/").replace("/", "_")
     first: bytes | None = None
     others = 0
-    for _, message in _messages(reader, topics.camera):
+    for _, message in _messages(reader, path, topics.camera):
         file = camera_file(message, name)
         others += first not in (None, file)
         first = file if first is None else first
@@ -177,7 +189,7 @@ def _readings(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -
     names: tuple[str, ...] | None = None
     times: list[int] = []
     rows: list[list[float]] = []
-    for time, message in _messages(reader, topic):
+    for time, message in _messages(reader, path, topic):
         names = names or joint_names(message, where)
         rows.append(joint_values(message, names, where))
         times.append(time if recorded_times else stamp(message))
@@ -187,7 +199,7 @@ def _readings(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -
 def _images(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:
     """Yield the images of a topic; an image is decoded and encoded only when it is loaded."""
     with _errors_as_input_errors(path):
-        for number, (time, message) in enumerate(_messages(reader, topic)):
+        for number, (time, message) in enumerate(_messages(reader, path, topic)):
             where = f"{path}: {topic}: image {number}"
             yield RecordedImage(
                 number,

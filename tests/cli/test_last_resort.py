@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import subprocess
 import sys
@@ -69,3 +70,15 @@ def test_signal_while_modules_are_imported_ends_with_one_line(module: str, numbe
     arguments = [sys.executable, "-c", SIGNALLED, module, int(number), *frame()]
     done = subprocess.run([*map(str, arguments)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "dvrk-cmaes: interrupted\n")
+
+
+def test_too_little_memory_is_one_line() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "dvrk_cmaes", *map(str, frame())],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (400_000 * 1024,) * 2),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    line = "dvrk-cmaes: expected a limit of at least 976562 kB of memory, got 400000 kB (ulimit -v)\n"
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", line)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,9 @@ from scipy.spatial.transform import Rotation
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import Shaft, load_instrument
 from dvrk_cmaes.instrument.symmetry import twin_distance
+from dvrk_cmaes.io.bundled import bundled_path
 
+LND = bundled_path("instruments", "lnd", "lnd.urdf")
 FRACTION = st.floats(0.0, 1.0)
 ANGLE = st.floats(-3.0, 3.0)
 
@@ -39,6 +43,16 @@ def check_shaft(shaft: Shaft, radius: float, proximal: float, distal: float, tol
 
 
 # shaft
+
+
+@pytest.mark.parametrize(("scale", "radius"), [("0.001", "0.00407 mm"), ("10", "40.7 mm")])
+def test_instrument_whose_meshes_have_another_unit_is_refused(tmp_path: Path, scale: str, radius: str) -> None:
+    shutil.copytree(LND.parent / "meshes", tmp_path / "meshes")
+    text = LND.read_text()
+    path = tmp_path / "scaled.urdf"
+    path.write_text(text.replace('.ply"/>', f'.ply" scale="{scale} {scale} {scale}"/>'))
+    with pytest.raises(InputError, match=re.escape(f"expected a shaft with a radius of 0.25 to 25 mm, got {radius}")):
+        load_instrument(path)
 
 
 @pytest.mark.shared

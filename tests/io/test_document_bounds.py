@@ -1,0 +1,139 @@
+"""What a document may cost in memory, whatever is in it: bounds on its size and depth hold before it is parsed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.io.json_file import read_json
+from dvrk_cmaes.io.toml_file import read_toml
+from dvrk_cmaes.io.yaml_file import check_yaml, read_yaml_mapping
+from dvrk_cmaes.joints.reading import read_joint_file
+from dvrk_cmaes.recording.bag import open_bag
+from dvrk_cmaes.recording.topics import TopicRequest
+
+MOST_MB = 300
+
+
+def refused(read: Callable[[], object]) -> str:
+    """Return the message with which reading is refused."""
+    with pytest.raises(InputError) as refusal:
+        read()
+    return str(refusal.value)
+
+
+READ = r"""
+import re, sys
+from pathlib import Path
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.json_file import read_json
+from dvrk_cmaes.io.toml_file import read_toml
+from dvrk_cmaes.io.yaml_file import read_yaml_mapping
+from dvrk_cmaes.joints.reading import read_joint_file
+
+readers = {
+    "json": lambda path: read_json(path, expected="JSON"),
+    "toml": lambda path: read_toml(path, expected="TOML"),
+    "yaml": lambda path: read_yaml_mapping(path, expected="YAML"),
+    "messages": read_joint_file,
+}
+def peak():
+    return int(re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())[1])
+
+
+before = peak()
+try:
+    readers[sys.argv[1]](Path(sys.argv[2]))
+except InputError as error:
+    print(error, file=sys.stderr)
+print((peak() - before) // 1024)
+"""
+"""Prints how much the peak of the memory of a process grows, MB, while it reads a document."""
+
+MESSAGE = "header: {stamp: {sec: %d, nanosec: 0}}\nname: [jaw]\nposition: [0.1]\nvelocity: [%s0]\n---\n"
+
+COSTLY: dict[str, tuple[str, Callable[[], str]]] = {
+    "most lists": ("json", lambda: "[" + "[]," * 2_999_990 + "0]"),
+    "too many lists": ("json", lambda: "[" + "[]," * 6_600_000 + "0]"),
+    "nested lists": ("json", lambda: "[" * 1_000_000),
+    "long text": ("json", lambda: '"' + "a" * 19_000_000 + '"'),
+    "one key": ("toml", lambda: ".".join("a" * 490_000) + " = 1\n"),
+    "many keys": ("toml", lambda: "".join(f"a{k}." + ".".join("a" * 18) + "=1\n" for k in range(21_000))),
+    "many tables": ("toml", lambda: "[[a]]\n" * 160_000),
+    "nested arrays": ("toml", lambda: "a = " + "[" * 900_000),
+    "many empty lists": ("yaml", lambda: "a: [" + "[]," * 330_000 + "0]"),
+    "deep lists": ("yaml", lambda: "a: " + "[" * 900_000),
+    "large messages": ("messages", lambda: "".join(MESSAGE % (k, "[]," * 6000) for k in range(55))),
+}
+"""Documents close to the bounds, or beyond them, by what is costly in them."""
+
+
+@pytest.mark.parametrize("kind", COSTLY)
+def test_memory_for_a_document_is_bounded(tmp_path: Path, kind: str) -> None:
+    reader, text = COSTLY[kind]
+    path = tmp_path / "document"
+    path.write_text(text())
+    done = subprocess.run([sys.executable, "-c", READ, reader, path], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < MOST_MB
+    assert len(done.stderr.splitlines()) <= 1
+
+
+def test_key_of_many_parts_is_refused_in_session_and_settings(tmp_path: Path) -> None:
+    path = tmp_path / "session.toml"
+    path.write_text(".".join("a" * 21) + " = 1\n")
+    for read in (lambda: read_session_toml(tmp_path), lambda: read_toml(path, expected="settings (TOML)")):
+        assert f"{path}: expected " in (said := refused(read))
+        assert "got a key of more than 20 parts" in said
+
+
+def test_dots_in_texts_and_numbers_are_not_parts_of_keys(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    numbers = ", ".join("1.5" for _ in range(30))
+    path.write_text(f'a = "{"../" * 30}x"\nb = [{numbers}]\nc = {{x = \'{"." * 30}\'}}\n"d.{"." * 30}" = 1\n')
+    assert read_toml(path, expected="TOML")["a"].startswith("../..")
+
+
+def test_too_many_values_are_refused_before_parsing(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text("[" + "0," * 6_000_001 + "0]")
+    assert refused(lambda: read_json(path, expected="a result")).endswith("values; at most 6000000 are read")
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda path: read_json(path, expected="x"),
+        lambda path: read_toml(path, expected="x"),
+        lambda path: read_yaml_mapping(path, expected="x"),
+        read_joint_file,
+    ],
+)
+def test_sparse_file_is_refused_by_its_size(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    path = tmp_path / "document"
+    path.touch()
+    os.truncate(path, 3_000_000_000)
+    assert " MB, got 3000.0 MB" in refused(lambda: read(path))
+
+
+def test_metadata_of_a_recording_is_bounded_before_rosbags_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "metadata.yaml"
+    path.touch()
+    os.truncate(path, 3_000_000_000)
+    requested = TopicRequest(None, None, None, None)
+
+    def opened() -> None:
+        with open_bag(tmp_path, requested):
+            raise AssertionError("opened")
+
+    assert "metadata.yaml: expected metadata of a ROS 2 recording of at most 1 MB" in refused(opened)
+    path.write_text("a: " + "[" * 30 + "]" * 30)
+    assert refused(opened).endswith("got YAML of more than 20 levels")
+    path.write_text(f"a: {'x' * 50_000}")
+    check_yaml(path, expected="metadata", longest=100_000)
