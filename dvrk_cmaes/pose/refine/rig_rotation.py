@@ -30,7 +30,7 @@ Rotation = tuple[Float64, Float64]
 
 _REACH = 24  # px, in which the contour is searched
 _UNKNOWN = np.pi**2  # variance of a rotation, rad^2, where a contour is out of reach
-_STEPS = 4
+_STEPS = 16
 _LIKELY = 2.0  # standard deviations of a rotation, up to which the views may agree ...
 _LARGEST_LIKELY = np.deg2rad(0.25)  # ... unless the rotation is larger than this
 
