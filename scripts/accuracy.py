@@ -14,6 +14,7 @@
     python scripts/accuracy.py perturbed SESSION...    real images: back from poses that are moved and turned
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
+    python scripts/accuracy.py turned-rigs SESSION...  stereo sessions: rotations of the right eye that are found
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
@@ -45,6 +46,7 @@ from measure.accuracy.lag import find_lags, lag_report
 from measure.accuracy.lies import doubt_report, falsified_cases, load_others
 from measure.accuracy.perturbed import perturbed_report
 from measure.accuracy.rig import rig_report
+from measure.accuracy.rig_rotations import rotations_report
 from measure.accuracy.session_lies import measure_session_lies
 from measure.accuracy.sessions import original_trials, session_report, solve
 from measure.accuracy.spread_bound import mask_report
@@ -210,6 +212,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "perturbed": lambda given, _: perturbed_report(given),
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),
     "rig": lambda given, options: rig_report(given, use_joints=not options.no_joints),
+    "turned-rigs": lambda given, _: rotations_report(given),
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
 }

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
+from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_turned_views
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
+from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -130,6 +131,9 @@ def calibrate_with_evidence(
     usable, left_out = _usable(frames, body.instrument)
     if series is None:
         series = _series_of(usable)
+    rotations = rotations_of_session(frame.result for frame in usable)
+    if turns := turns_of(rotations):
+        usable = [with_turned_views(frame, turns) for frame in usable]
     alternation = Alternation(
         usable, series, body.instrument, arm, settings, run, progress, refine_camera=refine_camera
     )
@@ -167,7 +171,8 @@ def calibrate_with_evidence(
         ),
         camera=alternation.camera,
         masks=alternation.masks,
-        warnings=tuple(alternation.warnings),
+        rig=rotations,
+        warnings=(*(each.describe() for each in rotations if each.applied), *alternation.warnings),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,

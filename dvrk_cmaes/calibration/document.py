@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,10 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.rig import V, turned_views
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
@@ -101,6 +103,7 @@ class SessionCalibration:
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
     masks : the margin that all masks share; None if it was not estimated.
+    rig : rotations of the further views against the rig's file, of those that were tested.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
@@ -121,6 +124,7 @@ class SessionCalibration:
     cables: SessionCables | None = None
     camera: SessionCamera | None = None
     masks: SessionMasks | None = None
+    rig: tuple[ViewRotation, ...] = ()
     untold: Texts = ()
     warnings: Texts = ()
     arm: Arm = "classic"
@@ -138,6 +142,14 @@ class SessionCalibration:
     def corrected(self, camera: Camera) -> Camera:
         """Return the camera with the change with which the session was solved; the camera itself if there is none."""
         return camera if self.camera is None else self.camera.corrected(camera)
+
+    def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
+        """Return the views of a rig or frame with which the session was solved: one camera `corrected`, others turned.
+
+        The views keep what they hold beside their camera.
+        """
+        first = replace(views[0], camera=self.corrected(views[0].camera))
+        return turned_views((first, *views[1:]), turns_of(self.rig))
 
     @property
     def applied_lag(self) -> Lag | None:
@@ -174,7 +186,7 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "arm"),
+            **encoded_fields(self, "camera", "masks", "rig", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

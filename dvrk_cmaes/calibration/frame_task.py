@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame, terms_of_constants
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, change_between
@@ -136,6 +137,28 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
 def with_camera(frame: SessionFrame, camera: Camera) -> SessionFrame:
     """Return a frame with another camera, for images of the same size."""
     return replace(frame, data=partial(_read, frame.data, camera))
+
+
+def with_turned_views(frame: SessionFrame, rotations: Mapping[str, Float64]) -> SessionFrame:
+    """Return a frame whose further views are turned by rotations (3,), rad, by name; its own result says what is left.
+
+    ``view_fits`` of the result are then those against the turned views.
+    """
+    checks = tuple(
+        replace(check, rotation_deg=check.rotation_deg - np.degrees(rotations.get(check.name, 0.0)))
+        for check in frame.result.view_fits
+    )
+    return replace(
+        frame,
+        data=partial(_read_turned, frame.data, rotations),
+        result=replace(frame.result, view_fits=checks),
+    )
+
+
+def _read_turned(data: FrameData | Callable[[], FrameData], rotations: Mapping[str, Float64]) -> FrameData:
+    """Read the data of a frame, as in `SessionFrame`, with turned views."""
+    read = _read(data)
+    return replace(read, views=turned_views(read.views, rotations))
 
 
 def _read(data: FrameData | Callable[[], FrameData], camera: Camera | None = None) -> FrameData:

@@ -6,15 +6,16 @@ camera's frame to that of a view. Image rows of the eyes need not be parallel, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import inverse, rotation_angle, transform
+from dvrk_cmaes.geometry import inverse, moved, rotation_angle, transform
 from dvrk_cmaes.io.arguments import check_type
 
 Float64 = NDArray[np.float64]
@@ -37,6 +38,13 @@ class View:
     def camera_from_view(self) -> Float64:
         """The inverse of ``view_from_camera``, (4, 4)."""
         return inverse(self.view_from_camera)
+
+    def turned(self, rotation: Float64) -> Self:
+        """Return the view turned by a rotation vector (3,), rad, about the reference camera's axes."""
+        return replace(self, view_from_camera=turned_place(self.view_from_camera, rotation))
+
+
+V = TypeVar("V", bound=View)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +111,16 @@ class Rig:
         for name in cameras:
             self.view(name)
         return Rig(tuple(replace(view, camera=cameras.get(view.name, view.camera)) for view in self.views))
+
+
+def turned_place(view_from_camera: Float64, rotation: Float64) -> Float64:
+    """Return the place (4, 4) of a view that is turned by a rotation vector (3,), rad, about the reference's axes."""
+    return moved(view_from_camera, np.concatenate([np.zeros(3), rotation]))
+
+
+def turned_views(views: Sequence[V], rotations: Mapping[str, Float64]) -> tuple[V, ...]:
+    """Return views of which some are turned, by name, as `View.turned`."""
+    return tuple(view.turned(rotations[view.name]) if view.name in rotations else view for view in views)
 
 
 def mirrored_rig(rig: Rig) -> Rig:

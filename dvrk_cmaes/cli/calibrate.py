@@ -274,6 +274,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {text}")
     if calibration.camera is not None:
         yield Line(f"camera, against its file: {calibration.camera.describe()}")
+    for rotation in calibration.rig:
+        yield Line(rotation.describe())
     if calibration.masks is not None and calibration.masks.applied:
         yield Line(calibration.masks.describe())
     for text in calibration.untold:

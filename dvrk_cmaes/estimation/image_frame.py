@@ -123,8 +123,8 @@ def segment_and_estimate(
         seconds += result.seconds
     result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
     if alone:
-        calibrated = data.camera if session is None else session.corrected(data.camera)
-        result = _with_doubts(result, data.with_camera(calibrated).views[0], first.segmentation, body)
+        shown = data.views if session is None else session.corrected_views(data.views)
+        result = _with_doubts(result, shown[0], first.segmentation, body)
     return SegmentedFrame(data, first.segmentation, result)
 
 

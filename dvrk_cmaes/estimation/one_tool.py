@@ -143,10 +143,9 @@ def estimate_views(
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, {} if joints is None else joints
-    reference = seen[0]
     if session is not None:
-        reference = replace(reference, camera=session.corrected(reference.camera))
-    shown = shown_views((reference, *seen[1:]))
+        seen = session.corrected_views(seen)
+    reference, shown = seen[0], shown_views(seen)
     readings, unused, outside = split_readings(model, given, settings)
     given = {name: float(value) for name, value in given.items()}
     views = _frame_views(shown, body, settings)

@@ -34,6 +34,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     target = Path(path)
     beside = target.with_name(f".{uuid.uuid4().hex}.tmp")
     try:
+        made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             with open(beside, "xb") as file:
@@ -42,6 +43,9 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         except BaseException:
             with contextlib.suppress(OSError):
                 beside.unlink()
+            for folder in made:
+                with contextlib.suppress(OSError):  # another process may have written there since
+                    folder.rmdir()
             raise
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         raise not_written(path, error, "a file") from None

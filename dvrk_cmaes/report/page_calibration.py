@@ -18,6 +18,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
@@ -204,6 +205,8 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         yield _lag_figure(calibration.lag)
     if calibration.camera is not None:
         yield from _camera_figures(calibration.camera)
+    for rotation in calibration.rig:
+        yield _rotation_figure(rotation)
     if calibration.masks is not None:
         yield _margin_figure(calibration.masks)
 
@@ -233,6 +236,15 @@ def _camera_figures(camera: SessionCamera) -> Iterator[KeyFigure]:
         f"{right:+.0f}, {down:+.0f} px",
         f"right, down; standard deviation {std:.0f} px; {note}",
     )
+
+
+def _rotation_figure(rotation: ViewRotation) -> KeyFigure:
+    """Return by how much a further view is turned against the rig's file, and what was done about it."""
+    done = "applied" if rotation.applied else "zero within its error, not applied"
+    std = ", ".join(f"{value:.2f}" for value in rotation.std_deg)
+    note = f"about the first camera's x (right), y (down), z (forward); standard deviations {std}°; {done}"
+    turned = ", ".join(f"{value:+.2f}" for value in rotation.rotation_deg)
+    return KeyFigure(f"{rotation.view.capitalize()} eye turned, against its file", f"{turned}°", note)
 
 
 def _margin_figure(masks: SessionMasks) -> KeyFigure:

@@ -188,6 +188,10 @@ class Result:
         result = convert_document(where, {**_LEAST, **fields}, cls)
         if result.camera_from_root is None and result.status != "failed":
             raise refused(where, "camera_from_root", "4 rows of 4 finite numbers", None)
+        if result.expected_error is not None and not {"mean", "tip"} & set(result.expected_error.tip_mm):
+            raise refused(
+                where, "std.tip_mm", "that of the tips' mean, or of the only tip", list(result.expected_error.tip_mm)
+            )
         if covariance is None:
             return result
         return replace(result, covariance=read_covariance(where, covariance, (*POSE_AXES, *result.joints)))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_with_evidence
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -95,7 +96,7 @@ def calibrate_folder(
             progress=progress,
         )
         progress("drawing", len(solved.leave_one_out))
-        corrected = session.rig.with_cameras({session.rig.names[0]: solved.calibration.corrected(session.camera)})
+        corrected = Rig(solved.calibration.corrected_views(session.rig.views))
         tasks = [
             DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -117,8 +117,8 @@ def solve_frame(
 
 
 def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
-    """Return a frame's data with the camera with which a session was solved."""
-    return data if session is None else data.with_camera(session.corrected(data.camera))
+    """Return a frame's data with the camera or rig with which a session was solved."""
+    return data if session is None else replace(data, views=session.corrected_views(data.views))
 
 
 def estimate_frame(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
@@ -102,6 +102,6 @@ def fit_all(
 
 
 def _read(files: FrameFiles, recorded: RecordedFrames, session: SessionCalibration) -> FrameData | None:
-    """Read a frame with the camera of the calibration."""
+    """Read a frame with the camera or rig of the calibration."""
     data = read_shown(files, recorded.rig)
-    return None if data is None else data.with_camera(session.corrected(data.camera))
+    return None if data is None else replace(data, views=session.corrected_views(data.views))

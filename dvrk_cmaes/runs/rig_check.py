@@ -11,13 +11,11 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.session_rig import FEWEST, pooled_rotation
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
-
-FEWEST = 3
-"""Least number of frames in which a view is compared."""
 
 
 def rig_doubts(results: Iterable[Result], trust: TrustConfig | None = None) -> list[str]:
@@ -44,17 +42,3 @@ def rig_doubts(results: Iterable[Result], trust: TrustConfig | None = None) -> l
                 f"{angle:.2f} deg ({sigmas:.0f} standard deviations); the rig seems to be calibrated wrongly"
             )
     return doubts
-
-
-def pooled_rotation(rotations: list[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
-    """Return the mean of rotations (3,) weighted by their covariances (3, 3), and its covariance.
-
-    The covariance grows where the rotations scatter more than their own covariances say.
-    """
-    weights = [np.linalg.inv(covariance) for _, covariance in rotations]
-    covariance = np.linalg.inv(np.sum(weights, axis=0))
-    pairs = list(zip(rotations, weights, strict=True))
-    mean = covariance @ np.sum([weight @ rotation for (rotation, _), weight in pairs], axis=0)
-    squares = sum(float((rotation - mean) @ weight @ (rotation - mean)) for (rotation, _), weight in pairs)
-    scatter = squares / max(3 * (len(rotations) - 1), 1)
-    return mean, covariance * max(1.0, scatter)

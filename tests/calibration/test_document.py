@@ -18,6 +18,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
@@ -56,6 +57,7 @@ def calibration() -> SessionCalibration:
         lag=Lag(2.0, 0.25, 0.066667, 0.008),
         camera=SessionCamera(1.02, 0.01, (3.0, -4.5), (6.0, 7.0), contradicts=False, applied=True, width=640),
         masks=SessionMasks(0.4, 0.1, applied=True),
+        rig=(ViewRotation("right", np.array([0.1, 0.0, 0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True),),
         untold=("offset of insertion",),
         warnings=("readings come 2 frames late",),
         arm="si",

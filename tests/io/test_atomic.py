@@ -81,6 +81,7 @@ def test_unwritable_path_is_refused_without_leftovers(tmp_path: Path) -> None:
         (tmp_path / "file" / "below", "a file lies where a folder is wanted"),
         (tmp_path / "file" / "far" / "below", "Not a directory"),
         (tmp_path / ("x" * 300), "File name too long"),
+        (tmp_path / "new" / "folder" / ("x" * 300), "File name too long"),
     ]:
         with pytest.raises(InputError) as caught:
             write_bytes(path, b"data")

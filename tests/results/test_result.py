@@ -111,6 +111,13 @@ def test_wrong_expected_error_is_named(tmp_path: Path) -> None:
     )
 
 
+def test_expected_error_has_that_of_the_tips_together(tmp_path: Path) -> None:
+    document = full().to_dict()
+    document["std"]["tip_mm"] = {"jaw_1": 0.5}
+    expected = "std.tip_mm: expected that of the tips' mean, or of the only tip, got "
+    assert message(write(tmp_path / "a.json", document)).startswith(expected)
+
+
 def test_missing_bend_is_read_as_zero(tmp_path: Path) -> None:
     document = full().to_dict()
     del document["quality"]["bend_px"]

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
+from dvrk_cmaes.camera.rig import turned_place
+from dvrk_cmaes.geometry import Posed, adjoint, inverse
 from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
@@ -96,11 +97,6 @@ class TurnedContours(OutlineTerm[DrawnContour]):
     def near(self, drawn: Sequence[DrawnContour], at: Posed) -> Quadratic:
         """Return the approximation of half the sum of squares near C poses."""
         return Quadratic(np.stack([d.information for d in drawn]), np.stack([d.slope for d in drawn]))
-
-
-def turned_place(view_from_camera: Float64, turn: Float64) -> Float64:
-    """Return the place (4, 4) of a view that is turned by a rotation vector (3,) about the reference camera's axes."""
-    return moved(view_from_camera, np.concatenate([np.zeros(3), turn]))
 
 
 def rotations_of_views(

@@ -1,0 +1,116 @@
+"""What a session's frames tell about its rig: how far each further view is turned against the file.
+
+A frame states by which rotation each further view would fit the first one better. The errors of the masks differ from
+frame to frame, while a wrong calibration turns the view in all of them alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.io.encode import Document
+from dvrk_cmaes.io.typed_document import Count, Point
+from dvrk_cmaes.results.result import Result
+
+Float64 = NDArray[np.float64]
+
+FEWEST = 3
+"""Least number of frames in which a view is compared."""
+
+_LEAST_STD = np.array([0.01, 0.03, 0.01])
+"""Least standard deviations, deg: a session's masks share errors that the scatter of its frames does not show.
+
+About y the eyes see an instrument at 5 mm / 150 mm = 2 deg apart, which errors of its distance change in proportion:
+1 % of the focal length and half a pixel of the shaft's width are 1.5 % of the distance.
+"""
+
+_CLEAR = 3.0  # standard deviations from zero, and ...
+_LEAST_ANGLE = 0.04  # ... deg, beyond which a view is turned
+_NAMED = 2.5  # standard deviations of a component that is named
+_PASSES = 20  # of the weights
+_TAIL = 9.0  # squared distance, in units of the common one, at which a frame has half of its weight
+_MEDIAN_SQUARE = 2.366  # median of the squared distance of three unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class ViewRotation(Document):
+    """Rotation of a further view of the rig against the file, about the first camera's axes.
+
+    view : its name. rotation_deg, std_deg : (3,), degrees. frames : number of frames in which it was compared.
+    applied : whether the session was solved with the view turned by it.
+    """
+
+    view: str
+    rotation_deg: Point
+    std_deg: Point
+    frames: Count
+    applied: bool
+
+    @property
+    def turn(self) -> Float64:
+        """The rotation (3,) by which the view was turned, rad."""
+        return np.deg2rad(self.rotation_deg) if self.applied else np.zeros(3)
+
+    def describe(self) -> str:
+        """Describe the rotation in words: the components that are clear of zero, or the largest one."""
+        clear = np.abs(self.rotation_deg) > _NAMED * self.std_deg
+        clear[np.argmax(np.abs(self.rotation_deg) / self.std_deg)] = True
+        parts = [
+            f"{value:.2f} +- {max(std, 0.005):.2f} deg about {axis}"
+            for axis, value, std, named in zip("xyz", self.rotation_deg, self.std_deg, clear, strict=True)
+            if named
+        ]
+        than = "rotated by" if self.applied else "as in the file:"
+        return f"the {self.view} eye is {than} {', '.join(parts)}{' against the file' if self.applied else ''}"
+
+
+def rotations_of_session(results: Iterable[Result]) -> tuple[ViewRotation, ...]:
+    """Estimate the rotation of each further view from the results of a session's frames, each found by itself.
+
+    A view is turned where its rotation is clear of zero. Views that are compared in fewer than three frames are left
+    out.
+    """
+    rotations_of: dict[str, list[tuple[Float64, Float64]]] = {}
+    for result in results:
+        for check in result.view_fits[1:]:
+            pair = np.asarray(check.rotation_deg), np.asarray(check.covariance_deg2)
+            rotations_of.setdefault(check.name, []).append(pair)
+    found = []
+    for name, rotations in rotations_of.items():
+        if len(rotations) < FEWEST:
+            continue
+        rotation, covariance = pooled_rotation(rotations)
+        covariance = covariance + np.diag(_LEAST_STD**2)
+        sigmas = float(np.sqrt(rotation @ np.linalg.solve(covariance, rotation)))
+        applied = sigmas > _CLEAR and float(np.linalg.norm(rotation)) > _LEAST_ANGLE
+        found.append(ViewRotation(name, rotation, np.sqrt(np.diag(covariance)), len(rotations), applied))
+    return tuple(found)
+
+
+def turns_of(rotations: Sequence[ViewRotation]) -> Mapping[str, Float64]:
+    """Return the rotations (3,), rad, of the views that are turned, by name."""
+    return {each.view: each.turn for each in rotations if each.applied}
+
+
+def pooled_rotation(rotations: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
+    """Return the robust mean of rotations (3,) weighted by their covariances (3, 3), and its covariance.
+
+    The covariance grows where the rotations scatter more than their own covariances say; single ones that are far off,
+    as of a frame in a wrong mode, count less.
+    """
+    values = np.array([rotation for rotation, _ in rotations])
+    weights = np.linalg.inv(np.array([covariance for _, covariance in rotations]))
+    mean = np.median(values, axis=0)
+    for _ in range(_PASSES):
+        off = values - mean
+        squares = np.einsum("ki,kij,kj->k", off, weights, off)
+        common = max(1.0, float(np.median(squares)) / _MEDIAN_SQUARE)
+        share = 1 / (1 + squares / (_TAIL * common))
+        covariance = np.linalg.inv(np.einsum("k,kij->ij", share, weights))
+        mean = covariance @ np.einsum("k,kij,kj->i", share, weights, values)
+    scatter = float(share @ squares) / max(3 * (float(share.sum()) - 1), 1.0)
+    return mean, covariance * max(1.0, scatter)

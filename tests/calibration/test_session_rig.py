@@ -1,0 +1,123 @@
+"""The rotation of the right eye against the rig's file: told by a session's frames, and used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.session_worlds import SMALL, make_frames_in_memory
+
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_rig import ViewRotation, pooled_rotation, rotations_of_session
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import rotation_angle, transform
+from dvrk_cmaes.silhouette import Body, Renderer
+
+RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
+RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)
+TURN = np.array([0.3, 0.0, 0.0])  # deg
+FILE = Rig((RIG.views[0], RIG.views[1].turned(-np.deg2rad(TURN))))  # what the file says of a right eye that is turned
+SETTINGS = EstimateConfig(session=SessionConfig(rounds=2))
+
+
+@pytest.fixture(scope="module")
+def frames_of(bundled_body: Body) -> dict[str, list[SessionFrame]]:
+    """Frames that both eyes saw, with results by the right file and by one whose right eye is turned."""
+    _, truths, frames = make_frames_in_memory(bundled_body, 5, level="clean")
+    found: dict[str, list[SessionFrame]] = {"right": [], "turned": []}
+    for frame, truth in zip(frames, truths, strict=True):
+        assert isinstance(frame.data, FrameData)
+        there = Renderer(bundled_body, SMALL).masks(
+            (RIGHT_FROM_LEFT @ truth.camera_from_root)[None], truth.values[None]
+        )
+        masks = {"left": frame.data.mask, "right": there[0]}
+        for kind, rig in (("right", RIG), ("turned", FILE)):
+            result = replace(estimate(masks, rig, frame.result.readings, bundled_body), frame=frame.name)
+            found[kind].append(replace(frame, data=FrameData.of(masks, rig), result=result))
+    return found
+
+
+@pytest.fixture(scope="module")
+def turned(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> SolvedSession:
+    return calibrate_session(frames_of["turned"], bundled_body, config=SETTINGS)
+
+
+def test_rotation_is_found_with_its_error(turned: SolvedSession) -> None:
+    (rotation,) = turned.calibration.rig
+    assert (rotation.view, rotation.frames, rotation.applied) == ("right", 5, True)
+    assert np.abs((rotation.rotation_deg - TURN) / rotation.std_deg).max() < 2.5
+    assert rotation.std_deg[0] < 0.05
+
+
+def test_rotation_is_stated_once_and_not_by_each_frame(
+    frames_of: dict[str, list[SessionFrame]], turned: SolvedSession
+) -> None:
+    assert any("views disagree" in text for frame in frames_of["turned"] for text in frame.result.reasons)
+    (warning,) = [text for text in turned.calibration.warnings if "eye" in text]
+    assert warning.startswith(("the right eye is rotated by 0.3", "the right eye is rotated by 0.2"))
+    assert " deg about x" in warning
+    assert warning.endswith(" against the file")
+    for result in turned.results.values():
+        assert not any("views disagree" in text for text in result.reasons)
+        assert np.abs(result.view_fits[1].rotation_deg[0]) < 0.15
+
+
+def test_right_file_is_left_as_it_is(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> None:
+    calibration = calibrate_session(frames_of["right"], bundled_body, config=SETTINGS).calibration
+    assert [rotation.applied for rotation in calibration.rig] == [False]
+    assert not any("eye" in text for text in calibration.warnings)
+    assert calibration.rig[0].describe().startswith("the right eye is as in the file: ")
+    assert calibration.corrected_views(RIG.views)[1] is RIG.views[1]
+
+
+def test_new_frame_is_seen_with_the_turned_eye(
+    bundled_body: Body, frames_of: dict[str, list[SessionFrame]], turned: SolvedSession
+) -> None:
+    _, right = turned.calibration.corrected_views(FILE.views)
+    assert np.degrees(rotation_angle(right.view_from_camera, RIGHT_FROM_LEFT)) < 0.1
+    frame = frames_of["turned"][0]
+    assert isinstance(frame.data, FrameData)
+    masks = {view.name: view.mask for view in frame.data.views}
+    found = estimate(masks, FILE, frame.result.readings, bundled_body, session=turned.calibration, config=SETTINGS)
+    assert found.source == "session"
+    assert found.quality is not None
+    assert found.quality.iou > 0.95
+
+
+def test_poses_are_as_good_as_with_the_right_file(
+    bundled_body: Body, frames_of: dict[str, list[SessionFrame]], turned: SolvedSession
+) -> None:
+    by_right = calibrate_session(frames_of["right"], bundled_body, config=SETTINGS)
+    for name, result in turned.results.items():
+        other = by_right.results[name].camera_from_root
+        assert result.camera_from_root is not None
+        assert other is not None
+        assert 1e3 * np.linalg.norm(result.camera_from_root[:3, 3] - other[:3, 3]) < 1.5
+
+
+def test_one_frame_far_off_counts_little() -> None:
+    covariance = 0.03**2 * np.eye(3)
+    rng = np.random.default_rng(0)
+    rotations = [(TURN + rng.normal(0, 0.03, 3), covariance) for _ in range(12)]
+    mean, spread = pooled_rotation(rotations)
+    with_outlier, _ = pooled_rotation([*rotations, (np.array([5.0, 5.0, 5.0]), covariance)])
+    assert np.abs(mean - TURN).max() < 0.03
+    assert np.abs(with_outlier - mean).max() < 0.01
+    assert np.sqrt(np.diag(spread)).max() < 0.02
+
+
+def test_session_of_one_eye_has_no_rotations(frames_of: dict[str, list[SessionFrame]]) -> None:
+    assert rotations_of_session(replace(frame.result, view_fits=()) for frame in frames_of["right"]) == ()
+    assert rotations_of_session(frame.result for frame in frames_of["right"][:2]) == ()
+
+
+def test_rotation_is_described_by_its_clear_components() -> None:
+    rotation = ViewRotation("right", np.array([0.1, 0.02, -0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True)
+    assert rotation.describe() == (
+        "the right eye is rotated by 0.10 +- 0.01 deg about x, -0.30 +- 0.03 deg about z against the file"
+    )
