@@ -15,6 +15,7 @@
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
     python scripts/accuracy.py turned-rigs SESSION...  stereo sessions: rotations of the right eye that are found
+    python scripts/accuracy.py disparity SESSION...    stereo images: rows of points that match, by --session, too
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
@@ -39,6 +40,7 @@ from measure.accuracy.bound import bound_report
 from measure.accuracy.cables import cables_report
 from measure.accuracy.calibration import calibration_report
 from measure.accuracy.camera import measure_camera
+from measure.accuracy.disparity import disparity_report
 from measure.accuracy.errors import error_report, feature_rows, frame_rows
 from measure.accuracy.fleet import fleet_report
 from measure.accuracy.halves import halved, halves_report
@@ -125,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
     )
-    parser.add_argument("--session", type=Path, metavar="JSON", help="for track: session.json to follow with")
+    parser.add_argument("--session", type=Path, metavar="JSON", help="for track and disparity: session.json to use")
     parser.add_argument("--no-joints", action="store_true", help="for track and rig: estimate without readings")
     parser.add_argument(
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
@@ -186,6 +188,11 @@ def _halves(given: Measurement, _: argparse.Namespace) -> Report:
     return halves_report(solve(given, halved(original_trials(given.runs(truth=False)))))
 
 
+def _disparity(given: Measurement, options: argparse.Namespace) -> Report:
+    """Report the vertical disparities of stereo images."""
+    return disparity_report(given, None if options.session is None else read_calibration(options.session))
+
+
 def _track(given: Measurement, options: argparse.Namespace) -> Report:
     """Report the errors of followed recordings."""
     return track_report(
@@ -213,6 +220,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),
     "rig": lambda given, options: rig_report(given, use_joints=not options.no_joints),
     "turned-rigs": lambda given, _: rotations_report(given),
+    "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
 }
