@@ -4,6 +4,7 @@
     python scripts/fuzz.py --tries 40 --processes   # the whole program in a process of its own for each try
     python scripts/fuzz.py --family mask --only 17  # one try again
     python scripts/fuzz.py tracker --steps 100000   # a tracker with damaged masks, images, readings and times
+    python scripts/fuzz.py live --tries 300        # the loop of live with faults of times and messages
     python scripts/fuzz.py kills --tries 200        # commands that are killed, or whose disk is full
     python scripts/fuzz.py folders                  # commands that are told to write to folders of all kinds
     python scripts/fuzz.py earlier --tries 100      # commands that are killed while they replace an earlier result
@@ -31,6 +32,7 @@ from measure.fuzz.earlier import EarlierReport, fuzz_earlier
 from measure.fuzz.families import FAMILIES, OPTIONS, Family, write_material
 from measure.fuzz.folders import FolderReport, fuzz_folders
 from measure.fuzz.kills import FAULTS, KillReport, fuzz_kills
+from measure.fuzz.live_faults import LiveReport, fuzz_live
 from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
 from measure.fuzz.tracker import TrackerReport, fuzz_tracker
 
@@ -45,9 +47,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [family.name for family in FAMILIES]
     parser.add_argument(
-        "what", nargs="?", choices=("inputs", "tracker", "kills", "folders", "earlier"), default="inputs"
+        "what", nargs="?", choices=("inputs", "tracker", "live", "kills", "folders", "earlier"), default="inputs"
     )
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
+    parser.add_argument("--between", type=int, default=60, metavar="N", help="of live, good images after each fault")
     parser.add_argument("--steps", type=int, default=100_000, metavar="N", help="of tracker (default: %(default)s)")
     parser.add_argument("--family", choices=names, action="append", help="only this family; may be repeated")
     parser.add_argument("--only", type=int, metavar="K", help="only the try with this number")
@@ -56,9 +59,11 @@ def main() -> int:
     parser.add_argument("--fault", choices=FAULTS, action="append", help="of kills, only this one; may be repeated")
     arguments = parser.parse_args()
     if arguments.what != "inputs":
-        report: TrackerReport | KillReport | FolderReport | EarlierReport
+        report: TrackerReport | LiveReport | KillReport | FolderReport | EarlierReport
         if arguments.what == "tracker":
             report = fuzz_tracker(arguments.steps, arguments.seed)
+        elif arguments.what == "live":
+            report = fuzz_live(arguments.tries, arguments.between)
         elif arguments.what in ("folders", "earlier"):
             report = _over_earlier_files(arguments.what, arguments.tries, arguments.seed)
         else:

@@ -138,11 +138,9 @@ class LiveLoop:
             where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
             reason = f"internal error: {where}: {one_line(error)}"
         self._failures += 1
-        text = f"{reason}; the image is left out"
         if self._failures >= _MOST_FAILURES:
-            text = f"{reason}; following begins anew"
             self._restart()
-        self._report(text)
+        self._report(f"{reason}; the image is left out; after {_MOST_FAILURES} in a row following begins anew")
         self._leave_out(reason)
 
     def _restart(self) -> None:

@@ -205,14 +205,14 @@ def test_step_that_fails_costs_an_image_and_one_line(live: Live) -> None:
     assert [live.image(k / 10) for k in range(3)] == [False, True, True]
     (line,) = live.lines
     assert line.startswith("internal error: LinAlgError at test_time_faults.py:")
-    assert line.endswith("Singular matrix; the image is left out")
+    assert line.endswith("Singular matrix; the image is left out; after 3 in a row following begins anew")
     assert len(live.trackers) == 1
 
 
 def test_three_steps_in_a_row_that_fail_begin_following_anew(live: Live) -> None:
     live.errors += [MemoryError()] * 3
     assert [live.image(k / 10) for k in range(5)] == [False] * 3 + [True] * 2
-    assert live.lines == ["out of memory; the image is left out", "out of memory; following begins anew"]
+    assert live.lines == ["out of memory; the image is left out; after 3 in a row following begins anew"]
     assert len(live.trackers) == 2
 
 

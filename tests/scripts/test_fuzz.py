@@ -87,6 +87,24 @@ def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
     assert set(report.statuses) == {"ok", "doubtful", "lost"}
 
 
+@pytest.mark.usefixtures("material")
+def test_live_outlives_faults_with_a_line_each() -> None:
+    from measure.fuzz.live_faults import fuzz_live
+
+    report = fuzz_live(3, 60, only=("clock set an hour back", "data too short", "steps that fail"))
+    assert report.violations == []
+    assert (report.lines, report.restarts, len(report.back)) == (3, 2, 3)
+
+
+@pytest.mark.usefixtures("material")
+def test_live_that_repeats_its_lines_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    from measure.fuzz import live_faults
+
+    monkeypatch.setattr(live_faults, "RepeatedLines", lambda report: report)
+    (violation,) = live_faults.fuzz_live(1, 60, only=("time of zero",)).violations
+    assert violation.startswith("  fault 1, time of zero: 5 lines: /left/mask: header.stamp: expected the time")
+
+
 @pytest.mark.parametrize(("command", "fault"), [("batch", "kill both"), ("export", "full disk"), ("track", "kill")])
 def test_command_with_a_fault_ends_with_the_same_files_when_run_again(material: Path, command: str, fault: str) -> None:
     from measure.fuzz.kills import fuzz_kills

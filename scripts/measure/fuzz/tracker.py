@@ -93,7 +93,7 @@ class TrackerReport:
 
 def fuzz_tracker(steps: int, seed: int) -> TrackerReport:
     """Run a tracker for a number of steps; the same seed gives the same input."""
-    report, world, chance = TrackerReport(), _World.made(), random.Random(seed)
+    report, world, chance = TrackerReport(), World.made(), random.Random(seed)
     tracker = Tracker(CAMERA, world.body, config=SETTINGS, lag=0.0)
     feed, began = _Feed(world, tracker, report, chance), clock.process_time()
     with warnings.catch_warnings():
@@ -106,7 +106,7 @@ def fuzz_tracker(steps: int, seed: int) -> TrackerReport:
 
 
 @dataclass(frozen=True, eq=False)
-class _World:
+class World:
     """Frames of an arm that moves: the truth of each, its exact mask, and the readings."""
 
     body: Body
@@ -115,12 +115,13 @@ class _World:
     readings: list[dict[str, float]]
 
     @staticmethod
-    def made() -> _World:
+    def made() -> World:
+        """Return the world, which is always the same."""
         body, rng = prepare("lnd"), np.random.default_rng(3)
         _, truths = moving_arm(body, CAMERA, rng, FRAMES, _LEVEL)
         paths = read_moving(truths, rng, _LEVEL)
         readings = [{name: float(path[k]) for name, path in paths.items()} for k in range(FRAMES)]
-        return _World(body, truths, [exact_mask(body, CAMERA, truth) for truth in truths], readings)
+        return World(body, truths, [exact_mask(body, CAMERA, truth) for truth in truths], readings)
 
     def frame(self, step: int) -> int:
         """Return the frame of a step of the motion to and fro."""
@@ -130,7 +131,7 @@ class _World:
 class _Feed:
     """Gives good or damaged input to a tracker, step by step, and notes what comes of it."""
 
-    def __init__(self, world: _World, tracker: Tracker, report: TrackerReport, chance: random.Random) -> None:
+    def __init__(self, world: World, tracker: Tracker, report: TrackerReport, chance: random.Random) -> None:
         self._world, self._tracker, self._report, self._chance = world, tracker, report, chance
         self._time = 0.0
         self._process = psutil.Process()
