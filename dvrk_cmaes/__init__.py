@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.mask_margin import SessionMasks
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
+    from dvrk_cmaes.calibration.session_rig import ViewRotation
     from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.camera.files import read_camera
     from dvrk_cmaes.config import (
@@ -96,6 +97,7 @@ _HOMES = {
     "Tracker": "track",
     "TrustConfig": "config",
     "ViewCheck": "results.result",
+    "ViewRotation": "calibration.session_rig",
     "__version__": "config",
     "calibrate_session": "calibration.calibrate",
     "estimate": "estimation",
@@ -159,6 +161,7 @@ __all__ = [
     "Tracker",
     "TrustConfig",
     "ViewCheck",
+    "ViewRotation",
     "__version__",
     "calibrate_session",
     "estimate",

@@ -9,7 +9,7 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.frames.session_toml import SESSION_FILE, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
@@ -25,7 +25,7 @@ _DESCRIPTIONS = ("readings: ", "camera: ")
 
 def inspect_folder(path: Path, options: Options) -> Finding:
     """Describe a folder, recognised by the names in it; InputError if it is of no known kind."""
-    if (path / "masks").is_dir() or (path / "images").is_dir():
+    if (path / "masks").is_dir() or (path / "images").is_dir() or (path / SESSION_FILE).is_file():
         return _session(path, options)
     if (path / "frames").is_dir() or is_followed(path):
         return _results(path)
@@ -83,7 +83,12 @@ def _session(path: Path, options: Options) -> Finding:
     for tool in entries.tools:
         files = () if tool.joints is None else (tool.joints,)
         session = read_session(
-            path, camera=options.camera, rectified=options.rectified, side=options.side, joints=files
+            path,
+            camera=options.camera,
+            rectified=options.rectified,
+            side=options.side,
+            joints=files,
+            masks=tool.masks,
         )
         findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)

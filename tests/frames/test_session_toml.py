@@ -71,7 +71,7 @@ def test_written_entries_are_read_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("[[tool]", "expected TOML, got no valid TOML"),
+        ("[[tool]", "expected a session's description (TOML), got no valid TOML"),
         ('[[tool]]\narm = "PSM1"\nlable = 1', "unknown key tool.lable; the nearest known are label"),
         ('[camra]\nfile = "a"', "unknown key camra; the nearest known are camera"),
         ('[[tool]]\narm = "PSM1"\nlabel = "one"', "label: expected a whole number, got 'one'"),

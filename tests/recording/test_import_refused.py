@@ -230,7 +230,10 @@ def test_truncated_recording_is_refused(refused: Refused, tmp_path: Path, kind: 
 def test_unusable_metadata_is_refused(refused: Refused, tmp_path: Path, text: str) -> None:
     bag = write_bag(tmp_path / "bag", "sqlite3", good(1))
     (bag / "metadata.yaml").write_text(text)
-    assert refused(bag).startswith(f"{bag}: expected a ROS recording, got one that cannot be read: ")
+    by_rosbags = f"{bag}: expected a ROS recording, got one that cannot be read: "
+    assert refused(bag).startswith(
+        (by_rosbags, f"{bag / 'metadata.yaml'}: expected metadata of a ROS 2 recording, got ")
+    )
 
 
 def test_other_files_are_refused(refused: Refused, tmp_path: Path) -> None:

@@ -23,7 +23,20 @@ SLOW = {"URDF": 60, "camera": 120, "golden.json": 100, "options": 200}
 """Tries of families that take longer, or that are quick without `inspect`; 40 to 100 ms each."""
 
 NAMES = (
-    *("mask", "mask, JPEG", "image", "camera", "camera, OpenCV", "readings", "readings, NumPy", "settings", "URDF"),
+    *(
+        "mask",
+        "mask, JPEG",
+        "image",
+        "camera",
+        "camera, OpenCV",
+        "readings",
+        "session.toml",
+        "readings, second arm",
+        "mask, second arm",
+        "readings, NumPy",
+        "settings",
+        "URDF",
+    ),
     *("mesh, DAE", "mesh, STL", "package", "texture", "tool", "result", "result, resumed", "run.json", "summary.json"),
     *("session.json", "golden.json", "tracks", "checkpoint", "track's run.json", "video", "video, by name", "options"),
 )

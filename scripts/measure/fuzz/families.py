@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,7 @@ _BATCH = ["batch", "session", "--config", "quick.toml", "--workers", "1", "--out
 _EXPORTS = [["export", "results", "--to", to, "--out", "made"] for to in ("csv", "tf", "bop", "easy-handeye")]
 _RESULTS = (*_EXPORTS, ["consistency", "results"], ["inspect", "results"])
 _PARTS = [*_FRAME, *_MASK, *_CAMERA, "--joints", "wrist.csv", "--instrument", "robot/box.urdf"]
+_ARMS = ["batch", "arms", "--config", "quick.toml", "--workers", "1", "--out", "new"]
 _TRACK = ["track", "session", "--config", "quick.toml", "--out", "tracks"]
 
 
@@ -123,6 +125,9 @@ FAMILIES: tuple[Family, ...] = (
     Family("camera", "text", "session/camera.yaml", (*_read("session/camera.yaml", _ESTIMATE), [*_BATCH, "new"])),
     Family("camera, OpenCV", "text", "cv.xml", _read("cv.xml", [*_FRAME, *_MASK, *_JOINTS, "--camera", "cv.xml"])),
     Family("readings", "text", "session/joints.csv", (*_read("session/joints.csv", _ESTIMATE), [*_BATCH, "new"])),
+    Family("session.toml", "text", "arms/session.toml", (["inspect", "arms"], _ARMS)),
+    Family("readings, second arm", "text", "arms/joints_PSM2.csv", (["inspect", "arms"], _ARMS)),
+    Family("mask, second arm", "bytes", "arms/masks_PSM2/0001.png", (["inspect", "arms"], _ARMS), refuses=False),
     Family("readings, NumPy", "bytes", "q.npy", _read("q.npy", [*_FRAME, *_MASK, *_CAMERA, "--joints", "q.npy"])),
     Family("settings", "text", "quick.toml", (_ESTIMATE, [*_BATCH, "new"])),
     Family("URDF", "text", "robot/box.urdf", _read("robot/box.urdf", _PARTS)),
@@ -181,6 +186,7 @@ def write_material(folder: Path) -> None:
     (folder / "wrist.csv").write_text("frame,wrist_pitch\n0000,0.1\n")
     (folder / "tool.json").write_text(json.dumps(_TOOL))
     _write_opencv(folder / "cv.xml")
+    _write_arms(folder / "arms", folder / "session")
     _write_robot(folder / "robot")
     _write_video(folder / "video.avi", folder / "times.csv")
     with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
@@ -203,6 +209,20 @@ def _write_session(folder: Path) -> None:
         for path, pixels in ((f"masks/{number:04d}.png", mask), (f"images/{number:04d}.jpg", image)):
             small = cv2.resize(pixels, (160, 120), interpolation=cv2.INTER_AREA)
             write_image(folder / path, np.asarray(small, np.uint8))
+
+
+def _write_arms(folder: Path, session: Path) -> None:
+    """Write a session of two arms, of which the second one has the mirrored masks of the first."""
+    shutil.copytree(session / "masks", folder / "masks_PSM1")
+    (folder / "masks_PSM2").mkdir()
+    shutil.copy(session / "camera.yaml", folder / "camera.yaml")
+    lines = ['[camera]\nfile = "camera.yaml"']
+    for arm in ("PSM1", "PSM2"):
+        shutil.copy(session / "joints.csv", folder / f"joints_{arm}.csv")
+        lines.append(f'[[tool]]\narm = "{arm}"\nmasks = "masks_{arm}"\njoints = "joints_{arm}.csv"')
+    (folder / "session.toml").write_text("\n".join(lines) + "\n")
+    for path in sorted((folder / "masks_PSM1").iterdir()):
+        write_image(folder / "masks_PSM2" / path.name, np.ascontiguousarray(read_mask(path)[:, ::-1]))
 
 
 def _write_calibration(path: Path, results: Path) -> None:
