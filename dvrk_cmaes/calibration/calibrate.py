@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -177,6 +177,8 @@ def calibrate_with_evidence(
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
+    if calibration.doubt:
+        calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted), alternation.evidence
 

@@ -55,6 +55,7 @@ CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads 
 # standard deviations above which a part of the calibration is reported as not determined
 _UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
 _UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base
+_LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
 _UNDETERMINED_POSITION = 5e-3  # of the base, m
 
 
@@ -157,9 +158,24 @@ class SessionCalibration:
         return self.lag if self.lag is not None and self.lag.applied else None
 
     @property
+    def doubt(self) -> str:
+        """Why the calibration should not be used, in words; empty if nothing speaks against it.
+
+        The silhouettes that the other frames predict overlap the masks far less than those of the frames' own fits,
+        whatever the stated standard deviations.
+        """
+        predicted = float(np.mean([iou for iou, _ in self.leave_one_out.values()])) if self.leave_one_out else 1.0
+        if predicted >= self.iou - _LARGEST_LOSS:
+            return ""
+        return (
+            f"this calibration predicts frames badly that it has not seen: IoU {predicted:.2f} by the other frames, "
+            f"{self.iou:.2f} by their own fits; its lag, camera file, instrument or readings may be wrong"
+        )
+
+    @property
     def status(self) -> str:
         """``doubtful`` if there are warnings about the session as a whole, ``ok`` otherwise."""
-        return "doubtful" if self.warnings else "ok"
+        return "doubtful" if self.warnings or self.doubt else "ok"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration in the documented schema, ready for JSON."""

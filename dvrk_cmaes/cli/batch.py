@@ -24,6 +24,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     WORKERS,
     CameraOptions,
+    DoubtfulSessionOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
@@ -68,6 +69,7 @@ def batch(
     time_limit: Annotated[float, Parameter(group=WORKERS)] = 600.0,
     lag: Annotated[str | None, Parameter(group=METHOD, allow_leading_hyphen=True)] = None,
     calibration: SessionOption = None,
+    doubtful_session: DoubtfulSessionOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -143,6 +145,8 @@ def batch(
     calibration
         A session.json written by `calibrate`, or the folder it wrote, which has one for each of several arms: start
         each frame from the pose that it predicts, and search globally only if that does not explain the mask.
+    doubtful_session
+        Use the session.json of --session even if it predicts frames badly that it has not seen.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -190,7 +194,9 @@ def batch(
         raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
     arms: dict[str, ArmInSession] = {}
     finished: dict[str, BatchSummary] = {}
-    calibrations = {name: read_calibration_of(calibration, tool.tool.arm) for name, tool in tools.items()}
+    calibrations = {
+        name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
+    }
     for name, tool in tools.items():
         arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
     for name, arm in arms.items():

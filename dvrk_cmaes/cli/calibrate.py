@@ -257,6 +257,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     base = calibration.camera_from_base
     position, axis_angle = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
     std_position, std_rotation = std[:3] * 1e3, np.degrees(std[3:6])
+    if calibration.doubt:
+        yield Line(f"doubtful: {calibration.doubt}", STATUS_STYLES["doubtful"])
     yield Line(
         "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
     )

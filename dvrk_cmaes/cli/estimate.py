@@ -16,6 +16,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_SEGMENT,
     FRAME,
     OUTPUT,
+    DoubtfulSessionOption,
     Flag,
     FrameCameraOptions,
     InstrumentOptions,
@@ -59,6 +60,7 @@ def estimate(
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibration: SessionOption = None,
+    doubtful_session: DoubtfulSessionOption = False,
     camera: FrameCameraOptions,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -126,6 +128,8 @@ def estimate(
         A session.json written by `calibrate`: start from the pose that it predicts, and search globally only if that
         pose does not explain the mask. If it has a lag between images and readings, files of readings are read at the
         frame's time less the lag; readings given as values are not changed.
+    doubtful_session
+        Use the session.json of --session even if it predicts frames badly that it has not seen.
     camera
         The camera.
     instrument
@@ -175,7 +179,7 @@ def estimate(
         camera_file = camera.read_rig(lambda: frame_size(files))
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
-    known = read_calibration_of(calibration)
+    known = read_calibration_of(calibration, doubtful=doubtful_session)
     lag = None if known is None else known.applied_lag
     read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
     files = replace(files, readings=read.readings)

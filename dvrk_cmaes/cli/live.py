@@ -19,6 +19,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_METHOD,
     METHOD,
     OUTPUT,
+    DoubtfulSessionOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
@@ -70,6 +71,7 @@ def live(
     rectified: Annotated[Flag, Parameter(group=CAMERA)] = False,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     calibration: SessionOption = None,
+    doubtful_session: DoubtfulSessionOption = False,
     lag: Annotated[float | None, Parameter(group=METHOD)] = None,
     method: MethodOptions = DEFAULT_METHOD,
     overlay: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -110,6 +112,8 @@ def live(
         The instrument.
     calibration
         A session.json written by `calibrate`: its base, offsets and lag.
+    doubtful_session
+        Use the session.json of --session even if it predicts frames badly that it has not seen.
     lag
         Lag of the images behind the readings, s; by default the calibration's, or found while following.
     method
@@ -123,8 +127,8 @@ def live(
         raise InputError(f"--port: expected 1 to 65535, got {port}")
     if not seconds > 0:
         raise InputError(f"--seconds: expected a time above 0, got {seconds:g}")
-    from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.camera.files import read_camera
+    from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.live.follow import LiveSetup, follow
     from dvrk_cmaes.live.inputs import InputTopics
@@ -146,7 +150,7 @@ def live(
         names,
         instrument.load(),
         instrument.kinematics,
-        None if calibration is None else read_calibration(calibration),
+        read_calibration_of(calibration, doubtful=doubtful_session),
         method.resolve(),
         lag,
         None if camera is None else read_camera(camera, rectified=rectified),

@@ -39,6 +39,7 @@ LATEST = 1e11  # s, of times since any clock's start
 
 Flag = Annotated[bool, Parameter(negative=())]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
+DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
 
 
 def check_range(option: str, value: float, least: float, most: float, what: str = "a whole number") -> None:

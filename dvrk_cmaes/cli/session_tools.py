@@ -120,15 +120,16 @@ def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:
     return values.get("", values)
 
 
-def read_calibration_of(path: Path | None, arm: str = "") -> SessionCalibration | None:
+def read_calibration_of(path: Path | None, arm: str = "", *, doubtful: bool = False) -> SessionCalibration | None:
     """Read the calibration that ``--session`` names: a session.json, or the folder that `calibrate` wrote.
 
     ``arm`` is one of a session with several: its own is in the folder's subfolder of that name. None without a path.
+    With ``doubtful``, one that predicts frames badly is read with a warning.
 
     Raises
     ------
     InputError
-        There is no session.json, or it is not valid.
+        There is no session.json, it is not valid, or it predicts frames badly.
     """
     if path is None:
         return None
@@ -138,7 +139,12 @@ def read_calibration_of(path: Path | None, arm: str = "") -> SessionCalibration 
     if path.is_dir():
         own = path / arm / SESSION
         path = own if own.exists() else path / SESSION
-    return read_calibration(path)
+    calibration = read_calibration(path)
+    if calibration.doubt and not doubtful:
+        raise InputError(f"{path}: {calibration.doubt}; --doubtful-session uses it all the same")
+    if calibration.doubt:
+        warn(f"{path}: {calibration.doubt}")
+    return calibration
 
 
 def solve_crossing_tools(

@@ -22,6 +22,7 @@ from dvrk_cmaes.cli.options import (
     MOST_WORKERS,
     OUTPUT,
     CameraOptions,
+    DoubtfulSessionOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
@@ -68,6 +69,7 @@ def track(
     prompts: PromptOptions = DEFAULT_PROMPTS,
     recording: VideoOptions = DEFAULT_VIDEO,
     calibration: SessionOption = None,
+    doubtful_session: DoubtfulSessionOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -144,6 +146,8 @@ def track(
     calibration
         A session.json written by `calibrate` or by this command, or the folder that has one for each of several arms:
         it is used instead of the keyframes' solution. With --causal its base, offsets and lag are the start.
+    doubtful_session
+        Use the session.json of --session even if it predicts frames badly that it has not seen.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -191,7 +195,7 @@ def track(
         settings[name] = TrackSettings(
             method.resolve(),
             arm.kinematics,
-            read_calibration_of(calibration, tool.tool.arm),
+            read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session),
             seconds,
             every,
             joints != "none",

@@ -42,7 +42,6 @@ Float64 = NDArray[np.float64]
 
 KEYFRAMES: Final = "keyframes.json"
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
-_LARGEST_LOSS = 0.15  # of the overlap, from the frames' fits to their predictions by the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +176,7 @@ def solve_keyframes(
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged
         return str(error).removeprefix(_REFUSED)
-    overlap = float(np.mean([iou for iou, _ in solved.calibration.leave_one_out.values()] or [0.0]))
-    if overlap < solved.calibration.iou - _LARGEST_LOSS:
-        return f"the keyframes' calibration predicts left-out frames badly (IoU {overlap:.2f})"
-    return solved.calibration
+    return solved.calibration.doubt or solved.calibration
 
 
 def read_keyframes(out: Path) -> SessionCalibration | str | None:
