@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
-from dvrk_cmaes.calibration.camera_change import SessionOutlines, changed, estimate_camera
+from dvrk_cmaes.calibration.camera_change import SessionOutlines, estimate_camera
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit
@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.frame_task import (
     fit_task,
     gather_task,
     report_task,
-    with_camera,
+    with_changed_cameras,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
@@ -38,7 +38,6 @@ from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, u
 from dvrk_cmaes.calibration.solve import FrameFits, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -184,8 +183,6 @@ class Alternation:
         self._stored = self._run(gather_task, self.frames)
         scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
         if self._change is not None:
-            if any(len(stored.views) > 1 for stored in self._stored):
-                raise InputError("--refine-camera: expected frames of one camera, got those of a stereo pair")
             scales.append(1.0)  # with the camera that all rounds before have found
         calibration, moved = self.solution.calibration, None
         for iteration, scale in enumerate(scales):
@@ -241,7 +238,7 @@ class Alternation:
         The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
         """
         again = [i for i, of_frame in enumerate(starts) if of_frame]
-        tasks = [FitTask(self._stored[i], expected[i], starts[i], self._changed_camera(i), self._margin) for i in again]
+        tasks = [FitTask(self._stored[i], expected[i], starts[i], self._change, self._margin) for i in again]
         fits = dict(enumerate(self.fits))
         if last:
             fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
@@ -289,10 +286,6 @@ class Alternation:
         """Margin, px, that is taken off the masks."""
         return 0.0 if self.masks is None else self.masks.taken_off
 
-    def _changed_camera(self, i: int) -> Camera | None:
-        """Return the camera of a frame with the current change; None if the camera is not refined."""
-        return None if self._change is None else changed(self._stored[i].camera, self._change)
-
     def _outlines(self) -> SessionOutlines:
         """Return the outlines of all frames, as functions of poses, joints and camera."""
         pairs = zip(self.fits, self._stored, strict=True)
@@ -314,8 +307,7 @@ class Alternation:
             self.warnings += check.camera.warnings(session)
         self.warnings += describe_far_offsets(solution.calibration, solution.covariance, self.model, self._offset_std)
         if self._change is not None:
-            cameras = [changed(stored.camera, self._change) for stored in self._stored]
-            self._stored = self._run(gather_task, list(map(with_camera, self.frames, cameras)))
+            self._stored = self._run(gather_task, [with_changed_cameras(frame, self._change) for frame in self.frames])
 
     @property
     def evidence(self) -> dict[str, Evidence]:

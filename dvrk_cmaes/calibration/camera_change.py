@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.frame_task import ConstantsTask, Run, constants_task
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -76,11 +75,6 @@ class SessionOutlines:
         used = self.used.astype(np.float64)
         of_used = Quadratic(used[:, None, None] * terms.information, used[:, None] * terms.slope)
         return FrameFits(at, of_used, constants)
-
-
-def changed(camera: Camera, change: Float64) -> Camera:
-    """Return a camera after a change (3,); InputError as `Camera.changed`."""
-    return camera.changed(float(np.exp(change[0])), (float(change[1]), float(change[2])))
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,12 +145,12 @@ class SessionCalibration:
         return camera if self.camera is None else self.camera.corrected(camera)
 
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
-        """Return the views of a rig or frame with which the session was solved: one camera `corrected`, others turned.
+        """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some turned.
 
         The views keep what they hold beside their camera.
         """
-        first = replace(views[0], camera=self.corrected(views[0].camera))
-        return turned_views((first, *views[1:]), turns_of(self.rig))
+        own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
+        return turned_views(own, turns_of(self.rig))
 
     @property
     def applied_lag(self) -> Lag | None:

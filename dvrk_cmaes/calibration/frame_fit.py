@@ -85,7 +85,7 @@ def fit_frame(
     expected: Expected,
     starts: Sequence[Posed],
     own_estimate: OwnEstimate | None,
-    own_camera: Camera | None = None,
+    own_cameras: Sequence[Camera] | None = None,
     *,
     margin: float = 0.0,
     confirm: bool = True,
@@ -107,8 +107,8 @@ def fit_frame(
     own_estimate
         The frame's estimate without the session. The noise of the outlines is measured from its residuals, to which
         the session's prior has not contributed. If None, the noise is estimated during the fit.
-    own_camera
-        The camera of ``own_estimate``, for images of the same size, where it is not that of the single view.
+    own_cameras
+        The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
     margin
         Margin of the masks, px, that is taken off them all round.
     confirm
@@ -121,7 +121,7 @@ def fit_frame(
         coverage = _coverage(views, config, own_estimate, shrink, margin)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
-            coverage = coverage.with_noise(_noise(coverage, own_estimate, own_camera) if noise is None else noise)
+            coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
         steps = Steps.of(config.refine.outline, shrink)
         steps = steps if confirm else replace(steps, tested="long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
@@ -186,9 +186,9 @@ def _coverage(
     return Coverage(sized, outline, correlations=() if own_estimate is None else own_estimate.lengths)
 
 
-def _noise(coverage: Coverage, own_estimate: OwnEstimate, camera: Camera | None) -> float:
-    """Measure the noise at the own estimate, whose camera may be another one, as in `fit_frame`."""
-    return (coverage if camera is None else coverage.with_camera(camera)).noise_at(own_estimate.at)
+def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Camera] | None) -> float:
+    """Measure the noise at the own estimate, whose cameras may be other ones, as in `fit_frame`."""
+    return (coverage if cameras is None else coverage.with_cameras(cameras)).noise_at(own_estimate.at)
 
 
 def terms_of_constants(
@@ -208,7 +208,7 @@ def terms_of_constants(
     own = replace(own_estimate, noises=own_estimate.noises[:1])
     noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
     noise = _noise(_coverage([view], config, own), own, None) if noise is None else noise  # that of this view alone
-    coverage = _coverage([view], config, own, margin=margin).with_camera(camera).with_noise(noise)
+    coverage = _coverage([view], config, own, margin=margin).with_cameras([camera]).with_noise(noise)
 
     def constants(sized: SizedView, outline: OutlinePoints) -> Float64:
         return np.column_stack([of_camera(sized, outline), of_margin(outline)])

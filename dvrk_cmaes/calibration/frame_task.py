@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame, terms_of_constants
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.config import EstimateConfig
@@ -58,13 +58,14 @@ class SessionFrame:
 class FitTask:
     """Arguments of `fit_task`: the frame's stored evidence; the others as in `fit_frame`.
 
-    ``camera`` is that of the fit, where it is not that of the evidence and of the own estimate.
+    ``change`` (3,) is that of all cameras for the fit, as of `changed`, where they are not those of the evidence and of
+    the own estimate.
     """
 
     stored: StoredFrame
     expected: Expected
     starts: tuple[Posed, ...]
-    camera: Camera | None = None
+    change: Float64 | None = None
     margin: float = 0.0
 
 
@@ -134,9 +135,16 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
     return StoredFrame.of(data, own, body, config, frame.keypoints)
 
 
-def with_camera(frame: SessionFrame, camera: Camera) -> SessionFrame:
-    """Return a frame with another camera, for images of the same size."""
-    return replace(frame, data=partial(_read, frame.data, camera))
+def with_changed_cameras(frame: SessionFrame, change: Float64) -> SessionFrame:
+    """Return a frame whose cameras are changed, as by `changed`; the shift is in images of the first view."""
+    return replace(frame, data=partial(_read_changed, frame.data, change))
+
+
+def _read_changed(data: FrameData | Callable[[], FrameData], change: Float64) -> FrameData:
+    """Read the data of a frame, as in `SessionFrame`, with changed cameras."""
+    read = _read(data)
+    width = read.camera.width
+    return replace(read, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in read.views))
 
 
 def with_turned_views(frame: SessionFrame, rotations: Mapping[str, Float64]) -> SessionFrame:
@@ -161,20 +169,21 @@ def _read_turned(data: FrameData | Callable[[], FrameData], rotations: Mapping[s
     return replace(read, views=turned_views(read.views, rotations))
 
 
-def _read(data: FrameData | Callable[[], FrameData], camera: Camera | None = None) -> FrameData:
-    """Read the data of a frame, as in `SessionFrame`; ``camera`` replaces theirs."""
-    given = data if isinstance(data, FrameData) else data()
-    return given if camera is None else given.with_camera(camera)
+def _read(data: FrameData | Callable[[], FrameData]) -> FrameData:
+    """Read the data of a frame, as in `SessionFrame`."""
+    return data if isinstance(data, FrameData) else data()
 
 
-def _restored(body: Body, stored: StoredFrame, camera: Camera | None = None) -> list[FrameView]:
-    """Restore the evidence of a frame's views, and make their renderers; ``camera`` replaces that of a single view."""
+def _restored(body: Body, stored: StoredFrame, change: Float64 | None = None) -> list[FrameView]:
+    """Restore the evidence of a frame's views, and make their renderers, with changed cameras if there is a change."""
     views = [view.restored(body) for view in stored.views]
-    if camera is None:
+    if change is None:
         return views
-    (view,) = views
-    evidence = replace(view.evidence, camera=camera)
-    return [replace(view, evidence=evidence, renderer=Renderer(body, camera, threads=1))]
+    cameras = [changed(view.evidence.camera, change, stored.camera.width) for view in views]
+    return [
+        replace(view, evidence=replace(view.evidence, camera=camera), renderer=Renderer(body, camera, threads=1))
+        for view, camera in zip(views, cameras, strict=True)
+    ]
 
 
 def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, float]) -> Readings:
@@ -185,13 +194,13 @@ def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, fl
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
     return fit_frame(
-        _restored(body, task.stored, task.camera),
+        _restored(body, task.stored, task.change),
         _of_instrument(body, config, {}),
         config,
         task.expected,
         task.starts,
         task.stored.own,
-        own_camera=None if task.camera is None else task.stored.reference.evidence.camera,
+        own_cameras=None if task.change is None else [view.stored.evidence.camera for view in task.stored.views],
         margin=task.margin,
         confirm=False,
     )

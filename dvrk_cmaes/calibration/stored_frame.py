@@ -116,3 +116,12 @@ class StoredFrame:
     def in_reference(self) -> bool:
         """Whether the reference camera shows the instrument."""
         return bool(np.array_equal(self.views[0].view_from_camera, np.eye(4)))
+
+
+def changed(camera: Camera, change: Float64, width: int | None = None) -> Camera:
+    """Return a camera after a change (3,): the logarithm of the focal length's factor, and the shift of the centre, px.
+
+    The shift is in images of ``width`` px, by default the camera's own. InputError as `Camera.changed`.
+    """
+    size = 1.0 if width is None else camera.width / width
+    return camera.changed(float(np.exp(change[0])), (size * float(change[1]), size * float(change[2])))

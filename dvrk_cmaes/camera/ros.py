@@ -92,8 +92,19 @@ def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: 
             raise InputError(f"{where}: roi.{key}: expected images of the whole sensor, got {shown(roi[key])}")
 
 
-def write_camera_info(path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0) -> None:
-    """Write a ROS camera_info YAML file for images that are not rectified; ``baseline``, m, is that of a right eye."""
+def write_camera_info(
+    path: str | Path,
+    camera: Camera,
+    name: str,
+    *,
+    baseline: float = 0.0,
+    right_from_left: NDArray[np.float64] | None = None,
+) -> None:
+    """Write a ROS camera_info YAML file for images that are not rectified.
+
+    Of a right eye, ``baseline``, m, is that of the projection matrix, and ``right_from_left`` (4, 4), m, its pose,
+    which counts where it is given.
+    """
     K = camera.matrix
     document = {
         "image_width": camera.width,
@@ -105,6 +116,8 @@ def write_camera_info(path: str | Path, camera: Camera, name: str, *, baseline: 
         "rectification_matrix": _matrix(np.eye(3)),
         "projection_matrix": _matrix(np.c_[K, [-camera.fx * baseline, 0.0, 0.0]]),
     }
+    if right_from_left is not None:
+        document["right_from_left"] = right_from_left.tolist()
     write_text(path, yaml_text(document))
 
 

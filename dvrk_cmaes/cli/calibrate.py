@@ -95,7 +95,8 @@ def calibrate(
         Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
     refine_camera
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
-        written to OUT/camera.yaml. Needs at least 10 frames and 5 mm of insertion.
+        written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
+        least 10 frames and 5 mm of insertion.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     camera

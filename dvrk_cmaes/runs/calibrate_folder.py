@@ -1,7 +1,8 @@
 """Calibration of a session folder from its frames' own results, in several processes, with all files written.
 
-OUT/session.json, OUT/camera.yaml (a refined camera), OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg,
-OUT/overlays_left_out/FRAME.jpg, OUT/layers/FRAME.json, OUT/poses.csv, OUT/summary.json, OUT/report.html
+OUT/session.json, OUT/camera.yaml (a refined camera; of a rig that was changed, OUT/left.yaml and OUT/right.yaml),
+OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/layers/FRAME.json, OUT/poses.csv,
+OUT/summary.json, OUT/report.html
 """
 
 from __future__ import annotations
@@ -12,7 +13,10 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_with_evidence
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
@@ -36,7 +40,7 @@ from dvrk_cmaes.runs.processes import Processes
 from dvrk_cmaes.runs.worker import BatchSetup
 
 CAMERA = "camera.yaml"
-"""File of the camera with which the session was solved, where that is not the session's own."""
+"""File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
 
 
 def calibrate_folder(
@@ -140,10 +144,24 @@ def _write(
                     write_bytes(path(out, name), path(alone, name).read_bytes())
         write_json(result_path(out, name), result.to_dict())
     calibration = solved.calibration
-    if calibration.camera is not None and calibration.camera.applied:
-        write_camera_info(out / CAMERA, calibration.corrected(session.camera), "refined")
+    write_cameras(calibration, session.rig, out)
     write_json(out / SESSION, calibration.to_dict())
     setup = BatchSetup(instrument, session.rig, config, arm, session.folder)
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
     finish(out)
+
+
+def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
+    """Write the cameras with which a session was solved, where they are not those of its files, for raw images."""
+    refined = calibration.camera is not None and calibration.camera.applied
+    if not refined and not any(rotation.applied for rotation in calibration.rig):
+        return
+    first, *others = calibration.corrected_views(rig.views)
+    write_camera_info(out / (f"{first.name}.yaml" if others else CAMERA), first.camera, "refined")
+    for view in others:
+        place = view.view_from_camera
+        baseline = float(np.linalg.norm(place[:3, 3]))
+        write_camera_info(
+            out / f"{view.name}.yaml", view.camera, f"refined {view.name}", baseline=baseline, right_from_left=place
+        )

@@ -29,7 +29,7 @@ Command = Literal["batch", "calibrate", "segment", "track"]
 _MASKS: Final = r"masks/(?:[^/]+/)?[^/]+\.png"
 _WRITES: Final[dict[str, str]] = {
     "calibrate": rf"(?:frames|layers)/[^/]+\.json|(?:overlays|overlays_left_out)/[^/]+\.jpg|{_MASKS}|alone/.*|"
-    r"camera\.yaml|poses\.csv|summary\.json|session\.json|report\.html|run\.json",
+    r"(?:camera|left|right)\.yaml|poses\.csv|summary\.json|session\.json|report\.html|run\.json",
     "segment": rf"{_MASKS}|scores/(?:[^/]+/)?[^/]+\.png|overlays/(?:[^/]+/)?[^/]+\.jpg",
 }
 """What a command writes that puts a new folder in the place of the old one."""

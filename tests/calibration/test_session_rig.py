@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_rig import ViewRotation, pooled_rotation, rotations_of_session
 from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import rotation_angle, transform
+from dvrk_cmaes.runs.calibrate_folder import write_cameras
 from dvrk_cmaes.silhouette import Body, Renderer
 
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
@@ -121,3 +124,19 @@ def test_rotation_is_described_by_its_clear_components() -> None:
     assert rotation.describe() == (
         "the right eye is rotated by 0.10 +- 0.01 deg about x, -0.30 +- 0.03 deg about z against the file"
     )
+
+
+def test_rig_that_was_used_is_written_in_a_format_that_is_read(turned: SolvedSession, tmp_path: Path) -> None:
+    write_cameras(turned.calibration, FILE, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["left.yaml", "right.yaml"]
+    rig = read_rig(tmp_path / "left.yaml", tmp_path / "right.yaml").rig
+    for found, used in zip(rig.views, turned.calibration.corrected_views(FILE.views), strict=True):
+        np.testing.assert_allclose(found.camera.matrix, used.camera.matrix)
+        np.testing.assert_allclose(found.view_from_camera, used.view_from_camera, atol=1e-9)
+
+
+def test_rig_as_in_the_file_is_not_written(
+    bundled_body: Body, frames_of: dict[str, list[SessionFrame]], tmp_path: Path
+) -> None:
+    write_cameras(calibrate_session(frames_of["right"], bundled_body, config=SETTINGS).calibration, RIG, tmp_path)
+    assert list(tmp_path.iterdir()) == []

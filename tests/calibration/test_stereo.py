@@ -12,7 +12,6 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import transform
@@ -111,10 +110,23 @@ def test_prior_of_a_frame_without_the_left_eye_is_seen_by_the_right_one(
     assert 1e3 * abs(off[2, 3]) < 1.0  # of the baseline of 5.3 mm
 
 
-def test_camera_of_a_stereo_pair_is_not_refined(
-    bundled_body: Body,
-) -> None:
-    _, truths, frames = make_frames_in_memory(bundled_body, 10, level="clean")
-    made = [seen_by_both(bundled_body, frame, truth) for frame, truth in zip(frames, truths, strict=True)]
-    with pytest.raises(InputError, match="--refine-camera: expected frames of one camera, got those of a stereo pair"):
-        calibrate_session(made, bundled_body, config=SETTINGS, refine_camera=True)
+def test_focal_length_of_both_eyes_is_refined_together(bundled_body: Body) -> None:
+    """Both files state a focal length that is 8 % short."""
+    base, truths, frames = make_frames_in_memory(bundled_body, 10, level="clean")
+    short = SMALL.changed(1 / 1.08, (0.0, 0.0))
+    rig, made = Rig.stereo(short, short, RIGHT_FROM_LEFT), []
+    for frame, truth in zip(frames, truths, strict=True):
+        data = seen_by_both(bundled_body, frame, truth).data
+        assert isinstance(data, FrameData)
+        assert frame.result.camera_from_root is not None
+        nearer = frame.result.camera_from_root.copy()
+        nearer[2, 3] /= 1.08
+        result = replace(frame.result, camera_from_root=nearer, alternatives=())
+        masks = {view.name: view.mask for view in data.views}
+        made.append(replace(frame, data=FrameData.of(masks, rig), result=result))
+    calibration = calibrate_session(made, bundled_body, refine_camera=True).calibration
+    assert calibration.camera is not None
+    assert calibration.camera.focal_scale == pytest.approx(1.08, abs=0.02)
+    assert 1e3 * np.linalg.norm(calibration.rcm - base[:3, 3]) < 4
+    views = calibration.corrected_views(rig.views)
+    assert [view.camera.fx / SMALL.fx for view in views] == pytest.approx([1.0, 1.0], abs=0.02)

@@ -103,11 +103,10 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         """Return the same term with a given sum of squares, as by `noise_at`, from which the weight follows."""
         return Coverage(self.views, self._config, correlations=self._correlations, cauchy=self._width, noise=noise)
 
-    def with_camera(self, camera: Camera) -> Coverage:
-        """Return the same term seen by another camera of the only view, for images of its whole size."""
-        (view,) = self.views
+    def with_cameras(self, cameras: Sequence[Camera]) -> Coverage:
+        """Return the same term seen by other cameras of the views, for images of their whole size."""
         return Coverage(
-            [view.with_camera(camera)],
+            [view.with_camera(camera) for view, camera in zip(self.views, cameras, strict=True)],
             self._config,
             correlations=self._correlations,
             cauchy=self._width,
