@@ -303,7 +303,7 @@ def test_no_shafts_plot_without_used_frames() -> None:
 
 
 def test_cables_are_told_in_words_and_drawn_over_reading_and_time(tmp_path: Path) -> None:
-    frames = solved(NAMES)
+    frames = [replace(frame, time=float(k)) for k, frame in enumerate(solved(NAMES))]
     view = view_of(tmp_path / "view", frames, cables=cables_of(frames))
     assert view.cables[:2] == (
         "wrist_yaw stays behind its reading by up to 9 deg, std 2",
@@ -315,6 +315,13 @@ def test_cables_are_told_in_words_and_drawn_over_reading_and_time(tmp_path: Path
     text = page_of(write_calibrated(tmp_path / "page", frames, calibration(frames, cables=cables_of(frames)))).text
     assert "What the cables do" in text
     assert "wrist_yaw drags wrist_pitch by +14 deg a rad, std 3" in text
+
+
+def test_time_of_images_that_are_only_counted_is_called_so(tmp_path: Path) -> None:
+    frames = solved(NAMES)
+    plot = view_of(tmp_path, frames, cables=cables_of(frames)).cables_plot
+    assert plot is not None
+    assert plot.panels[1].across.label == "time at 30 images a second, s"
 
 
 def test_page_of_a_session_that_does_not_tell_of_its_cables_has_no_plot_of_them(tmp_path: Path) -> None:

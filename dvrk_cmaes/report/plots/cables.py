@@ -71,7 +71,8 @@ def _panels(
     up = _axis(f"error of {name}, deg", [*found_deg, *predicted_deg, 0.0], _BOTTOM, _TOP)
     abscissas = [(f"reading of {name}, deg", readings)]
     if not np.isnan(times).any():
-        abscissas.append(("time, s", times - times.min()))
+        timed = all(results[place].time is not None for place, _ in places)
+        abscissas.append(("time, s" if timed else "time at 30 images a second, s", times - times.min()))
     panels = []
     for label, values in abscissas:
         across = _axis(label, values.tolist(), _LEFT, _RIGHT)
