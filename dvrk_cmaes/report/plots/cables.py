@@ -16,7 +16,7 @@ from dvrk_cmaes.report.plots.axes import Axis, value_axis
 from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.results.result import Result
 
-_WIDTH, _HEIGHT = 350.0, 230.0
+_WIDTH, _HEIGHT = 360.0, 230.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 338.0, 12.0, 176.0
 _LEAST_SPAN = 1.0  # deg or s, of an axis
 
