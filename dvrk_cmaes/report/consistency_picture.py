@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Float64 = NDArray[np.float64]
+Corner = Literal["lower right", "upper right", "lower left", "upper left"]
 
 _AXIS: Final = "#33658a"
 _MEETING: Final = "#c1121f"
@@ -52,6 +53,8 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
         _draw_close(close, row)
     _share_limits(panels[:, 0], np.concatenate([row.far for row in rows]))
     _share_limits(panels[:, 1], np.concatenate([row.near for row in rows]))
+    for row, close in zip(rows, panels[:, 1], strict=True):
+        _place_legend(close, row)
     figure.draw_without_rendering()  # lays the panels out, so that the places of names are known
     for row, close in zip(rows, panels[:, 1], strict=True):
         _name_points(close, row)
@@ -151,8 +154,21 @@ def _draw_close(panel: Axes, row: _Row) -> None:
     )
     panel.set_xlabel("mm")
     panel.set_title("nearest points of the axes, seen along them", fontsize=9)
-    panel.legend(fontsize=7, loc="best")
     panel.grid(alpha=0.25)
+
+
+def _place_legend(panel: Axes, row: _Row) -> None:
+    """Put the legend in the corner whose quarter of the panel has the fewest points."""
+    points = row.nearest if row.rcm is None else np.concatenate([row.nearest, row.rcm])
+    left = points[:, 0] < np.mean(panel.get_xlim())
+    lower = points[:, 1] < np.mean(panel.get_ylim())
+    corners: dict[Corner, NDArray[np.bool_]] = {
+        "lower right": lower & ~left,
+        "upper right": ~lower & ~left,
+        "lower left": lower & left,
+        "upper left": ~lower & left,
+    }
+    panel.legend(fontsize=7, loc=min(corners, key=lambda corner: int(corners[corner].sum())))
 
 
 def _name_points(panel: Axes, row: _Row) -> None:
@@ -166,10 +182,7 @@ def _name_points(panel: Axes, row: _Row) -> None:
     taken = [Bbox.from_bounds(u - _POINT, v - _POINT, 2 * _POINT, 2 * _POINT) for u, v in points.tolist()]
     legend = panel.get_legend()
     if legend is not None:
-        box = legend.get_window_extent()
-        corner = panel.transAxes.inverted().transform(box.min)
-        legend.set_loc((float(corner[0]), float(corner[1])))  # names do not move it any more
-        taken.append(box)
+        taken.append(legend.get_window_extent())
     named = 0
     frames = row.agreement.results.frames
     for index in np.argsort(-np.linalg.norm(row.nearest, axis=1), kind="stable").tolist():

@@ -258,6 +258,11 @@ def test_names_of_close_frames_do_not_cover_each_other(true_results: Path) -> No
     assert boxes
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
     assert f"{len(boxes)} of 45 named" in close.get_title()
+    legend = close.get_legend()
+    assert legend is not None
+    covered = legend.get_window_extent()
+    assert close.bbox.x0 <= covered.x0 < covered.x1 <= close.bbox.x1
+    assert not any(box.overlaps(covered) for box in boxes)
 
 
 def test_wrong_input_is_refused_without_output(

@@ -182,6 +182,6 @@ return found;
 """Script that returns the faults of a page's layout, each as its kind and the elements concerned.
 
 Looked for are elements beyond the sides of the page, text and labels of plots that are cut off, elements and labels
-that overlap, labels of less than 9 px, plots of a pair that are stacked in a column beside another column, and a tile or picture
-alone in the last row. What scrolls inside its box is not beyond the page.
+that overlap, labels of less than 9 px, plots of a pair that are stacked in a column beside another column, and a tile
+or picture alone in the last row. What scrolls inside its box is not beyond the page.
 """
