@@ -117,12 +117,24 @@ class LagEstimate:
         return self._clock.model_at(model, self._clock.delay_of(self.applied))
 
     def seconds(self) -> Float64 | None:
-        """Return the times (N,), s, at which the arm was read as the images show it; None without an order."""
-        return None if self._clock is None else self._clock.seconds(self._delay(self._clock))
+        """Return the times (N,), s, at which the arm was read as the images show it; None where they are not known."""
+        clock = self._timed
+        return None if clock is None else clock.seconds(self._delay(clock))
 
     def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
-        """Return how far joints stay behind their readings, as `Clock.play`; None without an order."""
-        return None if self._clock is None else self._clock.play(names, readings, width, self._delay(self._clock))
+        """Return how far joints stay behind their readings, as `Clock.play`; None where the times are not known."""
+        clock = self._timed
+        return None if clock is None else clock.play(names, readings, width, self._delay(clock))
+
+    @property
+    def _timed(self) -> Clock | None:
+        """The clock if it tells the time between frames.
+
+        Frames that are only counted are taken for consecutive images, but not if their readings jump from row to row:
+        then they were picked from a recording, and the time between them is not known.
+        """
+        clock = self._clock
+        return clock if clock is not None and (clock.series.unit == "s" or clock.interpolable) else None
 
     def _delay(self, clock: Clock) -> Delay:
         """Return the lag that is taken out, as a delay."""

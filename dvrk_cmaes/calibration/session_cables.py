@@ -13,6 +13,7 @@ from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.model import Correction
 from dvrk_cmaes.io.rounding import rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, convert_document, refused
+from dvrk_cmaes.joints.cable_prior import cable_prior
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import NARROW
 
@@ -22,7 +23,8 @@ Table = tuple[Row, ...]
 
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
-_LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this
+_LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this,
+_TOLD = 0.8  # and if its standard deviation is at most this share of the one expected beforehand
 
 
 @dataclass(frozen=True)
@@ -156,16 +158,20 @@ class SessionCables:
         return Correction(off @ np.array(self.alone.coupling).T, np.square(off) @ np.square(self.alone.std).T)
 
     def in_words(self) -> Iterator[str]:
-        """Yield a line for each coefficient that is told, the largest first."""
+        """Yield a line for each coefficient that is told, the largest first.
+
+        One about which the session says no more than is expected beforehand, as of readings that never change, is not.
+        """
         texts: list[tuple[float, str]] = []
+        spread = cable_prior(self.joints).spread
         for j, name in enumerate(self.joints):
             for k, other in enumerate(self.joints):
                 value, std = self.coupling[j][k], self.coupling_std[j][k]
-                if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING):
+                if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING) and std <= _TOLD * spread[j, k]:
                     acts = f"{other} drags {name}" if j != k else f"{name} is scaled"
                     text = f"{acts} by {np.degrees(value):+.0f} deg a rad, std {np.degrees(std):.0f}"
                     texts.append((abs(value), text))
-            texts += self._play_in_words(j, name)
+            texts += self._play_in_words(j, name, spread[j, len(self.joints) :])
         yield from (text for _, text in sorted(texts, reverse=True))
         if "wander" in self.parts:
             each = ", ".join(
@@ -174,14 +180,15 @@ class SessionCables:
             )
             yield f"wander: {each}"
 
-    def _play_in_words(self, j: int, name: str) -> Iterator[tuple[float, str]]:
-        """Yield what play does to one joint, with its size."""
+    def _play_in_words(self, j: int, name: str, spread: Float64) -> Iterator[tuple[float, str]]:
+        """Yield what play does to one joint, with its size; ``spread`` (C + 1,) is expected of its coefficients."""
         for k, other in enumerate(self.joints):
-            gain, variance = self.play[j][k], self.play_std[j][k] ** 2
+            gain, variance, usual = self.play[j][k], self.play_std[j][k] ** 2, spread[k] ** 2
             if j == k:
                 gain, variance = gain + NARROW * self.narrow[j], variance + (NARROW * self.narrow_std[j]) ** 2
+                usual += (NARROW * spread[-1]) ** 2
             size, std = abs(gain) * self.width[k], variance**0.5 * self.width[k]
-            if size > max(_CERTAIN * std, _LEAST_PLAY):
+            if size > max(_CERTAIN * std, _LEAST_PLAY) and variance <= _TOLD**2 * usual:
                 acts = f"{name} stays behind its reading" if j == k else f"play of {other} moves {name}"
                 yield abs(gain), f"{acts} by up to {np.degrees(size):.0f} deg, std {np.degrees(std):.0f}"
 

@@ -21,6 +21,12 @@ Distortion = tuple[str, tuple[float, ...]]
 
 ONE_CAMERA = "the file holds one camera: it is taken for the right one"
 
+OFF_CENTRE = 0.15
+"""Share of width or height by which a principal point is off the middle of the image that is worth a word."""
+
+UNUSUAL = 0.3
+"""As `OFF_CENTRE`, but worth a warning: rectified cameras of real endoscopes are off by up to a quarter."""
+
 _OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 
 
@@ -49,6 +55,22 @@ class Intrinsics:
             return Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
+
+    def remarks(self, size: Size, most: float) -> tuple[str, ...]:
+        """Return a remark on a principal point off the middle of images of a size, px; empty without one.
+
+        ``most`` is the share of width or height by which it may be off.
+        """
+        off = [value / length - 0.5 for value, length in zip((self.cx + 0.5, self.cy + 0.5), size, strict=True)]
+        if max(map(abs, off)) <= most:
+            return ()
+        across = f"{100 * abs(off[0]):.0f} % of the width {'right' if off[0] > 0 else 'left'}"
+        along = f"{100 * abs(off[1]):.0f} % of the height {'below' if off[1] > 0 else 'above'}"
+        return (
+            f"principal point {self.cx:g}, {self.cy:g}: {across} and {along} of the middle of "
+            f"{size[0]} x {size[1]} px; usual for cropped or rectified images, otherwise check the camera file's size, "
+            "cx and cy",
+        )
 
 
 def take_field(where: str, document: Mapping[str, Any], names: Sequence[str]) -> tuple[str, Any]:

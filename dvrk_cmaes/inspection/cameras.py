@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from dvrk_cmaes.camera.fields import OFF_CENTRE
 from dvrk_cmaes.camera.files import read_intrinsics
 from dvrk_cmaes.inspection.finding import Finding, Options
 
@@ -13,6 +14,7 @@ def inspect_camera(path: Path, options: Options) -> Finding:
     """Describe a camera file; InputError if it is not valid."""
     intrinsics = read_intrinsics(path, rectified=options.rectified, side=options.side)
     notes = list(intrinsics.notes)
+    remarks: tuple[str, ...] = ()
     distorted = intrinsics.model == "equidistant" or any(intrinsics.distortion)
     if intrinsics.size is None:
         size = "image size not stated"
@@ -20,6 +22,7 @@ def inspect_camera(path: Path, options: Options) -> Finding:
     else:
         size = f"{intrinsics.size[0]} x {intrinsics.size[1]} px"
         intrinsics.camera(path, intrinsics.size)  # raises InputError if the values are not those of a camera
+        remarks = intrinsics.remarks(intrinsics.size, OFF_CENTRE)
     if not options.rectified and "ROS" in intrinsics.kind:
         notes.append("images are taken for raw ones unless --rectified says otherwise")
     if "stereo" in intrinsics.kind or "camchain" in intrinsics.kind:
@@ -34,6 +37,7 @@ def inspect_camera(path: Path, options: Options) -> Finding:
             f"{size}, focal lengths {intrinsics.fx:.3f} and {intrinsics.fy:.3f} px, "
             f"principal point {intrinsics.cx:.3f}, {intrinsics.cy:.3f}",
             lens,
+            *remarks,
         ),
         {"form": intrinsics.kind, **read},
         tuple(notes),

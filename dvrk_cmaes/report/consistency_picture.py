@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Float64 = NDArray[np.float64]
+Corner = Literal["lower right", "upper right", "lower left", "upper left"]
 
 _AXIS: Final = "#33658a"
 _MEETING: Final = "#c1121f"
 _RCM: Final = "#2a9d8f"
 _MARGIN: Final = 0.08  # on each side, as a fraction of the larger extent
 _SHAPE: Final = 1.27  # width of a panel by its height
+_POINT: Final = 2.5  # half size of a point that names must not cover, px
+_BESIDE: Final = (
+    ("left", 4, 6),
+    ("left", 5, 0),
+    ("left", 4, -6),
+    ("right", -4, 6),
+    ("right", -5, 0),
+    ("right", -4, -6),
+    ("center", 0, 9),
+    ("center", 0, -9),
+)
+"""Places of a name beside its point: horizontal alignment and distances to the right and up, in points."""
 _BEYOND: Final = 0.25  # length drawn beyond x*, as a fraction of the distance from the root to x*
 
 
@@ -40,6 +53,11 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
         _draw_close(close, row)
     _share_limits(panels[:, 0], np.concatenate([row.far for row in rows]))
     _share_limits(panels[:, 1], np.concatenate([row.near for row in rows]))
+    for row, close in zip(rows, panels[:, 1], strict=True):
+        _place_legend(close, row)
+    figure.draw_without_rendering()  # lays the panels out, so that the places of names are known
+    for row, close in zip(rows, panels[:, 1], strict=True):
+        _name_points(close, row)
     return figure
 
 
@@ -125,9 +143,7 @@ def _draw_close(panel: Axes, row: _Row) -> None:
     """Draw the nearest point of each axis to x*, seen along the mean axis, and circles of radius sigma and rms."""
     from matplotlib.patches import Circle
 
-    for frame, point in zip(row.agreement.results.frames, row.nearest, strict=True):
-        panel.plot(*point, "o", color=_AXIS, markersize=4)
-        panel.annotate(frame, (point[0], point[1]), textcoords="offset points", xytext=(4, 3), fontsize=7, color=_AXIS)
+    panel.plot(*row.nearest.T, "o", color=_AXIS, markersize=4)
     if row.rcm is not None:
         panel.plot(*row.rcm.T, "x", color=_RCM, markersize=4, label="RCM from axis and insertion")
     panel.plot(0, 0, "+", color=_MEETING, markersize=14, markeredgewidth=2, label="x*")
@@ -138,5 +154,57 @@ def _draw_close(panel: Axes, row: _Row) -> None:
     )
     panel.set_xlabel("mm")
     panel.set_title("nearest points of the axes, seen along them", fontsize=9)
-    panel.legend(fontsize=7, loc="best")
     panel.grid(alpha=0.25)
+
+
+def _place_legend(panel: Axes, row: _Row) -> None:
+    """Put the legend in the corner whose quarter of the panel has the fewest points."""
+    points = row.nearest if row.rcm is None else np.concatenate([row.nearest, row.rcm])
+    left = points[:, 0] < np.mean(panel.get_xlim())
+    lower = points[:, 1] < np.mean(panel.get_ylim())
+    corners: dict[Corner, NDArray[np.bool_]] = {
+        "lower right": lower & ~left,
+        "upper right": ~lower & ~left,
+        "lower left": lower & left,
+        "upper left": ~lower & left,
+    }
+    panel.legend(fontsize=7, loc=min(corners, key=lambda corner: int(corners[corner].sum())))
+
+
+def _name_points(panel: Axes, row: _Row) -> None:
+    """Write the names of frames beside their nearest points where they cover no other name or point, outermost first.
+
+    The panel must have its final size. Where not all names have a place, the title says how many do.
+    """
+    from matplotlib.transforms import Bbox
+
+    points = panel.transData.transform(row.nearest)
+    taken = [Bbox.from_bounds(u - _POINT, v - _POINT, 2 * _POINT, 2 * _POINT) for u, v in points.tolist()]
+    legend = panel.get_legend()
+    if legend is not None:
+        taken.append(legend.get_window_extent())
+    named = 0
+    frames = row.agreement.results.frames
+    for index in np.argsort(-np.linalg.norm(row.nearest, axis=1), kind="stable").tolist():
+        for aside, across, up in _BESIDE:
+            text = panel.annotate(
+                frames[index],
+                (float(row.nearest[index, 0]), float(row.nearest[index, 1])),
+                textcoords="offset points",
+                xytext=(across, up),
+                fontsize=7,
+                color=_AXIS,
+                ha=aside,
+                va="center",
+            )
+            text.set_in_layout(False)
+            box = text.get_window_extent()
+            inside = panel.bbox.x0 <= box.x0 and box.x1 <= panel.bbox.x1
+            inside &= bool(panel.bbox.y0 <= box.y0 and box.y1 <= panel.bbox.y1)
+            if inside and not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                named += 1
+                break
+            text.remove()
+    if named < len(frames):
+        panel.set_title(f"{panel.get_title()}; {named} of {len(frames)} named", fontsize=9)

@@ -153,21 +153,25 @@ def session_figures(results: Sequence[Result], base: FrameBases | None, run: Run
 
 
 def _agreement(results: Sequence[Result], base: FrameBases | None) -> Iterator[KeyFigure]:
-    """Yield key figures of the agreement of at least three frames about the arm's base and the shafts' axes."""
+    """Yield key figures of the agreement of at least three frames about the arm's base and the shafts' axes.
+
+    None where frames were solved together: these agree by construction.
+    """
+    if any(result.source == "session" for result in results):
+        return
     poses = [result.camera_from_root for result in results if result.camera_from_root is not None]
-    kind = "; solved together: no check" if any(result.source == "session" for result in results) else ""
     if base is not None and len(base.frames) >= LEAST_FRAMES:
         points = PointSpread(base.points)
         yield KeyFigure(
             "RCM, spread (rms)",
             f"{1e3 * points.rms:.1f} mm",
-            f"half of {len(base.frames)} frames within {1e3 * np.median(base.distances):.1f} mm of the median{kind}",
+            f"half of {len(base.frames)} frames within {1e3 * np.median(base.distances):.1f} mm of the median",
         )
         turned = spread_of_bases(base.camera_from_base)
         yield KeyFigure(
             "Arm's base, rotation",
             f"{turned.median_deg:.1f}°",
-            f"median from the most central frame, at most {turned.largest_deg:.1f}°{kind}",
+            f"median from the most central frame, at most {turned.largest_deg:.1f}°",
         )
     if len(poses) >= LEAST_FRAMES:
         try:
@@ -177,7 +181,7 @@ def _agreement(results: Sequence[Result], base: FrameBases | None) -> Iterator[K
         yield KeyFigure(
             "Shaft axes meet, rms",
             f"{1e3 * meeting.rms:.2f} mm",
-            f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm{kind}",
+            f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm",
         )
 
 

@@ -9,6 +9,7 @@ import pytest
 from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration.cables import CableFit, CableSession, fit_cables, observe_errors
+from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
 from dvrk_cmaes.joints.play import play_of
 
@@ -100,6 +101,43 @@ def test_independent_noise_in_unordered_frames_keeps_one_offset() -> None:
     errors = np.deg2rad(3.0) * rng.standard_normal((40, 4))
     fit, _ = fit_cables(session(rng.uniform(-0.8, 0.8, (40, 4)), errors, rng, ordered=False), PRIOR)
     assert fit.parts == ()
+
+
+def in_words(made: CableSession) -> list[str]:
+    """What the report says of a session's cables; nothing if offsets explain them."""
+    fit = fit_cables(made, PRIOR)[0]
+    zeros = (0.0,) * len(NAMES)
+    table = (zeros,) * len(NAMES)
+    count = len(NAMES)
+    return list(
+        SessionCables(
+            parts=fit.parts,
+            gain=fit.gain,
+            joints=NAMES,
+            reference=zeros,
+            coupling=tuple(map(tuple, fit.coefficients[:, :count].tolist())),
+            coupling_std=tuple(map(tuple, fit.std[:, :count].tolist())),
+            play=tuple(map(tuple, fit.coefficients[:, count:-1].tolist())),
+            play_std=tuple(map(tuple, fit.std[:, count:-1].tolist())),
+            narrow=tuple(fit.coefficients[:, -1].tolist()),
+            narrow_std=tuple(fit.std[:, -1].tolist()),
+            width=tuple(PRIOR.model.width.tolist()),
+            wander=zeros,
+            seconds=tuple(PRIOR.model.seconds.tolist()),
+            noise=zeros,
+            alone=CablesAlone(zeros, table, table, zeros),
+        ).in_words()
+    )
+
+
+def test_nothing_is_claimed_of_a_joint_whose_reading_never_changes() -> None:
+    rng = np.random.default_rng(3)
+    readings = waves(60, rng)
+    readings[:, NAMES.index("jaw")] = 0.5
+    errors = measured_cables(NAMES)[1].errors(readings, play_of(readings, measured_cables(NAMES)[1].width))
+    told = in_words(session(readings, errors, rng))
+    assert any("wrist_yaw" in text for text in told)
+    assert not any(text.startswith(("jaw stays", "play of jaw", "jaw drags")) for text in told)
 
 
 def test_observed_errors_are_the_difference_of_fits_and_readings() -> None:

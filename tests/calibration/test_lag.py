@@ -258,3 +258,17 @@ def test_frames_without_readings_near_the_lag_are_not_kept() -> None:
     model = world.model.subset(np.flatnonzero(kept))
     estimate.refine(model, fits_of(modes[1:]), world.truth, PRIOR)
     assert not np.isnan(estimate.corrected(model).outer).any()
+
+
+def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:
+    world, clock, _ = moving_world(0.0, 1)
+    names, outer_std = list(clock.series.frames), world.model.deviations.outer
+    followed = LagEstimate(clock.series, names, outer_std)
+    assert followed.seconds() is not None
+    far = np.random.default_rng(0).permutation(ROWS)
+    picked = replace(clock.series, values={name: values[far] for name, values in clock.series.values.items()})
+    estimate = LagEstimate(picked, names, outer_std)
+    assert estimate.seconds() is None
+    assert estimate.play(NAMES, world.model.joints, np.full(len(NAMES), 0.1)) is None
+    timed = LagEstimate(replace(picked, unit="s"), names, outer_std)
+    assert timed.seconds() is not None

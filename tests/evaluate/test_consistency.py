@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import shutil
 import sys
@@ -19,7 +20,7 @@ from dvrk_cmaes.evaluate.consistency import base_spread, converge, converge_shaf
 from dvrk_cmaes.evaluate.result_set import read_result_set
 from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.report.consistency_picture import draw_axes
@@ -240,6 +241,28 @@ def test_rows_of_picture_have_one_view_and_all_labels(true_results: Path, tmp_pa
             box = label.get_window_extent()
             assert page.x0 <= box.x0, label.get_text()
             assert box.x1 <= page.x1, label.get_text()
+
+
+def test_names_of_close_frames_do_not_cover_each_other(true_results: Path) -> None:
+    rng = np.random.default_rng(0)
+    document = json.loads((true_results / "frames" / "0000.json").read_text())
+    for k in range(40):
+        turned = transform(exp_rotation(0.3 * rng.standard_normal(3)), 1e-3 * rng.standard_normal(3))
+        pose = (turned @ np.array(document["camera_from_root"])).tolist()
+        path = true_results / "frames" / f"recording_{k:04d}.json"
+        path.write_text(json.dumps({**document, "camera_from_root": pose}))
+    figure = draw_axes([measure_agreement(read_result_set(true_results))])
+    figure.savefig(io.BytesIO())
+    close = figure.axes[1]
+    boxes = [label.get_window_extent() for label in close.texts]
+    assert boxes
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+    assert f"{len(boxes)} of 45 named" in close.get_title()
+    legend = close.get_legend()
+    assert legend is not None
+    covered = legend.get_window_extent()
+    assert close.bbox.x0 <= covered.x0 < covered.x1 <= close.bbox.x1
+    assert not any(box.overlaps(covered) for box in boxes)
 
 
 def test_wrong_input_is_refused_without_output(

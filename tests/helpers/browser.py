@@ -155,7 +155,11 @@ for (const plot of document.querySelectorAll("svg.plot")) {
   const boxes = labels.map((label) => label.getBoundingClientRect());
   if (labels.length && plot.getScreenCTM().a * parseFloat(getComputedStyle(labels[0]).fontSize) < 9)
     found.push(["small", plot.parentElement.id]);
+  const whole = plot.getBoundingClientRect();
   for (let i = 0; i < labels.length; i += 1) {
+    const {left, right, top, bottom} = boxes[i];
+    const over = Math.max(whole.left - left, right - whole.right, whole.top - top, bottom - whole.bottom);
+    if (over > 1) found.push(["label cut off", named(labels[i])]);
     for (let j = i + 1; j < labels.length; j += 1)
       if (area(boxes[i], boxes[j])) found.push(["labels overlap", named(labels[i]), named(labels[j])]);
   }
@@ -163,7 +167,7 @@ for (const plot of document.querySelectorAll("svg.plot")) {
 for (const panels of document.querySelectorAll(".panels")) {
   const plots = [...panels.children].filter(shown);
   const beside = panels.closest(".plots") && getComputedStyle(panels.closest(".plots")).columnCount !== "1";
-  if (plots.length > 1 && width >= 768 && beside && rows(plots).length > 1) found.push(["stacked", panels.id]);
+  if (plots.length > 1 && width >= 768 && beside && rows(plots)[0].length < 2) found.push(["stacked", panels.id]);
 }
 for (const tiles of document.querySelectorAll(".figures, .pictures, #grid")) {
   if (!shown(tiles) || tiles.querySelector("article details[open]")) continue;
@@ -177,7 +181,7 @@ return found;
 """
 """Script that returns the faults of a page's layout, each as its kind and the elements concerned.
 
-Looked for are elements beyond the sides of the page, text that is cut off, elements and labels of plots that overlap,
-labels of less than 9 px, plots of a pair that are stacked in a column beside another column, and a tile or picture
-alone in the last row. What scrolls inside its box is not beyond the page.
+Looked for are elements beyond the sides of the page, text and labels of plots that are cut off, elements and labels
+that overlap, labels of less than 9 px, plots of a pair that are stacked in a column beside another column, and a tile
+or picture alone in the last row. What scrolls inside its box is not beyond the page.
 """

@@ -11,7 +11,7 @@ import pytest
 from helpers.browser import VIOLATIONS, complaints, emulate, show_whole
 from helpers.canned_results import canned
 from helpers.canned_results import write_results as write_canned
-from helpers.page_calibrations import calibration, solved, write_calibrated
+from helpers.page_calibrations import cables_of, calibration, solved, write_calibrated
 from helpers.page_results import doubtful, failed, overlay, result, write_results
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webdriver import WebDriver
@@ -41,7 +41,8 @@ def session_page(out: Path) -> Path:
 def calibrated_page(out: Path) -> Path:
     """Write the page of a calibrated session with frames left out."""
     frames = solved([*(f"{k:04d}" for k in range(13)), LONG])
-    session = calibration(frames, left_out={"gone": "no readings of all outer joints (yaw, pitch, insertion, roll)"})
+    gone = {"gone": "no readings of all outer joints (yaw, pitch, insertion, roll)"}
+    session = calibration(frames, left_out=gone, cables=cables_of(frames))
     return write_page(write_calibrated(out, [*frames, failed("lost")], session))
 
 
@@ -83,6 +84,17 @@ def test_layout_has_no_faults(page: WebDriver, width: int) -> None:
         assert page.execute_script(VIOLATIONS) == []
 
 
+@pytest.mark.parametrize("page", [session_page], indirect=True)
+@pytest.mark.parametrize("width", [1280, 1400, 1920])
+def test_table_of_alternatives_is_shown_whole(page: WebDriver, width: int) -> None:
+    show_whole(page, width=width)
+    page.execute_script("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    tables = page.find_elements(By.CSS_SELECTOR, "[aria-label=Alternatives]")
+    assert tables
+    for table in tables:
+        assert page.execute_script("return arguments[0].scrollWidth - arguments[0].clientWidth", table) <= 0
+
+
 def test_faults_are_found(driver: WebDriver, tmp_path: Path) -> None:
     """Elements that are moved, widened or narrowed on a page without faults are named."""
     driver.get(session_page(tmp_path).as_uri())
@@ -92,6 +104,7 @@ def test_faults_are_found(driver: WebDriver, tmp_path: Path) -> None:
         ("document.querySelector('#frames h2').style.marginBottom = '-40px'", "overlap"),
         ("document.querySelector('#grid').style.gridTemplateColumns = 'repeat(5, 1fr)'", "alone"),
         ("document.querySelectorAll('#plot-rcm .plot').forEach((p) => { p.style.flexBasis = '30rem'; })", "stacked"),
+        ("document.querySelector('#plot-rcm .title').setAttribute('x', -9)", "label cut off"),
         ("document.querySelector('#plot-rcm .plot').style.fontSize = '60px'", "labels overlap"),
     ):
         driver.refresh()

@@ -310,6 +310,13 @@ def test_tips_plot_is_from_median_in_millimetres() -> None:
     assert tips_plot(frames[:1]) is None
 
 
+def test_axes_of_the_tips_plot_have_the_colours_of_the_overlay() -> None:
+    plot = tips_plot([result(name, tips=(np.array([0.0, 0.0, 0.1]),)) for name in "ab"])
+    assert plot is not None
+    vermillion, green, blue = 1, 2, 0
+    assert {series.name: series.colour for series in plot.panels[0].series} == {"x": vermillion, "y": green, "z": blue}
+
+
 def test_scene_has_shafts_through_base_and_tips() -> None:
     frames = [at_rcm("a", 50, 0, 0), at_rcm("b", 50, 0, 0), failed("c")]
     frames[0] = replace(frames[0], tips=(np.array([0.01, 0.02, 0.12]),))

@@ -6,6 +6,7 @@ import base64
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.browser import CONTRAST, chromium, command, complaints, emulate, requests
 from helpers.page_results import doubtful, failed, overlay, result, write_results
@@ -15,6 +16,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 from selenium.webdriver.remote.webelement import WebElement
 
+from dvrk_cmaes.draw.canvas import AXES
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_layers import EMBEDDED
@@ -208,10 +210,41 @@ def test_scene_in_space_can_be_turned(page: WebDriver) -> None:
     pictures.append(page.execute_script("return arguments[0].toDataURL()", canvas))
     canvas.send_keys("+")
     pictures.append(page.execute_script("return arguments[0].toDataURL()", canvas))
-    assert len(set(pictures)) == 4
+    canvas.send_keys(Keys.SHIFT, Keys.ARROW_LEFT)
+    pictures.append(page.execute_script("return arguments[0].toDataURL()", canvas))
+    assert len(set(pictures)) == 5
     ActionChains(page).double_click(canvas).perform()
     assert page.execute_script("return arguments[0].toDataURL()", canvas) == pictures[0]
     assert complaints(page) == []
+
+
+LEFTMOST = """
+const canvas = arguments[0], found = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+let least = canvas.width;
+for (let k = 3; k < found.length; k += 4) if (found[k]) least = Math.min(least, ((k - 3) / 4) % canvas.width);
+return least;
+"""
+
+
+def test_scene_in_space_is_moved_by_dragging_with_shift(page: WebDriver) -> None:
+    canvas = page.find_element(By.ID, "scene")
+    before = page.execute_script(LEFTMOST, canvas)
+    drag = ActionChains(page).key_down(Keys.SHIFT).drag_and_drop_by_offset(canvas, 40, 10).key_up(Keys.SHIFT)
+    drag.perform()
+    assert page.execute_script(LEFTMOST, canvas) == pytest.approx(before + 40, abs=2)
+
+
+def test_axes_in_space_have_the_colours_of_the_overlay(page: WebDriver) -> None:
+    canvas = page.find_element(By.ID, "scene")
+    found = page.execute_script(
+        "const canvas = arguments[0], ends = {}, pen = CanvasRenderingContext2D.prototype, write = pen.fillText;"
+        "pen.fillText = function (words, u, v) { ends[words] = this.fillStyle; return write.call(this, words, u, v); };"
+        "window.dispatchEvent(new Event('resize')); pen.fillText = write; return ends;",
+        canvas,
+    )
+    for name, (blue, green, red) in AXES:
+        shown = [int(found[name][k : k + 2], 16) for k in (1, 3, 5)]
+        assert np.argmax(shown) == np.argmax([red, green, blue])
 
 
 def test_other_scripts_are_blocked(page: WebDriver) -> None:

@@ -16,7 +16,7 @@ from dvrk_cmaes.report.plots.axes import Axis, value_axis
 from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.results.result import Result
 
-_WIDTH, _HEIGHT = 350.0, 230.0
+_WIDTH, _HEIGHT = 360.0, 230.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 338.0, 12.0, 176.0
 _LEAST_SPAN = 1.0  # deg or s, of an axis
 
@@ -71,7 +71,8 @@ def _panels(
     up = _axis(f"error of {name}, deg", [*found_deg, *predicted_deg, 0.0], _BOTTOM, _TOP)
     abscissas = [(f"reading of {name}, deg", readings)]
     if not np.isnan(times).any():
-        abscissas.append(("time, s", times - times.min()))
+        timed = all(results[place].time is not None for place, _ in places)
+        abscissas.append(("time, s" if timed else "time at 30 images a second, s", times - times.min()))
     panels = []
     for label, values in abscissas:
         across = _axis(label, values.tolist(), _LEFT, _RIGHT)

@@ -12,6 +12,7 @@ from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, ma
 from dvrk_cmaes.results.result import Result
 
 _LEAST_SPAN = 1.0  # mm
+_COLOURS = (1, 2, 0)  # of x, y and z, as in the overlays
 _LEAST_SPEED = 1.0  # mm/s, least length of the axis
 
 
@@ -40,7 +41,7 @@ def tips_plot(results: Sequence[Result]) -> Plot | None:
             axes = None if expected is None else expected.tip_axes_mm.get("mean", expected.tip_axes_mm.get("tip"))
             if axes is not None:
                 bars.append((x, up.clamped(value + float(axes[k])), up.clamped(value - float(axes[k]))))
-        series.append(Series(axis, SHAPES[k], tuple(marks), tuple(bars)))
+        series.append(Series(axis, SHAPES[k], tuple(marks), tuple(bars), colour=_COLOURS[k]))
     return Plot("tips", mark_size(len(results)), (Panel(720, 330, across, up, tuple(series), zero=up.clamped(0.0)),))
 
 

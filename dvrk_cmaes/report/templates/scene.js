@@ -1,5 +1,5 @@
 "use strict";
-// The scene in space, drawn on a canvas: camera, arm's base, shafts and tips. Drag or arrow keys turn it.
+// The scene in space, drawn on a canvas: camera, arm's base, shafts and tips. Drag or arrow keys turn it, with Shift they move it.
 (() => {
   const canvas = document.getElementById("scene");
   if (!canvas) return;
@@ -8,21 +8,22 @@
   const points = scene.frames.flatMap((frame) => frame.slice(2)).concat([[0, 0, 0]], scene.base || []);
   const middle = [0, 1, 2].map((k) => (Math.min(...points.map((p) => p[k])) + Math.max(...points.map((p) => p[k]))) / 2);
   const reach = Math.max(1, ...points.map((p) => Math.hypot(...p.map((value, k) => value - middle[k]))));
-  const START = { turn: -0.6, tilt: 0.35, zoom: 1 };
-  let { turn, tilt, zoom } = START;
+  const START = { turn: -0.6, tilt: 0.35, zoom: 1, right: 0, down: 0 };
+  let { turn, tilt, zoom, right, down } = START;
   let selected = null;
   figure.hidden = false;
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const AXES = [["x", "--s1"], ["y", "--s2"], ["z", "--s0"]]; // colours as in the overlays
   const statuses = { ok: "--s0", doubtful: "--doubtful", failed: "--failed" };
 
   function project(point) {
     const [x, y, z] = point.map((value, k) => value - middle[k]);
     const across = Math.cos(turn) * x + Math.sin(turn) * z;
     const deep = -Math.sin(turn) * x + Math.cos(turn) * z;
-    const down = Math.cos(tilt) * y + Math.sin(tilt) * deep;
+    const below = Math.cos(tilt) * y + Math.sin(tilt) * deep;
     const scale = (0.46 * zoom * Math.min(canvas.clientWidth, canvas.clientHeight)) / reach;
-    return [canvas.clientWidth / 2 + scale * across, canvas.clientHeight / 2 + scale * down];
+    return [canvas.clientWidth / 2 + right + scale * across, canvas.clientHeight / 2 + down + scale * below];
   }
 
   function draw() {
@@ -54,13 +55,14 @@
       line(corner, corners[(k + 1) % 4], ink, 1);
     });
     text("camera", [0, 0, 0], ink);
-    [["x", [2 * size, 0, 0]], ["y", [0, 2 * size, 0]], ["z", [0, 0, 2 * size]]].forEach(([name, end], k) => {
-      line([0, 0, 0], end, colour(`--s${k}`), 1.5);
-      text(name, end, colour(`--s${k}`));
+    AXES.forEach(([name, own], k) => {
+      const end = [0, 1, 2].map((axis) => (axis === k ? 2 * size : 0));
+      line([0, 0, 0], end, colour(own), 1.5);
+      text(name, end, colour(own));
     });
     if (scene.base) {
       const [x, y, z, origin] = scene.base;
-      [x, y, z].forEach((end, k) => line(origin, end, colour(`--s${k}`), 3));
+      [x, y, z].forEach((end, k) => line(origin, end, colour(AXES[k][1]), 3));
       text("base (RCM)", origin, ink);
     }
     pen.globalAlpha = scene.frames.length > 60 ? 0.45 : 1;
@@ -82,18 +84,20 @@
 
   let from = null;
   canvas.addEventListener("pointerdown", (event) => {
-    from = [event.clientX, event.clientY, turn, tilt];
+    from = { x: event.clientX, y: event.clientY, turn, tilt, right, down, moves: event.shiftKey || event.button !== 0 };
     canvas.setPointerCapture(event.pointerId);
   });
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("pointermove", (event) => {
     if (!from) return;
-    turn = from[2] - 0.01 * (event.clientX - from[0]);
-    tilt = Math.max(-1.57, Math.min(1.57, from[3] + 0.01 * (event.clientY - from[1])));
+    const [x, y] = [event.clientX - from.x, event.clientY - from.y];
+    if (from.moves) [right, down] = [from.right + x, from.down + y];
+    else [turn, tilt] = [from.turn - 0.01 * x, Math.max(-1.57, Math.min(1.57, from.tilt + 0.01 * y))];
     draw();
   });
   canvas.addEventListener("pointerup", () => (from = null));
   canvas.addEventListener("dblclick", () => {
-    ({ turn, tilt, zoom } = START);
+    ({ turn, tilt, zoom, right, down } = START);
     draw();
   });
   canvas.addEventListener("keydown", (event) => {
@@ -102,7 +106,8 @@
     if (!step && !factor) return;
     event.preventDefault();
     event.stopPropagation();
-    if (step) [turn, tilt] = [turn + step[0], Math.max(-1.57, Math.min(1.57, tilt + step[1]))];
+    if (step && event.shiftKey) [right, down] = [right - 200 * step[0], down + 200 * step[1]];
+    else if (step) [turn, tilt] = [turn + step[0], Math.max(-1.57, Math.min(1.57, tilt + step[1]))];
     if (factor) zoom = Math.max(0.5, Math.min(20, zoom * factor));
     draw();
   });
