@@ -34,7 +34,7 @@ class LabelTable:
         yield Line(f"labels: {self.labels.path}, their points by {self.labels.table_path}")
         if self.labels.table_path.name == "surgpose.json":
             yield Line(
-                "  which points SurgPose's labels mean is not verified (--points FILE replaces the table)", "yellow"
+                "  it is not verified which points SurgPose's labels mean; --points FILE replaces the table", "yellow"
             )
         for found in self.sets:
             title = f"{found.path}, {len(found.by_frame)} frames"

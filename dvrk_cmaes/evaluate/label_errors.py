@@ -119,9 +119,7 @@ def read_labels(session: Path, points: Path | None) -> Labels:
         missing = [name for name in names if name not in table]
         if not missing:
             return Labels(path, _camera(session), pixels, table, file)
-    raise InputError(
-        f"{tables[-1]}: markers: expected the points of all labels in {path}, got none of {listed(missing)}"
-    )
+    raise InputError(f"{tables[-1]}: markers: expected the points of all labels in {path}, got no {listed(missing)}")
 
 
 def _camera(session: Path) -> Camera:

@@ -89,5 +89,5 @@ def _number(where: str, section: SectionProxy, key: str) -> float:
     """Return a key's number; InputError if it is missing or no finite number."""
     value = as_number(section.get(key))
     if value is None or not np.isfinite(value):
-        raise InputError(f"{where}: {key}: expected a finite number, got {shown(section.get(key, 'none'))}")
+        raise InputError(f"{where}: {key}: expected a finite number, got {shown(section.get(key))}")
     return value

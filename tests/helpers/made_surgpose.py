@@ -33,8 +33,8 @@ JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 OFFSET_DEG = {"roll": 2.0, "wrist_pitch": 3.0, "wrist_yaw": -2.0}
 """How much the true joints of the made arms are larger than their readings."""
 
-_SEEDS = {"PSM1": 3, "PSM3": 8}
-_ASIDE = {"PSM1": 0.012, "PSM3": -0.012}
+_SEEDS = {"PSM1": 20, "PSM3": 8}
+_ASIDE = {"PSM1": 0.014, "PSM3": -0.012}
 _STEADY = MotionLevel(1.5, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
 
 
