@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from dvrk_cmaes.cli.label_table import label_table
 from dvrk_cmaes.cli.options import DEFAULT_INSTRUMENT, OUTPUT, Flag, InstrumentOptions
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
@@ -23,6 +24,8 @@ _MOST_NAMED = 10  # frames in a line
 def compare(
     *results: Path,
     frames: int = 20,
+    labels: Path | None = None,
+    points: Path | None = None,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
@@ -43,6 +46,10 @@ def compare(
     dvrk-cmaes compare session/golden.json results
     ```
 
+    ```
+    dvrk-cmaes compare session/tracks --labels session
+    ```
+
     Parameters
     ----------
     results
@@ -50,6 +57,12 @@ def compare(
         recordings; published.csv; golden.json, or a session folder that has one.
     frames
         Number of frames in the printed table, the largest differences first; 0 for all.
+    labels
+        Session folder with markers.csv: labelled points, and how far from them, in pixels of the left or only camera,
+        each set puts them. One set is enough then.
+    points
+        Where the labels lie on the instrument: JSON of link and position_m (metres) by name of the label. By default
+        the bundled table that has all of them; that of SurgPose's labels is not verified.
     instrument
         The instrument, for the tips of sets that do not state them.
     out
@@ -74,16 +87,33 @@ def compare(
         check_figure_path(picture)
     if out is not None:
         check_writable(out)
-    if len(results) < 2:
-        raise InputError(f"RESULTS: expected at least two sets of poses to compare, got {len(results)}")
-    found = compare_sets([read_compared_set(path) for path in results], instrument.load().instrument)
+    if points is not None and labels is None:
+        raise InputError("--points: expected --labels SESSION with it, got none")
+    if len(results) < (2 if labels is None else 1):
+        least = "two sets of poses to compare" if labels is None else "one set of poses to compare with the labels"
+        raise InputError(f"RESULTS: expected at least {least}, got {len(results)}")
+    loaded = instrument.load().instrument
+    sets = [read_compared_set(path) for path in results]
+    of_labels = None if labels is None else label_table(sets, labels, points, loaded)
+    if len(sets) == 1 and of_labels is not None:
+        if out is not None or picture is not None:
+            raise InputError("--out, --picture: expected at least two sets of poses, got one")
+        if json:
+            print(json_text({"labels": of_labels.to_dict()}), end="")
+        else:
+            show(of_labels.lines())
+        return 0
+    found = compare_sets(sets, loaded)
     written = []
     if out is not None:
         write_text(out / _TABLE, _csv_text(found))
         written += [out / _TABLE, write_compare_page(out, found)]
     if json:
-        print(json_text(found.to_dict()), end="")
+        more = {} if of_labels is None else {"labels": of_labels.to_dict()}
+        print(json_text({**found.to_dict(), **more}), end="")
     else:
+        if of_labels is not None:
+            show(of_labels.lines())
         show([*_sets(found), *_sums(found), *_frames(found, frames), *(Line(f"written: {path}") for path in written)])
     if picture is not None:  # after the tables, which need no matplotlib
         write_figure(picture, draw_comparison(found))

@@ -138,7 +138,8 @@ def import_recording(
     ----------
     recording
         ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
-        clip in SurgSync's raw layout, or a folder with the videos of a stereo endoscope (left.mp4 and right.mp4).
+        clip in SurgSync's raw layout, a folder of SurgPose (regular/left_video.mp4, api_jp_data.yaml), or one with the
+        videos of a stereo endoscope (left.mp4 and right.mp4).
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     every
@@ -167,7 +168,7 @@ def import_recording(
         Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
         in the name of the images' topic.
     arm
-        Arm of a SurgSync clip whose readings are imported, e.g. PSM1.
+        Arm of a SurgSync clip or a SurgPose folder whose readings are imported, e.g. PSM1.
     topics
         The topics.
     poses
@@ -275,15 +276,20 @@ def _opened(
     from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
+    from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.video import open_video
 
+    surgpose = path.is_dir() and is_surgpose(path)
     clip = path.is_dir() and is_surgsync(path)
-    stereo = clip or (path.is_dir() and has_stereo_videos(path))
+    stereo = surgpose or clip or (path.is_dir() and has_stereo_videos(path))
     bag = not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES)
-    if arm is not None and not clip:
-        raise InputError(f"{path}: --arm: expected a clip in SurgSync's raw layout, with image and kinematic folders")
+    if arm is not None and not (clip or surgpose):
+        raise InputError(
+            f"{path}: --arm: expected a clip in SurgSync's raw layout, with image and kinematic folders, or a folder "
+            "of SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
+        )
     of_ros = bag and (path.is_file() or (path / "metadata.yaml").exists())
     if side not in (None, "left") and not (stereo or of_ros):
         raise InputError(
@@ -296,6 +302,8 @@ def _opened(
 
     def of_eye(eye: Side, *, named: bool = True) -> AbstractContextManager[Recording]:
         """Open one eye; ``named`` tells whether the topic of its images has the eye in its name."""
+        if surgpose:
+            return open_surgpose(path, side=eye, arm=arm, camera=camera, joints=joints)
         if clip:
             return open_surgsync(path, side=eye, arm=arm, camera=camera, joints=joints)
         if stereo:

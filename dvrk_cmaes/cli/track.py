@@ -140,7 +140,8 @@ def track(
     first_mask
         Mask of the first frame, if that has none.
     prompts
-        Where the instrument is in the first image, if that has no mask: which of two tools is followed.
+        Where the instrument is in the first image, if that has no mask: which of two tools is followed. By default
+        what boxes.csv says of it.
     recording
         The video.
     calibration
@@ -175,6 +176,7 @@ def track(
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
+    from dvrk_cmaes.runs.worker import hints_of
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
     target = out or (session if session.is_dir() else session.parent) / "tracks"
@@ -202,7 +204,7 @@ def track(
             fps,
             causal,
             used,
-            prompts.resolve(),
+            (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None) or prompts.resolve(),
             workers,
         )
     with stopping_on_interrupt() as stop:

@@ -25,6 +25,8 @@ _DEEPEST = 20  # nested mappings and lists
 _LONGEST = 1_000  # characters of a value; the time to parse an integer grows with the square of its length
 _MOST_ITEMS = 20_000  # PyYAML takes seconds for a megabyte of tiny items
 _MOST_DOCUMENTS = 200_000
+_LARGEST_TABLE = 20_000_000  # bytes, of a file of values by frame
+_MOST_TABLE_ITEMS = 400_000  # at most 170 MB of memory while they are parsed
 _OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
 
 
@@ -55,6 +57,28 @@ def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
         if isinstance(document, dict):
             return {str(key): value for key, value in document.items()}
     raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
+
+
+def read_yaml_by_frame(path: str | Path, *, expected: str) -> Any:
+    """Read the first document of a YAML file with values of many frames, for which ``read_yaml_mapping`` is too small.
+
+    Returns
+    -------
+    dict or list
+        The document as plain values: a mapping, whose keys are not converted, or a list.
+
+    Raises
+    ------
+    InputError
+        The file is not readable, larger than 20 MB, of more than 400,000 values, not YAML, has aliases, is nested too
+        deeply, or is neither a mapping nor a list.
+    """
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    text = read_text(path, expected=expected, largest=_LARGEST_TABLE)
+    document = next(_documents(path, text, expected, loader, most=1, most_items=_MOST_TABLE_ITEMS), None)
+    if not isinstance(document, dict | list):
+        raise InputError(f"{path}: expected {expected}, got {shown(document)}")
+    return document
 
 
 def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[str, Any]]:
@@ -92,10 +116,12 @@ def yaml_text(document: Mapping[str, Any]) -> str:
     return text
 
 
-def _documents(path: str | Path, text: str, expected: str, loader: Any, *, most: int) -> Iterator[Any]:
+def _documents(
+    path: str | Path, text: str, expected: str, loader: Any, *, most: int, most_items: int = _MOST_ITEMS
+) -> Iterator[Any]:
     """Construct the first ``most`` documents of a text after their events have been checked."""
     with _errors_as_input_errors(path, expected):
-        _check_events(path, text, loader, most)
+        _check_events(path, text, loader, most, most_items=most_items)
         yield from islice(yaml.load_all(text, Loader=loader), most)
 
 
@@ -112,7 +138,9 @@ def _errors_as_input_errors(path: str | Path, expected: str) -> Iterator[None]:
         raise InputError(f"{path}: expected {expected}, got no valid YAML ({reason})") from None
 
 
-def _check_events(path: str | Path, text: str, loader: Any, most: int, longest: int = _LONGEST) -> None:
+def _check_events(
+    path: str | Path, text: str, loader: Any, most: int, longest: int = _LONGEST, most_items: int = _MOST_ITEMS
+) -> None:
     """Raise an InputError for aliases and for too many or too deep values; only parsing events are held in memory."""
     depth = items = documents = 0
     for event in yaml.parse(text, Loader=loader):
@@ -126,6 +154,6 @@ def _check_events(path: str | Path, text: str, loader: Any, most: int, longest: 
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > longest:
             raise InputError(f"{path}: expected a small file, got a YAML value of {len(event.value)} characters")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST or items > _MOST_ITEMS:
-            limit = f"{_DEEPEST} levels" if depth > _DEEPEST else f"{_MOST_ITEMS} items"
+        if depth > _DEEPEST or items > most_items:
+            limit = f"{_DEEPEST} levels" if depth > _DEEPEST else f"{most_items} items"
             raise InputError(f"{path}: expected a small file, got YAML of more than {limit}")

@@ -8,6 +8,13 @@ from pathlib import Path
 
 from dvrk_cmaes.joints.interpolation import TimedReadings
 
+_DIGITS = 6  # number of digits of a frame's name
+
+
+def frame_name(number: int) -> str:
+    """Return the name in a session of the image of a number, from zero."""
+    return f"{number:0{_DIGITS}d}"
+
 
 @dataclass(frozen=True)
 class ImageFile:

@@ -66,12 +66,12 @@ def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:
         time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         if time <= before:
             raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
-        yield RecordedImage(number, start + time, lambda number=number: _decoded(path, capture, number))  # type: ignore[misc]
+        yield RecordedImage(number, start + time, lambda number=number: decoded_frame(path, capture, number))  # type: ignore[misc]
         number, before = number + 1, time
 
 
-def _decoded(path: Path, capture: Any, number: int) -> ImageFile:
-    """Decode the frame last grabbed and encode it as PNG."""
+def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:
+    """Decode the frame last grabbed from a capture and encode it as PNG; InputError if it cannot be decoded."""
     decoded, pixels = capture.retrieve()
     if not decoded:
         raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")

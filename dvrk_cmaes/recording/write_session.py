@@ -29,9 +29,8 @@ from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.recording.both_eyes import Pairing
-from dvrk_cmaes.recording.recording import RecordedImage, Recording
+from dvrk_cmaes.recording.recording import RecordedImage, Recording, frame_name
 
-_DIGITS = 6  # number of digits of a frame's name
 _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 
 
@@ -222,7 +221,7 @@ def _write_images(
     left = _Sized(recording.path, folder if pairing is None else folder / "left")
     right = _Sized(recording.path, folder / "right")
     for image in images:
-        name = f"{image.number:0{_DIGITS}d}"
+        name = frame_name(image.number)
         left.write(image, name)
         partner = None if pairing is None else pairing.partner(image.time)
         if partner is not None:

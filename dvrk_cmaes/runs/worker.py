@@ -152,7 +152,7 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
         config=setup.config,
         session=setup.calibration,
         settings=setup.segment,
-        hints=_hints(files),
+        hints=hints_of(files),
     )
     drawing = draw_views(solved.result, solved.data.views, body)
     masks = {
@@ -162,7 +162,7 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
     return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks, layers
 
 
-def _hints(files: FrameFiles) -> Hints | None:
+def hints_of(files: FrameFiles) -> Hints | None:
     """Return the prompts of a frame for its segmentation; None without any."""
     prompts = files.prompts
     return None if prompts is None else Hints(prompts.box, prompts.points, prompts.not_points)

@@ -14,7 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.json_file import read_json
 from dvrk_cmaes.io.toml_file import read_toml
-from dvrk_cmaes.io.yaml_file import check_yaml, read_yaml_mapping
+from dvrk_cmaes.io.yaml_file import check_yaml, read_yaml_by_frame, read_yaml_mapping
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.recording.bag import open_bag
 from dvrk_cmaes.recording.topics import TopicRequest
@@ -35,13 +35,14 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json
 from dvrk_cmaes.io.toml_file import read_toml
-from dvrk_cmaes.io.yaml_file import read_yaml_mapping
+from dvrk_cmaes.io.yaml_file import read_yaml_by_frame, read_yaml_mapping
 from dvrk_cmaes.joints.reading import read_joint_file
 
 readers = {
     "json": lambda path: read_json(path, expected="JSON"),
     "toml": lambda path: read_toml(path, expected="TOML"),
     "yaml": lambda path: read_yaml_mapping(path, expected="YAML"),
+    "frames": lambda path: read_yaml_by_frame(path, expected="YAML"),
     "messages": read_joint_file,
 }
 def peak():
@@ -70,6 +71,10 @@ COSTLY: dict[str, tuple[str, Callable[[], str]]] = {
     "nested arrays": ("toml", lambda: "a = " + "[" * 900_000),
     "many empty lists": ("yaml", lambda: "a: [" + "[]," * 330_000 + "0]"),
     "deep lists": ("yaml", lambda: "a: " + "[" * 900_000),
+    "most frames": ("frames", lambda: "".join(f"{k}: [{k}.25, 7, -8, 9]\n" for k in range(57_000))),
+    "most empty lists of frames": ("frames", lambda: "[" + "[]," * 199_000 + "0]"),
+    "longest texts of frames": ("frames", lambda: f"- {'x' * 47}\n" * 390_000),
+    "too many frames": ("frames", lambda: "- 0\n" * 4_000_000),
     "large messages": ("messages", lambda: "".join(MESSAGE % (k, "[]," * 6000) for k in range(55))),
 }
 """Documents close to the bounds, or beyond them, by what is costly in them."""
@@ -112,6 +117,7 @@ def test_too_many_values_are_refused_before_parsing(tmp_path: Path) -> None:
         lambda path: read_json(path, expected="x"),
         lambda path: read_toml(path, expected="x"),
         lambda path: read_yaml_mapping(path, expected="x"),
+        lambda path: read_yaml_by_frame(path, expected="x"),
         read_joint_file,
     ],
 )
@@ -120,6 +126,16 @@ def test_sparse_file_is_refused_by_its_size(tmp_path: Path, read: Callable[[Path
     path.touch()
     os.truncate(path, 3_000_000_000)
     assert " MB, got 3000.0 MB" in refused(lambda: read(path))
+
+
+def test_values_of_five_thousand_frames_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "keypoints.yaml"
+    points = "".join(f"  {number}: [700.5, 400.25]\n" for number in range(1, 15))
+    path.write_text("".join(f"{frame}:\n{points}" for frame in range(5000)))
+    found = read_yaml_by_frame(path, expected="labels")
+    assert (len(found), found[4999][14]) == (5000, [700.5, 400.25])
+    path.write_text("- 0\n" * 400_001)
+    assert refused(lambda: read_yaml_by_frame(path, expected="labels")).endswith("got YAML of more than 400000 items")
 
 
 def test_metadata_of_a_recording_is_bounded_before_rosbags_reads_it(tmp_path: Path) -> None:

@@ -1,0 +1,201 @@
+"""Reader of folders of SurgPose, a set of stereo videos of two arms with labelled points.
+
+A folder has the files::
+
+    regular/left_video.mp4, regular/right_video.mp4     30 images a second, not rectified
+    api_jp_data.yaml                                    {frame: {arm: six joints, rad and m}}
+    StereoCalibrationDVRK.ini                           both cameras and the pose between them
+    keypoints_left.yaml, keypoints_right.yaml           {frame: {number: [x, y] or null}}, px; may be missing
+    bbox_left.json, bbox_right.json                     {frame: {id: [x, y, width, height]}}, px; may be missing
+
+Frame N is image N of the videos, from zero. The reader follows a description of this layout; it has not been tried with
+the set itself. The session gets the labels of the arm as markers.csv, and boxes.csv.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+
+from dvrk_cmaes.camera.fields import Side
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.joints.names import joint_reading, joints_by_count
+from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.pose_table import PoseTable
+from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.recording.recording import RecordedImage, Recording, frame_name
+from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
+from dvrk_cmaes.recording.surgpose_labels import Labels, arm_boxes, arm_labels
+from dvrk_cmaes.recording.video import decoded_frame
+
+_VIDEOS: Final = "regular"
+_READINGS: Final = "api_jp_data.yaml"
+_CALIBRATION: Final = "StereoCalibrationDVRK.ini"
+_RATE: Final = 30  # images a second, to which the frames of the other files refer
+_RATE_TOLERANCE: Final = 0.01
+
+
+def is_surgpose(path: Path) -> bool:
+    """Whether a folder has the layout of SurgPose."""
+    return (path / _VIDEOS).is_dir() and (path / _READINGS).exists()
+
+
+@contextmanager
+def open_surgpose(
+    path: Path,
+    *,
+    side: Side = "left",
+    arm: str | None = None,
+    camera: Path | None = None,
+    joints: Path | PoseTable | None = None,
+) -> Iterator[Recording]:
+    """Open a folder; readings and labels are read at once, images during iteration.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    side
+        The eye whose images and labels are read.
+    arm
+        Name of the arm, e.g. PSM1; None for a folder with the readings of one arm.
+    camera, joints
+        A camera file, and a file of readings by time (s, that of the first image is 0), to use instead of the folder's.
+
+    Raises
+    ------
+    InputError
+        A file is missing or not valid, the video has not 30 images a second or another size than the camera, or several
+        arms were recorded and none was chosen.
+    """
+    rows = _by_frame(path / _READINGS, read_yaml_by_frame(path / _READINGS, expected="joints by frame (YAML)"))
+    chosen = _chosen_arm(path, rows, arm)
+    if joints is None:
+        readings, source = _readings(path / _READINGS, rows, chosen), f"{_READINGS}, {chosen}"
+    else:
+        readings, source = read_timed_joints(joints), str(joints)
+    if camera is None:
+        lens, of_camera = read_stereo_ini(path / _CALIBRATION, side)
+    else:
+        lens, of_camera = read_camera_bytes(camera), ()
+    kept, of_labels = _labels(path, side, chosen)
+    video = path / _VIDEOS / f"{side}_video.mp4"
+    check_file(video, expected=EXPECTED)
+    with open_capture(video) as capture:
+        _check_rate(video, capture.get(cv2.CAP_PROP_FPS))
+        total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        notes = [
+            f"images: {_VIDEOS}/{video.name}, taken for raw ones",
+            f"camera: {camera or _CALIBRATION}",
+            *(f"camera: {note}" for note in of_camera),
+            *(f"{' '.join(series.joints)}: {source}" for series in readings),
+            f"times: frame N at N/{_RATE} s",
+            *of_labels,
+        ]
+        if joints is None and total > 0 and total != len(rows):
+            notes.append(f"{_READINGS} has {len(rows)} frames, the video {total}")
+        images = _images(video, capture)
+        yield Recording(path, images, total if total > 0 else None, lens, readings, tuple(notes), kept)
+
+
+def _by_frame(path: Path, document: Any) -> dict[int, Any]:
+    """Return the values of a document by the number of the frame, in order; a list begins with frame 0."""
+    if isinstance(document, list):
+        return dict(enumerate(document))
+    rows = {}
+    for key, value in document.items():
+        text = str(key)
+        if not (text.isascii() and text.isdigit()) or len(text) > 9:
+            raise InputError(f"{path}: {shown(key)}: expected the number of a frame")
+        rows[int(text)] = value
+    return dict(sorted(rows.items()))
+
+
+def _chosen_arm(path: Path, rows: Mapping[int, Any], arm: str | None) -> str:
+    """Return the requested arm, or the only one of the readings."""
+    first = next(iter(rows.values()), None)
+    if not isinstance(first, Mapping) or not first:
+        raise InputError(
+            f"{path / _READINGS}: expected joints by the name of the arm in each frame, got {shown(first)}"
+        )
+    arms = [str(name) for name in first]
+    if arm is None and len(arms) > 1:
+        raise InputError(f"{path}: --arm: expected the name of the arm to import, for this folder has {listed(arms)}")
+    if arm is not None and arm not in arms:
+        raise InputError(f"{path}: --arm: expected one of {listed(arms)}, got {shown(arm)}")
+    return arm or arms[0]
+
+
+def _readings(path: Path, rows: Mapping[int, Any], arm: str) -> tuple[TimedReadings, ...]:
+    """Return the readings of an arm; a frame without a value has none."""
+    names: tuple[str, ...] = ()
+    times, values = [], []
+    for number, row in rows.items():
+        where = f"{path}: frame {number}: {arm}"
+        own = row.get(arm) if isinstance(row, Mapping) else row
+        if own is None:
+            continue
+        if not isinstance(own, list):
+            raise InputError(f"{where}: expected a list of joints, got {shown(own)}")
+        joints = joints_by_count(where, len(own))
+        names = names or joints
+        if joints != names:
+            raise InputError(f"{where}: expected {len(names)} values as in the frames before, got {len(own)}")
+        times.append(_time(number))
+        values.append([joint_reading(where, name, cell) for name, cell in zip(names, own, strict=True)])
+    if not times:
+        raise InputError(f"{path}: {arm}: expected the joints of at least one frame, got none")
+    return (TimedReadings.of(f"{path.name} ({arm})", names, times, values),)
+
+
+def _labels(path: Path, side: Side, arm: str) -> tuple[dict[str, bytes], list[str]]:
+    """Return markers.csv and boxes.csv of an arm, where the folder has labels and boxes, and notes on them."""
+    kept: dict[str, bytes] = {}
+    notes: list[str] = []
+    labels: Labels = {}
+    file = path / f"keypoints_{side}.yaml"
+    if file.exists():
+        labels = arm_labels(file, _by_frame(file, read_yaml_by_frame(file, expected="labels by frame (YAML)")), arm)
+        marked = [(frame_name(k), name, *pixel) for k, own in labels.items() for name, pixel in own.items()]
+        kept["markers.csv"] = csv_text(("frame", "marker", "u", "v"), marked).encode()
+        notes.append(f"labels of {arm}: {file.name}, {len(marked)} points, kept in markers.csv")
+    file = path / f"bbox_{side}.json"
+    if file.exists():
+        document = _by_frame(file, read_json_object(file, expected="boxes by frame (JSON)"))
+        boxes = [(frame_name(k), *box) for k, box in arm_boxes(file, document, labels).items()]
+        kept["boxes.csv"] = csv_text(("frame", "x0", "y0", "x1", "y1"), boxes).encode()
+        notes.append(f"boxes of {arm}: {file.name}, in {len(boxes)} frames that which has most of its labels")
+    return kept, notes
+
+
+def _check_rate(path: Path, rate: float) -> None:
+    """Raise an InputError for a video whose images are not those that the frames refer to."""
+    if not abs(rate - _RATE) < _RATE_TOLERANCE * _RATE:
+        raise InputError(
+            f"{path}: expected {_RATE} images a second, which labels and readings count, got {rate:g}; "
+            f"convert it to {_RATE} first"
+        )
+
+
+def _images(path: Path, capture: Any) -> Iterator[RecordedImage]:
+    """Yield the frames of a video."""
+    number = 0
+    while capture.grab():
+        yield RecordedImage(number, _time(number), lambda number=number: decoded_frame(path, capture, number))  # type: ignore[misc]
+        number += 1
+
+
+def _time(number: int) -> int:
+    """Return the time of a frame, ns after the first."""
+    return round(number * NANOSECONDS / _RATE)

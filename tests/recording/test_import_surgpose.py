@@ -1,0 +1,322 @@
+"""``dvrk-cmaes import`` of folders in the layout of SurgPose, and poses in pixels at its labels."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from helpers.commands import Ran, run_command
+from helpers.made_surgpose import (
+    ARMS,
+    CAMERA,
+    FRAMES,
+    JOINTS,
+    NUMBERS,
+    RIGHT_FROM_LEFT,
+    MadeArms,
+    calibration_ini,
+    made_arms,
+    write_surgpose,
+    write_yaml,
+)
+
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.markers import read_detections
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.io.atomic import write_json
+
+Run = Callable[..., Ran]
+
+
+@pytest.fixture(scope="module")
+def arms() -> MadeArms:
+    return made_arms()
+
+
+@pytest.fixture(scope="module")
+def made(arms: MadeArms, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_surgpose(tmp_path_factory.mktemp("surgpose") / "000000", arms)
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """Give a copy of the folder that a test may change."""
+    return Path(shutil.copytree(made, tmp_path / "000000"))
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run a command in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: run_command(capsys, *arguments)
+
+
+@pytest.fixture
+def refused(run: Run) -> Callable[..., str]:
+    """Run an import of PSM1 that must be refused, and give the line on stderr; nothing may be written."""
+
+    def go(folder: Path, *more: object) -> str:
+        line = run("import", folder, "--out", "session", *(more or ("--arm", "PSM1"))).refusal
+        assert not Path("session").exists()
+        return line
+
+    return go
+
+
+# import
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_readings_of_frame_n_belong_to_image_n(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
+    ran = run("import", made, "--arm", arm, "--out", "session", "--json")
+    assert ran.code == 0, ran.err
+    session = read_session("session")
+    assert [frame.name for frame in session.frames] == [f"{k:06d}" for k in range(FRAMES)]
+    for k, frame in enumerate(session.frames):
+        assert frame.readings == pytest.approx(dict(zip(JOINTS, arms.readings(arm, k), strict=True)), abs=1e-8)
+        assert session.image_times[frame.name] == round(k * 1e9 / 30)
+    assert frame.image is not None
+    difference = read_image(frame.image).astype(float) - arms.image(FRAMES - 1)
+    assert np.abs(difference).mean() < 6  # the video is compressed
+    entries = read_session_toml("session")
+    assert entries is not None
+    assert [tool.arm for tool in entries.tools] == [arm]
+
+
+def test_camera_is_that_of_the_ini_file(run: Run, made: Path) -> None:
+    run("import", made, "--arm", "PSM1", "--out", "session")
+    camera = read_session("session").camera
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy)
+    assert (camera.cx, camera.cy) == (CAMERA.cx, CAMERA.cy)
+    assert camera.distortion == CAMERA.distortion
+
+
+def test_both_eyes_have_the_pose_between_them(run: Run, made: Path) -> None:
+    ran = run("import", made, "--arm", "PSM1", "--out", "session", "--side", "both", "--json")
+    session = read_session("session")
+    np.testing.assert_allclose(session.rig.views[1].view_from_camera, RIGHT_FROM_LEFT, atol=1e-9)
+    assert all(frame.others["right"].image is not None for frame in session.frames)
+    assert "right eye: camera: the eyes are 5.3 apart: taken for millimetres" in ran.result["notes"]
+
+
+def test_eight_coefficients_are_a_rational_model(run: Run, folder: Path) -> None:
+    (folder / "StereoCalibrationDVRK.ini").write_text(calibration_ini(kc_5=0.01), encoding="utf-8")
+    run("import", folder, "--arm", "PSM1", "--out", "session")
+    camera = read_session("session").camera
+    assert camera.model == "rational_polynomial"
+    assert camera.distortion == (*CAMERA.distortion, 0.01, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_labels_and_boxes_of_the_arm_are_kept(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
+    run("import", made, "--arm", arm, "--out", "session")
+    found = read_detections("session/markers.csv")
+    assert list(found["000000"]) == [str(number) for number in NUMBERS[arm]]
+    assert list(found["000001"]) == [str(number) for number in NUMBERS[arm][:5]]  # the others are null
+    for number, pixel in arms.labels[arm][1].items():
+        if str(number) in found["000001"]:
+            np.testing.assert_allclose(found["000001"][str(number)], pixel, atol=1e-3)
+    prompts = read_session("session").frames[1].prompts
+    assert prompts is not None
+    assert prompts.box is not None
+    rows, columns = np.nonzero(arms.coverages(1)[arm] > 0.5)
+    assert prompts.box == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+
+
+def test_readings_in_a_list_begin_with_frame_0(run: Run, folder: Path) -> None:
+    by_frame = yaml.safe_load((folder / "api_jp_data.yaml").read_text())
+    write_yaml(folder / "api_jp_data.yaml", [by_frame[str(k)] for k in range(FRAMES)])
+    run("import", folder, "--arm", "PSM3", "--out", "session")
+    assert read_session("session").frames[3].readings["yaw"] == pytest.approx(by_frame["3"]["PSM3"][0])
+
+
+def test_seventh_value_is_the_jaw(run: Run, folder: Path) -> None:
+    by_frame = yaml.safe_load((folder / "api_jp_data.yaml").read_text())
+    write_yaml(folder / "api_jp_data.yaml", {k: {"PSM1": [*own["PSM1"], 0.25]} for k, own in by_frame.items()})
+    run("import", folder, "--out", "session")  # of one arm
+    assert read_session("session").frames[3].readings["jaw"] == 0.25
+
+
+def test_folder_without_labels_is_imported(run: Run, folder: Path) -> None:
+    (folder / "keypoints_left.yaml").unlink()
+    (folder / "bbox_left.json").unlink()
+    assert run("import", folder, "--arm", "PSM1", "--out", "session").code == 0
+    assert not Path("session/markers.csv").exists()
+
+
+def test_readings_of_a_thousand_frames_are_read(run: Run, folder: Path, arms: MadeArms) -> None:
+    """Of a part of the frames the video has images; YAML of 1,000 frames is larger than a camera file may be."""
+    row = {arm: arms.readings(arm, 0) for arm in ARMS}
+    write_yaml(
+        folder / "api_jp_data.yaml", {str(k): row for k in range(1000)} | {"0": {a: list(r) for a, r in row.items()}}
+    )
+    line = run("import", folder, "--arm", "PSM1", "--out", "session")
+    assert "got a YAML alias" in line.err  # PyYAML writes repeated lists as aliases, which are refused
+    text = json.dumps({str(k): row for k in range(1000)})
+    (folder / "api_jp_data.yaml").write_text(text, encoding="utf-8")
+    ran = run("import", folder, "--arm", "PSM1", "--out", "session", "--json")
+    assert ran.code == 0, ran.err
+    assert "api_jp_data.yaml has 1000 frames, the video 10" in ran.result["notes"]
+
+
+# refusals
+
+
+def test_arm_is_asked_for(refused: Callable[..., str], made: Path) -> None:
+    assert refused(made, "--side", "left") == (
+        f"{made}: --arm: expected the name of the arm to import, for this folder has PSM1, PSM3"
+    )
+    assert refused(made, "--arm", "PSM2") == f"{made}: --arm: expected one of PSM1, PSM3, got 'PSM2'"
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "expected"),
+    [
+        ("api_jp_data.yaml", "{}", ": expected joints by the name of the arm in each frame, got nothing"),
+        ("api_jp_data.yaml", "7", ": expected joints by frame (YAML), got 7"),
+        ("api_jp_data.yaml", "first: {PSM1: [0, 0, 0.1, 0, 0, 0]}", ": 'first': expected the number of a frame"),
+        (
+            "api_jp_data.yaml",
+            "0: {PSM1: [0, 0, 0.1, 0]}",
+            ": frame 0: PSM1: expected 6 values (yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw), 1 (jaw) or all "
+            "7, got 4",
+        ),
+        (
+            "api_jp_data.yaml",
+            "0: {PSM1: [0, 0, 120, 0, 0, 0]}",
+            ": frame 0: PSM1: insertion: expected metres, got 120: this looks like millimetres",
+        ),
+        (
+            "keypoints_left.yaml",
+            "0: {1: [5]}",
+            ": frame 0: label 1: expected [x, y] in pixels or null, got [5]",
+        ),
+        ("keypoints_left.yaml", "0: {15: [5, 6]}", ": frame 0: expected numbers of labels, 1 to 14, got 15"),
+        ("keypoints_left.yaml", "0: {1: [.nan, 6]}", "label 1: expected [x, y] in pixels or null, got [nan, 6]"),
+        (
+            "bbox_left.json",
+            '{"0": {"1": [1, 2, 3]}}',
+            ": frame 0: box '1': expected [x, y, width, height] in pixels or null, got [1, 2, 3]",
+        ),
+        ("StereoCalibrationDVRK.ini", "[StereoRight]\n", ": StereoLeft: expected this section, got StereoRight"),
+        ("StereoCalibrationDVRK.ini", "fc_x = 4", "expected a calibration of a stereo endoscope"),
+        (
+            "StereoCalibrationDVRK.ini",
+            calibration_ini(fc_y=None),
+            ": StereoLeft: fc_y: expected a finite number, got nothing",
+        ),
+        (
+            "StereoCalibrationDVRK.ini",
+            calibration_ini(kc_1="much"),
+            ": StereoLeft: kc_1: expected a finite number, got 'much'",
+        ),
+        (
+            "StereoCalibrationDVRK.ini",
+            calibration_ini(res_x="wide"),
+            ": StereoLeft: res_x: expected a positive whole number of pixels, got 'wide'",
+        ),
+    ],
+)
+def test_wrong_files_are_refused(
+    refused: Callable[..., str], folder: Path, file: str, text: str, expected: str
+) -> None:
+    (folder / file).write_text(text, encoding="utf-8")
+    line = refused(folder)
+    assert line.startswith(f"{folder / file}: ")
+    assert expected in line
+
+
+def test_wrong_distance_of_the_eyes_is_refused(refused: Callable[..., str], folder: Path) -> None:
+    (folder / "StereoCalibrationDVRK.ini").write_text(calibration_ini(T_0=-530.0), encoding="utf-8")
+    line = refused(folder, "--arm", "PSM1", "--side", "both")
+    assert "StereoRight: R and T: expected 1 to 50 mm between the eyes, got 530 m or mm" in line
+
+
+def test_video_of_another_rate_is_refused(refused: Callable[..., str], arms: MadeArms, tmp_path: Path) -> None:
+    folder = write_surgpose(
+        tmp_path / "60", MadeArms({arm: own[:2] for arm, own in arms.truths.items()}, arms.body), rate=60
+    )
+    assert refused(folder) == (
+        f"{folder}/regular/left_video.mp4: expected 30 images a second, which labels and readings count, got 60; "
+        "convert it to 30 first"
+    )
+
+
+# labels
+
+
+def write_truth(path: Path, arms: MadeArms, arm: str, aside_px: float = 0.0) -> None:
+    """Write the true poses of an arm as golden.json, moved so that they are aside in the image."""
+    frames = {}
+    for k, truth in enumerate(arms.truths[arm]):
+        pose = truth.camera_from_root.copy()
+        pose[0, 3] += aside_px * pose[2, 3] / CAMERA.fx
+        frames[f"{k:06d}"] = {"T_camera_roll_link": pose.tolist(), "joints": dict(truth.joints)}
+    write_json(path, {"frames": frames})
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_true_poses_have_no_errors_at_the_labels(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
+    run("import", made, "--arm", arm, "--out", "session")
+    write_truth(Path("golden.json"), arms, arm)
+    found = run("compare", "golden.json", "--labels", "session", "--json").result["labels"]["sets"][0]
+    assert (found["frames"], found["points"], found["without"]) == (FRAMES, 5 * FRAMES + 2, [])
+    assert found["px"]["largest"] < 0.005
+
+
+def test_errors_of_poses_aside_are_those_in_the_image(run: Run, made: Path, arms: MadeArms) -> None:
+    run("import", made, "--arm", "PSM1", "--out", "session")
+    write_truth(Path("golden.json"), arms, "PSM1", aside_px=5.0)
+    ran = run("compare", "golden.json", "--labels", "session")
+    assert "it is not verified which points SurgPose's labels mean" in ran.out
+    rows = {line.split("  ")[1]: line.split() for line in ran.out.splitlines() if line.startswith("  ")}
+    assert float(rows["all"][2]) == pytest.approx(5.0, abs=0.5)
+    assert float(rows["label 2"][3]) == pytest.approx(5.0, abs=0.2)  # at the root's depth
+
+
+def test_table_of_points_can_be_replaced(run: Run, made: Path, arms: MadeArms) -> None:
+    run("import", made, "--arm", "PSM1", "--out", "session")
+    write_truth(Path("golden.json"), arms, "PSM1")
+    table = {str(number): {"link": "roll_link", "position_m": [0, 0, 0]} for number in range(1, 8)}
+    write_json("points.json", {"markers": table})
+    found = run("compare", "golden.json", "--labels", "session", "--points", "points.json", "--json")
+    by_label = found.result["labels"]["sets"][0]["by_label"]
+    assert by_label["2"]["largest"] < 0.005
+    assert by_label["1"]["mean"] > 5
+    del table["5"]
+    write_json("points.json", {"markers": table})
+    refusal = run("compare", "golden.json", "--labels", "session", "--points", "points.json").refusal
+    assert refusal == "points.json: markers: expected the points of all labels in session/markers.csv, got no 5"
+
+
+def test_labels_of_other_frames_are_refused(run: Run, made: Path, arms: MadeArms) -> None:
+    run("import", made, "--arm", "PSM1", "--out", "session")
+    write_truth(Path("golden.json"), arms, "PSM1")
+    document = json.loads(Path("golden.json").read_text())
+    write_json("golden.json", {"frames": {"other": document["frames"]["000000"]}})
+    refusal = run("compare", "golden.json", "--labels", "session").refusal
+    assert refusal.startswith("golden.json: expected frames that session/markers.csv has labels of (000000")
+
+
+def test_points_need_labels(run: Run) -> None:
+    assert run("compare", "a", "b", "--points", "c").refusal == "--points: expected --labels SESSION with it, got none"
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_arm_is_followed_to_less_than_a_pixel(run: Run, made: Path, arm: str) -> None:
+    """The arm is the one in the boxes; its image is the only evidence."""
+    run("import", made, "--arm", arm, "--side", "both", "--out", "session")
+    assert run("track", "session", "--no-video", "--no-page").code == 0
+    ran = run("compare", "session/tracks", "--labels", "session", "--json")
+    found = ran.result["labels"]["sets"][0]
+    assert found["frames"] == FRAMES
+    assert found["px"]["mean"] < 1
+    with open("session/tracks/tracks.csv", newline="", encoding="utf-8") as file:
+        assert {row["status"] for row in csv.DictReader(file)} == {"ok"}
