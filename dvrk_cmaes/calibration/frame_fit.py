@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate, overlap
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.outline_noise import measure_noise
@@ -20,7 +20,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, overlap
 
 Float64 = NDArray[np.float64]
 
@@ -43,13 +43,3 @@ class OwnEstimate:
         drawn = [view.silhouette(at) for view in views]
         noises = [measure_noise(view.evidence.contour, seen) for view, seen in zip(views, drawn, strict=True)]
         return cls(at, tuple(noises), overlap(views, drawn))
-
-
-def overlap(views: Sequence[FrameView], drawn: Sequence[NDArray[np.bool_]]) -> float:
-    """Return the mean intersection over union of silhouettes and masks, one a view, without ignored pixels."""
-    shares = []
-    for view, silhouette in zip(views, drawn, strict=True):
-        mask, weight = view.evidence.mask, view.evidence.weight
-        both, either = ((part * weight).sum() for part in (silhouette & mask, silhouette | mask))
-        shares.append(float(both / max(either, 1)))
-    return float(np.mean(shares))

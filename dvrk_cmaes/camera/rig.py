@@ -123,13 +123,9 @@ def turned_views(views: Sequence[V], rotations: Mapping[str, Float64]) -> tuple[
     return tuple(view.turned(rotations[view.name]) if view.name in rotations else view for view in views)
 
 
-def mirrored_rig(rig: Rig) -> Rig:
-    """Return the rig whose further views lie on the other side of the reference, as if the eyes were exchanged."""
-    others = [
-        replace(view, view_from_camera=transform(view.view_from_camera[:3, :3], -view.view_from_camera[:3, 3]))
-        for view in rig.views[1:]
-    ]
-    return Rig((rig.views[0], *others))
+def mirrored_place(view_from_camera: Float64) -> Float64:
+    """Return the place (4, 4) of a view on the other side of the reference, as if the two eyes were exchanged."""
+    return transform(view_from_camera[:3, :3], -view_from_camera[:3, 3])
 
 
 def _check_transform(view: View) -> None:

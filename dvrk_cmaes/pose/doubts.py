@@ -6,9 +6,11 @@ A rough mask alone is none of them: it makes the expected error larger, which co
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from dvrk_cmaes.camera.rig import mirrored_place
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.straight_cut import shaft_width
@@ -18,9 +20,11 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.modes import Candidate, is_twin
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
+_LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
+_CLEAR = 4.0  # standard deviations of a rotation
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
 
 
@@ -40,7 +44,13 @@ def judge(
     """
     qualities = [check.quality for check in checks]
     reasons, remarks = doubts_in_views(modes[0].at, views, qualities, expected, trust)
-    reasons += [text for check in checks[1:] if (text := _disagreement(check, views[0].name, trust)) is not None]
+    further = zip(checks[1:], views[1:], strict=True)
+    for check, view in further:
+        if _is_exchanged(modes[0].at, check, view):
+            other = f"views disagree: {check.name} fits {views[0].name} only from its other side: the images, masks or "
+            reasons.insert(0, f"{other}camera files of the two are exchanged")
+        elif (text := _disagreement(check, views[0].name, trust)) is not None:
+            reasons.append(text)
     evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
     instrument = views[0].renderer.body.instrument
     return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust), remarks
@@ -114,6 +124,22 @@ def _tips_out_of_view(seen: Posed, instrument: Instrument, evidence: Evidence) -
         return True
     pixels = camera.project(tips)
     return bool((pixels < -0.5).any() or (pixels > [camera.width - 0.5, camera.height - 0.5]).any())
+
+
+def _is_exchanged(at: Posed, check: ViewCheck, view: FrameView) -> bool:
+    """Return whether a view seems to be on the other side of the first one.
+
+    It then shows nothing of the pose, but does so from there; or, where the pose is a compromise of both views, it
+    would have to be turned by more than the angle between the two as seen from the instrument, and a degree.
+    """
+    distances = np.linalg.norm(view.view_from_camera[:3, 3]), np.linalg.norm(at.pose[:3, 3])
+    between = float(np.degrees(np.arctan2(*distances)))
+    if float(np.linalg.norm(check.rotation_deg)) > max(between, 1.0) and check.significance > _CLEAR:
+        return True
+    if check.quality.iou > _LEAST_OVERLAP:
+        return False
+    mirrored = replace(view, view_from_camera=mirrored_place(view.view_from_camera))
+    return overlap([mirrored], [mirrored.silhouette(at)]) > _MIRRORED_OVERLAP
 
 
 def _disagreement(check: ViewCheck, main: str, trust: TrustConfig) -> str | None:

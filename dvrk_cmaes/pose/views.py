@@ -43,3 +43,13 @@ def clearest_view(views: Sequence[FrameView]) -> FrameView:
         return float((evidence.mask * evidence.weight).sum()) / (camera.fx * camera.fy)
 
     return max(views, key=seen)
+
+
+def overlap(views: Sequence[FrameView], drawn: Sequence[NDArray[np.bool_]]) -> float:
+    """Return the mean intersection over union of silhouettes and masks, one a view, without ignored pixels."""
+    shares = []
+    for view, silhouette in zip(views, drawn, strict=True):
+        mask, weight = view.evidence.mask, view.evidence.weight
+        both, either = ((part * weight).sum() for part in (silhouette & mask, silhouette | mask))
+        shares.append(float(both / max(either, 1)))
+    return float(np.mean(shares))

@@ -104,6 +104,18 @@ def test_poses_are_as_good_as_with_the_right_file(
         assert 1e3 * np.linalg.norm(result.camera_from_root[:3, 3] - other[:3, 3]) < 1.5
 
 
+def test_exchanged_eyes_are_named(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> None:
+    named = 0
+    for frame in frames_of["right"]:
+        assert isinstance(frame.data, FrameData)
+        left, right = (view.mask for view in frame.data.views)
+        found = estimate({"left": right, "right": left}, RIG, frame.result.readings, bundled_body)
+        assert found.status == "doubtful"
+        named += found.reasons[0].startswith("views disagree: right fits left only from its other side: the ")
+        assert not any("other side" in text for text in frame.result.reasons)
+    assert named >= 4
+
+
 def test_one_frame_far_off_counts_little() -> None:
     covariance = 0.03**2 * np.eye(3)
     rng = np.random.default_rng(0)

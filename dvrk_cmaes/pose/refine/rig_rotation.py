@@ -139,10 +139,12 @@ def _refined(contours: TurnedContours, terms: Sequence[Term], start: PosedInRig,
 def _with_covariances(turned: PosedInRig, at: Posed, informations: Sequence[Float64]) -> list[Rotation]:
     """Return the rotations with their covariances, given the information of each view about the pose ``at``."""
     by_rotation = _by_rotation(at)
-    return [
-        (turn, np.asarray(np.linalg.inv(_about_rotation(informations, k, by_rotation)), dtype=np.float64))
-        for k, turn in enumerate(turned.turns, start=1)
-    ]
+    found = []
+    for k, turn in enumerate(turned.turns, start=1):
+        about = _about_rotation(informations, k, by_rotation)
+        told = np.trace(about) > 0  # not where a view was turned so far that its contour is out of reach
+        found.append((turn, np.asarray(np.linalg.inv(about)) if told else _UNKNOWN * np.eye(3)))
+    return found
 
 
 def _by_rotation(at: Posed) -> Float64:
