@@ -24,6 +24,7 @@ _MEETING: Final = "#c1121f"
 _RCM: Final = "#2a9d8f"
 _MARGIN: Final = 0.08  # on each side, as a fraction of the larger extent
 _SHAPE: Final = 1.27  # width of a panel by its height
+_GAP: Final = 1.0  # px between names
 _POINT: Final = 2.5  # half size of a point that names must not cover, px
 _BESIDE: Final = (
     ("left", 4, 6),
@@ -55,7 +56,8 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
     _share_limits(panels[:, 1], np.concatenate([row.near for row in rows]))
     for row, close in zip(rows, panels[:, 1], strict=True):
         _place_legend(close, row)
-    figure.draw_without_rendering()  # lays the panels out, so that the places of names are known
+    figure.draw_without_rendering()  # lays the panels out, so that the places of names are known, ...
+    figure.set_layout_engine("none")  # and does not change when the picture is written
     for row, close in zip(rows, panels[:, 1], strict=True):
         _name_points(close, row)
     return figure
@@ -201,7 +203,7 @@ def _name_points(panel: Axes, row: _Row) -> None:
             box = text.get_window_extent()
             inside = panel.bbox.x0 <= box.x0 and box.x1 <= panel.bbox.x1
             inside &= bool(panel.bbox.y0 <= box.y0 and box.y1 <= panel.bbox.y1)
-            if inside and not any(box.overlaps(other) for other in taken):
+            if inside and not any(box.padded(_GAP).overlaps(other) for other in taken):
                 taken.append(box)
                 named += 1
                 break
