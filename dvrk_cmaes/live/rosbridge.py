@@ -56,7 +56,7 @@ class RosbridgeConnection:
         except ImportError:
             raise InputError(
                 "rosbridge: the library roslibpy, which connects to it, is not installed; "
-                "run: pip install 'dvrk-cmaes[ros]'"
+                "run: pip install '.[ros]'"
             ) from None
         self._roslibpy = roslibpy
         self._address = host, port
