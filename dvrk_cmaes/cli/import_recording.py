@@ -109,6 +109,7 @@ def import_recording(
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
     arm: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    episode: Annotated[int, Parameter(group=FOLDER)] = 0,
     topics: TopicOptions = _DEFAULT_TOPICS,
     poses: PoseOptions = _DEFAULT_POSES,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -138,8 +139,8 @@ def import_recording(
     ----------
     recording
         ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
-        clip in SurgSync's raw layout, a folder of SurgPose (regular/left_video.mp4, api_jp_data.yaml), or one with the
-        videos of a stereo endoscope (left.mp4 and right.mp4).
+        clip in SurgSync's raw layout, a folder of SurgPose (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data
+        set (meta/info.json), or one with the videos of a stereo endoscope (left.mp4 and right.mp4).
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     every
@@ -168,7 +169,9 @@ def import_recording(
         Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
         in the name of the images' topic.
     arm
-        Arm of a SurgSync clip or a SurgPose folder whose readings are imported, e.g. PSM1.
+        Arm of a SurgSync clip or a SurgPose folder, or of a LeRobot data set, whose readings are imported, e.g. PSM1.
+    episode
+        Number of the episode of a LeRobot data set.
     topics
         The topics.
     poses
@@ -190,7 +193,7 @@ def import_recording(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
-    with _opened(recording, topics, camera, _table(joints, poses), video_start, side, arm) as opened:
+    with _opened(recording, topics, camera, _table(joints, poses), video_start, side, arm, episode) as opened:
         summary = write_session(
             _with_progress(opened),
             out,
@@ -271,16 +274,25 @@ def _opened(
     video_start: float,
     side: Literal["left", "right", "both"] | None,
     arm: str | None,
+    episode: int,
 ) -> AbstractContextManager[Recording]:
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
+    from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
+    from dvrk_cmaes.recording.pose_table import PoseTable
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.video import open_video
 
+    if path.is_dir() and is_lerobot(path):
+        if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS:
+            raise InputError(f"{path}: expected none of --side both, --pose-of and topics with a LeRobot data set")
+        return open_lerobot(path, episode=episode, side=side or "left", arm=arm, camera=camera, joints=joints)
+    if episode:
+        raise InputError(f"{path}: --episode: expected a LeRobot data set, with meta/info.json and data")
     surgpose = path.is_dir() and is_surgpose(path)
     clip = path.is_dir() and is_surgsync(path)
     stereo = surgpose or clip or (path.is_dir() and has_stereo_videos(path))

@@ -1,0 +1,259 @@
+"""Reader of LeRobot data sets (v2.1 and v3): meta/info.json, readings by frame as parquet, a video for each camera.
+
+The names of ``observation.state`` in info.json tell its joints. The reader follows a description of the format; it has
+not been tried with a real set of a dVRK.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+
+from dvrk_cmaes.camera.fields import Side
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
+from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.parquet_file import read_columns
+from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.recording.recording import RecordedImage, Recording
+from dvrk_cmaes.recording.video import decoded_frame
+
+_STATE: Final = "observation.state"
+_ROWS: Final = ("episode_index", "frame_index", "timestamp")
+_ARM: Final = re.compile(r"(?:(psm\d)[_./ ]+)?(.*)", re.IGNORECASE)
+_PREFIX: Final = re.compile(r"(measured_js|outer|joint|joints)_(?=[a-z])")
+_NUMBERED: Final = re.compile(r"(?:measured_js|joint|joints)_?([1-6])")
+_RATE_TOLERANCE: Final = 0.01
+
+
+def is_lerobot(path: Path) -> bool:
+    """Whether a folder has the layout of LeRobot."""
+    return (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
+
+
+@dataclass(frozen=True)
+class _Episode:
+    """Where an episode is: its table, and its video, of which it begins at ``start`` s."""
+
+    table: Path
+    video: Path
+    start: float
+
+
+@contextmanager
+def open_lerobot(
+    path: Path,
+    *,
+    episode: int = 0,
+    side: Side = "left",
+    arm: str | None = None,
+    camera: Path | None = None,
+    joints: Path | None = None,
+) -> Iterator[Recording]:
+    """Open an episode of a data set; readings are read at once, images during iteration.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    episode
+        Number of the episode.
+    side
+        The eye whose video is read, of a set with several.
+    arm
+        Name of the arm, e.g. PSM1; None for a set of one arm.
+    camera
+        The camera file; required, because these sets have none.
+    joints
+        A file of readings by time (s, of the episode) to use instead of the set's.
+
+    Raises
+    ------
+    InputError
+        A file or field is missing or not valid, names of the readings are not those of joints, there is no camera file,
+        or an arm or eye must be chosen.
+    """
+    if camera is None:
+        raise InputError(f"{path}: --camera: expected a camera file, for these data sets have none; got none")
+    file = path / "meta" / "info.json"
+    info = read_json_object(file, expected="a LeRobot data set's info.json")
+    key = _video_key(file, info, side)
+    where = _place(path, file, info, key, episode)
+    columns = read_columns(where.table, _ROWS if joints is not None else (*_ROWS, _STATE))
+    rows = sorted(
+        (k for k, own in enumerate(columns["episode_index"]) if own == episode), key=columns["timestamp"].__getitem__
+    )
+    times = [_time(where.table, columns["timestamp"][k]) for k in rows]
+    if not times or any(later <= before for before, later in pairwise(times)):
+        raise InputError(
+            f"{where.table}: timestamp: expected increasing times of episode {episode}, got others or none"
+        )
+    if joints is None:
+        names, said = _fields(file, info, arm)
+        found = _readings(where.table, names, times, [columns[_STATE][k] for k in rows], said[0])
+        readings: tuple[TimedReadings, ...] = (found,)
+    else:
+        readings, said = read_timed_joints(joints), (f"{joints}",)
+    check_file(where.video, expected=EXPECTED)
+    with open_capture(where.video) as capture:
+        rate = capture.get(cv2.CAP_PROP_FPS)
+        fps = _number(file, "fps", info.get("fps"))
+        if not abs(rate - fps) < _RATE_TOLERANCE * fps:
+            raise InputError(f"{where.video}: expected {fps:g} images a second, as fps in info.json, got {rate:g}")
+        first = round(where.start * fps)
+        notes = (
+            f"episode {episode}: {where.table.relative_to(path)}, {where.video.relative_to(path)} from image {first}",
+            f"camera: {camera}",
+            *said,
+            "times: timestamp",
+        )
+        images = _images(where.video, capture, first, times)
+        yield Recording(path, images, len(times), read_camera_bytes(camera), readings, notes)
+
+
+def _video_key(file: Path, info: Mapping[str, Any], side: Side) -> str:
+    """Return the name of the only video, or of that of an eye."""
+    features = info.get("features")
+    if not isinstance(features, Mapping):
+        raise InputError(f"{file}: features: expected the fields by name, got {shown(features)}")
+    keys = [key for key, own in features.items() if isinstance(own, Mapping) and own.get("dtype") == "video"]
+    chosen = [key for key in keys if side in re.split(r"[_./ -]", key.lower())] or keys[: len(keys) == 1]
+    if len(chosen) != 1:
+        raise InputError(f"{file}: features: expected one video of the {side} eye, got {listed(keys, 20) or 'none'}")
+    return str(chosen[0])
+
+
+def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: int) -> _Episode:
+    """Find an episode by the paths in info.json, and in v3 by the tables of episodes."""
+    version = info.get("codebase_version")
+    if version == "v2.1":
+        size = int(_number(file, "chunks_size", info.get("chunks_size", 1000)))
+        of_both: dict[str, Any] = {"episode_index": episode, "episode_chunk": episode // size, "video_key": key}
+        return _Episode(
+            _formatted(path, file, info, "data_path", of_both), _formatted(path, file, info, "video_path", of_both), 0.0
+        )
+    if version != "v3.0":
+        raise InputError(f"{file}: codebase_version: expected v2.1 or v3.0, got {shown(version)}")
+    data, video = ("data/chunk_index", "data/file_index"), f"videos/{key}/"
+    names = ("episode_index", *data, f"{video}chunk_index", f"{video}file_index", f"{video}from_timestamp")
+    for table in sorted((path / "meta" / "episodes").rglob("*.parquet")):
+        columns = read_columns(table, names)
+        if episode in columns["episode_index"]:
+            row = {name: columns[name][columns["episode_index"].index(episode)] for name in names}
+            of_data = {"chunk_index": row[data[0]], "file_index": row[data[1]]}
+            of_video = {"chunk_index": row[names[3]], "file_index": row[names[4]], "video_key": key}
+            return _Episode(
+                _formatted(path, file, info, "data_path", of_data),
+                _formatted(path, file, info, "video_path", of_video),
+                _number(table, names[5], row[names[5]], least=0.0),
+            )
+    raise InputError(f"{path}/meta/episodes: expected episode {episode}, got none")
+
+
+def _formatted(path: Path, file: Path, info: Mapping[str, Any], key: str, values: Mapping[str, Any]) -> Path:
+    """Return a path by its template in info.json; it must be within the folder."""
+    template = info.get(key)
+
+    def filled(match: re.Match[str]) -> str:
+        value = values.get(match[1])
+        if value is None:
+            raise InputError(f"{file}: {key}: expected fields {', '.join(values)}, got {shown(match[1])}")
+        return f"{value:0{int(match[2] or 0)}d}" if isinstance(value, int) else str(value)
+
+    if not isinstance(template, str):
+        raise InputError(f"{file}: {key}: expected a path, got {shown(template)}")
+    found = path / re.sub(r"\{(\w+)(?::0(\d)d)?\}", filled, template)
+    if not found.resolve().is_relative_to(path.resolve()):
+        raise InputError(f"{file}: {key}: expected a path within the folder, got {shown(template)}")
+    return found
+
+
+def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[str, int], tuple[str, ...]]:
+    """Return the place in observation.state of each joint of an arm, and notes on what was taken and what not."""
+    feature = info["features"].get(_STATE)
+    names = feature.get("names") if isinstance(feature, Mapping) else None
+    if isinstance(names, Mapping) and len(names) == 1:
+        names = next(iter(names.values()))
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{file}: features: {_STATE}: names: expected a list of names, got {shown(names)}")
+    found: dict[str, dict[str, int]] = {}
+    unknown = []
+    for k, name in enumerate(names):
+        own, joint = _joint(name)
+        if joint is None:
+            unknown.append(name)
+        elif joint in found.setdefault(own, {}):
+            raise InputError(f"{file}: {_STATE}: expected {joint} once, got it again as {shown(name)}")
+        else:
+            found[own][joint] = k
+    if not found:
+        raise InputError(f"{file}: {_STATE}: expected names of joints such as PSM1.yaw, got {listed(names, 40)}")
+    if (arm is None and len(found) > 1) or (arm is not None and arm.upper() not in found):
+        raise InputError(
+            f"{file}: --arm: expected one of {listed(own or 'without a name' for own in found)}, got {arm}"
+        )
+    chosen = arm.upper() if arm is not None else next(iter(found))
+    taken = found[chosen]
+    said = [f"{_STATE} ({chosen})" if chosen else _STATE, *(f"{j}: {names[k]}" for j, k in taken.items())]
+    others = [*unknown, *(names[k] for own, joints in found.items() if own != chosen for k in joints.values())]
+    return taken, (*said, *([f"not taken: {listed(others, 40)}"] if others else []))
+
+
+def _joint(name: str) -> tuple[str, str | None]:
+    """Return the arm, upper case or empty, and the joint that a name means; None for none."""
+    match = _ARM.fullmatch(name)
+    arm, rest = (match[1] or "", match[2]) if match else ("", name)
+    plain = re.sub(r"[./ -]+", "_", rest.lower()).removesuffix("_pos")
+    if (numbered := _NUMBERED.fullmatch(plain)) is not None:
+        return arm.upper(), ARM_ORDER[int(numbered[1]) - 1]
+    plain = _PREFIX.sub("", _PREFIX.sub("", plain, count=1), count=1)
+    return arm.upper(), plain if plain in (*ARM_ORDER, "jaw") else None
+
+
+def _readings(
+    path: Path, names: Mapping[str, int], times: Sequence[int], states: Sequence[Any], source: str
+) -> TimedReadings:
+    """Return the readings of the rows of an episode."""
+    values = []
+    for k, state in enumerate(states):
+        where = f"{path}: row {k}: {_STATE}"
+        if not isinstance(state, list) or len(state) <= max(names.values()):
+            raise InputError(
+                f"{where}: expected a list of at least {max(names.values()) + 1} numbers, got {shown(state)}"
+            )
+        values.append([joint_reading(where, joint, state[place]) for joint, place in names.items()])
+    return TimedReadings.of(source, tuple(names), times, values)
+
+
+def _number(path: Path, key: str, value: Any, least: float = 1.0) -> float:
+    """Return a finite number of at least ``least``; InputError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < 1e9:
+        raise InputError(f"{path}: {key}: expected a number of at least {least:g}, got {shown(value)}")
+    return float(value)
+
+
+def _time(path: Path, value: Any) -> int:
+    """Convert a timestamp, s, to ns."""
+    return round(_number(path, "timestamp", value, least=0.0) * NANOSECONDS)
+
+
+def _images(path: Path, capture: Any, first: int, times: Sequence[int]) -> Iterator[RecordedImage]:
+    """Yield the images of a video from ``first`` on, one for each time."""
+    for number in range(first + len(times)):
+        if not capture.grab():
+            raise InputError(f"{path}: expected {first + len(times)} images by the readings, got {number}")
+        if number >= first:
+            own = number - first
+            yield RecordedImage(own, times[own], lambda number=number: decoded_frame(path, capture, number))  # type: ignore[misc]

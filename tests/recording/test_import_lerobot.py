@@ -1,0 +1,132 @@
+"""``dvrk-cmaes import`` of LeRobot data sets, v2.1 and v3.0, written with pyarrow."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from helpers.commands import Ran, run_command
+
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.session_folder import read_session
+
+KEY = "observation.images.left"
+NAMES = ["PSM1.outer_yaw", "psm1_pitch", *(f"psm1_joint_{k}" for k in range(3, 7)), "psm1_jaw", "psm2_yaw", "force"]
+JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw")
+FRAMES = 4  # of each of two episodes
+Import = Callable[..., Ran]
+
+
+def state(episode: int, k: int) -> list[float]:
+    return [0.1 * place + 0.01 * k + 0.05 * episode for place in range(len(NAMES))]
+
+
+def write_video(path: Path, greys: list[int]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), 10, (64, 48))
+    for grey in greys:
+        writer.write(np.full((48, 64, 3), grey, np.uint8))
+    writer.release()
+
+
+def write_table(path: Path, columns: dict[str, list[object]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), path)
+
+
+def rows(*episodes: int) -> dict[str, list[object]]:
+    pairs = [(episode, k) for episode in episodes for k in range(FRAMES)]
+    return {
+        "episode_index": [episode for episode, _ in pairs],
+        "frame_index": [k for _, k in pairs],
+        "timestamp": [k / 10 for _, k in pairs],
+        "observation.state": [state(*pair) for pair in pairs],
+    }
+
+
+def write_info(folder: Path, version: str, names: object = NAMES) -> None:
+    part = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+    old = "chunk-{episode_chunk:03d}/"
+    paths = {
+        "v2.1": (
+            f"data/{old}episode_{{episode_index:06d}}.parquet",
+            f"videos/{old}{{video_key}}/episode_{{episode_index:06d}}.mp4",
+        ),
+        "v3.0": (f"data/{part}.parquet", f"videos/{{video_key}}/{part}.mp4"),
+    }.get(version, ("", ""))
+    features = {"observation.state": {"names": names}, KEY: {"dtype": "video"}}
+    info = {"codebase_version": version, "fps": 10, "data_path": paths[0], "video_path": paths[1], "features": features}
+    (folder / "meta").mkdir(parents=True, exist_ok=True)
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+
+
+@pytest.fixture(params=["v2.1", "v3.0"])
+def made(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Give a set of two episodes, whose images get brighter from frame to frame."""
+    folder = tmp_path / "set"
+    write_info(folder, request.param)
+    greys = [[100 * episode + 20 * k for k in range(FRAMES)] for episode in range(2)]
+    if request.param == "v2.1":
+        for k in range(2):
+            write_table(folder / f"data/chunk-000/episode_{k:06d}.parquet", rows(k))
+            write_video(folder / f"videos/chunk-000/{KEY}/episode_{k:06d}.mp4", greys[k])
+        return folder
+    write_table(folder / "data/chunk-000/file-000.parquet", rows(0, 1))
+    write_video(folder / f"videos/{KEY}/chunk-000/file-000.mp4", greys[0] + greys[1])
+    video = {f"videos/{KEY}/{name}_index": [0, 0] for name in ("chunk", "file")}
+    episodes = {"episode_index": [0, 1], "data/chunk_index": [0, 0], "data/file_index": [0, 0], **video}
+    episodes[f"videos/{KEY}/from_timestamp"] = [0.0, FRAMES / 10]  # type: ignore[list-item]
+    write_table(folder / "meta/episodes/chunk-000/file-000.parquet", episodes)  # type: ignore[arg-type]
+    return folder
+
+
+@pytest.fixture
+def imported(made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Import:
+    monkeypatch.chdir(made.parent)
+    Path("camera.yaml").write_text("width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n")
+    return lambda *more: run_command(
+        capsys, "import", "set", "--out", "session", *(more or ("--arm", "PSM1", "--camera", "camera.yaml"))
+    )
+
+
+@pytest.mark.parametrize("episode", [0, 1])
+def test_images_and_readings_are_those_of_the_episode(imported: Import, episode: int) -> None:
+    ran = imported("--arm", "PSM1", "--camera", "camera.yaml", "--episode", episode, "--json")
+    assert ran.code == 0, ran.err
+    frames = read_session("session").frames
+    assert len(frames) == FRAMES
+    for k, frame in enumerate(frames):
+        assert frame.readings == pytest.approx(dict(zip(JOINTS, state(episode, k), strict=False)), abs=1e-8)
+        assert frame.image is not None
+        assert abs(read_image(frame.image).mean() - (100 * episode + 20 * k)) < 6
+    assert "insertion: psm1_joint_3" in ran.result["notes"]
+    assert "not taken: force, psm2_yaw" in ran.result["notes"]
+
+
+def test_arm_camera_and_episode_are_asked_for(imported: Import) -> None:
+    assert "--camera: expected a camera file" in imported("--arm", "PSM1").refusal
+    assert "--arm: expected one of PSM1, PSM2" in imported("--camera", "camera.yaml").refusal
+    imported("--arm", "PSM1", "--camera", "camera.yaml", "--episode", 7).refusal  # noqa: B018
+
+
+def test_unknown_names_are_refused_with_their_list(imported: Import, made: Path) -> None:
+    version = json.loads((made / "meta/info.json").read_text())["codebase_version"]
+    write_info(made, version, {"motors": ["psm1_x", "force"]})
+    assert "expected names of joints such as PSM1.yaw, got psm1_x, force" in imported().refusal
+
+
+def test_other_versions_are_refused(imported: Import, made: Path) -> None:
+    write_info(made, "v1.6")
+    assert "codebase_version: expected v2.1 or v3.0, got 'v1.6'" in imported().refusal
+
+
+def test_missing_pyarrow_is_one_line(imported: Import, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert imported().refusal.endswith("parquet files need pyarrow: pip install '.[parquet]'")
