@@ -55,8 +55,7 @@ class RosbridgeConnection:
             import roslibpy
         except ImportError:
             raise InputError(
-                "rosbridge: the library roslibpy, which connects to it, is not installed; "
-                "run: pip install '.[ros]'"
+                "rosbridge: the library roslibpy, which connects to it, is not installed; run: pip install '.[ros]'"
             ) from None
         self._roslibpy = roslibpy
         self._address = host, port
