@@ -25,6 +25,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
@@ -131,6 +132,9 @@ def calibrate_with_evidence(
     usable, left_out = _usable(frames, body.instrument)
     if series is None:
         series = _series_of(usable)
+    names = body.instrument.joint_names
+    commanded = commanded_in([frame.result.readings for frame in usable], names)
+    settings = with_commanded(settings, commanded, names)
     rotations = rotations_of_session(frame.result for frame in usable)
     if turns := turns_of(rotations):
         usable = [with_turned_views(frame, turns) for frame in usable]
@@ -151,6 +155,8 @@ def calibrate_with_evidence(
     described["untold"] += tuple(alternation.undetermined)
     if alternation.lag.lag is None:
         described["untold"] += (f"lag between images and readings: {alternation.lag.undetermined}",)
+    if commanded:
+        described["untold"] += (f"offsets of {', '.join(commanded)} at other readings than the only one of each",)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
@@ -172,7 +178,12 @@ def calibrate_with_evidence(
         camera=alternation.camera,
         masks=alternation.masks,
         rig=rotations,
-        warnings=(*(each.describe() for each in rotations if each.applied), *alternation.warnings),
+        commanded=_only_readings(usable, commanded),
+        warnings=(
+            *(each.describe() for each in rotations if each.applied),
+            *([describe_commanded(commanded)] if commanded else []),
+            *alternation.warnings,
+        ),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
@@ -217,6 +228,12 @@ def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:
     return ReadingSeries.of_frames(
         {frame.name: frame.result.readings for frame in frames}, {frame.name: frame.time for frame in frames}
     )
+
+
+def _only_readings(frames: Sequence[SessionFrame], commanded: Sequence[str]) -> dict[str, float]:
+    """Return the reading, rad, of each joint that has the same one in all frames."""
+    readings = [frame.result.readings for frame in frames]
+    return {name: next(own[name] for own in readings if name in own) for name in commanded}
 
 
 def _in_threads(

@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, turned_views
-from dvrk_cmaes.config import EstimateConfig, __version__
+from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import encoded_fields
@@ -57,6 +57,7 @@ _UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of
 _UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base
 _LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
 _UNDETERMINED_POSITION = 5e-3  # of the base, m
+_ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
 
 
 class _LeftOut(Struct):
@@ -105,6 +106,7 @@ class SessionCalibration:
     camera : change of the camera that the frames fit; None if it was not tested.
     masks : the margin that all masks share; None if it was not estimated.
     rig : rotations of the further views against the rig's file, of those that were tested.
+    commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
 
@@ -126,6 +128,7 @@ class SessionCalibration:
     camera: SessionCamera | None = None
     masks: SessionMasks | None = None
     rig: tuple[ViewRotation, ...] = ()
+    commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
     warnings: Texts = ()
     arm: Arm = "classic"
@@ -202,7 +205,7 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "rig", "arm"),
+            **encoded_fields(self, "camera", "masks", "rig", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,
@@ -248,7 +251,8 @@ class SessionCalibration:
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 
-        Of the cables, it has what the reading of a frame alone tells.
+        Of the cables, it has what the reading of a frame alone tells. The standard deviations of commanded joints are
+        wider in frames with other readings than those of the session.
 
         Raises
         ------
@@ -279,9 +283,21 @@ class SessionCalibration:
             Deviations(np.array(values[:4]), np.array(values[4:-2]), slack),
             arm=self.arm,
             roll_offset=self.roll_offset,
+            inflation=self._elsewhere(joints, joint_names, np.array(values[4:-2])),
             correction=correction,
         )
         return model, Calibration(self.camera_from_base, offsets)
+
+    def _elsewhere(self, joints: Float64, joint_names: Sequence[str], std: Float64) -> Float64:
+        """Return the factors (N, 1 + J) on the standard deviations ``std`` (J,), rad, of roll and joints (N, J).
+
+        The error of a reading far from a commanded one is as that of a joint of which nothing is known, up to there in
+        proportion to the distance.
+        """
+        constant = np.array([self.commanded.get(name, np.nan) for name in joint_names])
+        usual = np.deg2rad([ReadingSigmas().of(name) for name in joint_names])
+        away = usual * np.minimum(np.abs(np.nan_to_num(joints - constant)) / _ELSEWHERE, 1.0)
+        return np.column_stack([np.ones(len(joints)), np.sqrt(1 + (away / std) ** 2)])
 
 
 def describe_solution(

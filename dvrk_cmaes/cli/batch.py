@@ -248,13 +248,16 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
     """Print the summaries of all arms."""
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.joints.commanded import describe_commanded
 
     if json:
         print(json_text(alone_or_by_arm({name: done.document for name, done in finished.items()})), end="")
     for name, done in finished.items():
         if not json:
             show([*([Line(name, "bold")] if name else []), *_lines(done.document, done.folder, shard)])
-        for text in done.document.get("rig_doubts", ()):
+        commanded = done.document.get("commanded")
+        texts = [*([describe_commanded(commanded)] if commanded else []), *done.document.get("rig_doubts", ())]
+        for text in texts:
             warn(f"{name}: {text}" if name else text)
 
 

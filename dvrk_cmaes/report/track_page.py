@@ -87,6 +87,7 @@ def render_track_page(recording: FollowedRecording) -> str:
         more_events=max(len(events) - _MOST_EVENTS, 0),
         switched=SWITCHED,
         pictures=recording.pictures,
+        warnings=() if recording.calibration is None else recording.calibration.warnings,
         reasons=counted_reasons([row["reasons"] for row in rows]),
         video=recording.video,
         data=_data(recording, charts, events),

@@ -21,6 +21,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.result import Result, Status
@@ -171,7 +172,12 @@ def run_batch(
     settings = replace(EstimateConfig() if config is None else config, threads=threads)
     check_config(settings)
     folder = out if shard is None else shard.folder(out)
-    chosen = chosen_frames([_with_absolute_paths(files, session.folder) for files in session.frames], pattern)
+    names = instrument.joint_names
+    commanded = commanded_in([files.readings for files in session.frames], names)
+    settings = with_commanded(settings, commanded, names)
+    notes = (describe_commanded(commanded),) if commanded else ()
+    absolute = (_with_absolute_paths(files, session.folder) for files in session.frames)
+    chosen = chosen_frames([replace(files, notes=(*files.notes, *notes)) for files in absolute], pattern)
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
     home = Path(os.path.abspath(session.folder))

@@ -24,7 +24,7 @@ from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.offset_smoother import smooth
 from dvrk_cmaes.track.recorded_frames import EMPTY, FittedFrame, JudgedFrame, JudgeTask, judge_frame
-from dvrk_cmaes.track.still_readings import commanded_joints, describe_frozen
+from dvrk_cmaes.track.still_readings import describe_frozen
 
 Float64 = NDArray[np.float64]
 
@@ -228,12 +228,3 @@ def _result(
         seconds=seconds,
         residual_px=residual,
     )
-
-
-def remarks_on_readings(predicted: Prediction) -> list[str]:
-    """Describe readings that are told apart: joints that stay constant while the arm moves are commanded values."""
-    model = predicted.model
-    return [
-        f"reading of {name}: constant while the arm moves, taken for a commanded value"
-        for name in commanded_joints(model.outer, model.joints, model.names)
-    ]

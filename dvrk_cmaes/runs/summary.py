@@ -9,6 +9,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
+from dvrk_cmaes.joints.commanded import commanded_in
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.rig_check import rig_doubts
 
@@ -71,6 +72,7 @@ def summarize(
         "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
         "missing": missing,
         "lag": None if calibration is None else calibration.get("lag"),
+        "commanded": commanded_in([result.readings for result in values], _joints(values)),
         "timing": {"frame_seconds": _seconds(values), "run": None if timing is None else asdict(timing)},
         "config": manifest["config"],
         **({"rig_doubts": rig_doubts(values)} if any(result.view_fits for result in values) else {}),
@@ -84,7 +86,7 @@ def _medians(results: Sequence[Result]) -> dict[str, Any]:
     frames with a reading.
     """
     quality = [result.quality for result in results if result.quality is not None]
-    joints = list(dict.fromkeys(name for result in results for name in result.joints))
+    joints = _joints(results)
     changes = {
         name: [np.degrees(r.joints[name] - r.readings[name]) for r in results if {name} <= {*r.joints} & {*r.readings}]
         for name in joints
@@ -105,6 +107,11 @@ def _medians(results: Sequence[Result]) -> dict[str, Any]:
         "std_joints_deg": {name: _median(values) for name, values in stds.items()},
         "found_less_read_deg": {name: _median(values) for name, values in changes.items()},
     }
+
+
+def _joints(results: Sequence[Result]) -> list[str]:
+    """Return the names of the joints that were found."""
+    return list(dict.fromkeys(name for result in results for name in result.joints))
 
 
 def _median(values: Sequence[Any]) -> Any:

@@ -23,6 +23,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import not_written, write_json, write_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.report.track_page import FollowedRecording
 from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
@@ -149,6 +150,12 @@ def track_folder(
     """
     frames = session.frames[:: settings.every]
     clock = TrackClock.of(session, frames, settings.frames_a_second, use_joints=settings.use_joints)
+    joints = body.instrument.joint_names
+    commanded = commanded_in([files.readings for files in frames], joints) if settings.use_joints else []
+    settings = replace(settings, config=with_commanded(settings.config, commanded, joints))
+    remarks = (describe_commanded(commanded),) if commanded else ()
+    for text in remarks:
+        notice(f"warning: {text}")
     check_writable(out)
     check_owned(out, "track", replaces=not resume)
     with locked(out):
@@ -177,6 +184,9 @@ def track_folder(
             lag = None if calibration is None else calibration.applied_lag
             late = 0.0 if lag is None else lag.in_seconds(1 / clock.interval)
         interrupted = len(rows) < len(frames)
+        if calibration is not None:
+            new = tuple(text for text in remarks if text not in calibration.warnings)
+            calibration = replace(calibration, warnings=(*calibration.warnings, *new))
         if calibration is not None and rows:
             write_json(out / SESSION, calibration.to_dict())
         readings = _readings(run, late)

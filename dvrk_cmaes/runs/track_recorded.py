@@ -28,7 +28,7 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     solve_keyframes,
     write_keyframes,
 )
-from dvrk_cmaes.runs.recorded_results import judge_all, remarks_on_readings, results_of, smooth_frames
+from dvrk_cmaes.runs.recorded_results import judge_all, results_of, smooth_frames
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.silhouette import Body
@@ -116,8 +116,6 @@ def follow_recorded(
             judged = judge_all(smoothed, fits, predicted, run)
         except _StoppedError:
             return None
-    for text in remarks_on_readings(predicted):
-        notice(text)
     results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config)
     return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
 

@@ -1,4 +1,4 @@
-"""Readings that stand still while the instrument moves: frozen ones of the arm, commanded ones of the wrist."""
+"""Readings of the arm that are frozen: they stand still while the instrument moves."""
 
 from __future__ import annotations
 
@@ -49,14 +49,3 @@ def describe_frozen(frozen: Bool, names: Sequence[str]) -> list[str | None]:
             since = name
         texts.append(f"readings frozen since frame {since}: the mask moves, and they do not" if frozen[i] else None)
     return texts
-
-
-def commanded_joints(outer: Float64, joints: Float64, names: Sequence[str]) -> list[str]:
-    """Return the joints whose readings (N, J) never change while those of the outer joints (N, 4) do."""
-    moving = np.nanmax(np.ptp(outer[~np.isnan(outer).any(axis=1)], axis=0), initial=0.0) > _SAME
-    out = []
-    for name, values in zip(names, joints.T, strict=True):
-        read = values[~np.isnan(values)]
-        if moving and len(read) >= _LEAST_FRAMES and np.ptp(read) < _SAME:
-            out.append(name)
-    return out

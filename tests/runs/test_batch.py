@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.folder import read_results
@@ -294,3 +295,20 @@ def test_tables_can_be_rewritten(batch: Batch, two: Path, tmp_path: Path) -> Non
     assert comparable(out) == whole
     with pytest.raises(InputError, match="expected results of a batch, got none"):
         finish(two)
+
+
+def test_wrist_readings_that_never_move_are_one_warning_of_all_frames(batch: Batch, tmp_path: Path) -> None:
+    folder = make_session(tmp_path / "session", ["0001", "0002", "0003", "0004", "0005"])
+    with open(folder / "joints.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    with open(folder / "joints.csv", "w", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(row | {"wrist_pitch": "0", "wrist_yaw": "0"} for row in rows)
+    done = batch(folder)
+    assert done.document["commanded"] == ["wrist_pitch", "wrist_yaw"]
+    for result in done.results.values():
+        (text,) = [text for text in result.warnings if "never move" in text]
+        assert text.startswith("wrist readings never move: wrist_pitch and wrist_yaw constant while the arm moves")
+        assert result.config["readings"]["wrist_pitch_deg"] == 2 * EstimateConfig().readings.wrist_pitch_deg
+    assert "wrist readings never move" in (done.folder / "report.html").read_text(encoding="utf-8")

@@ -1,10 +1,10 @@
-"""Readings that stand still: frozen outer joints while the mask moves, and a wrist whose values are commanded."""
+"""Readings that stand still: frozen outer joints while the mask moves."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.track.still_readings import commanded_joints, describe_frozen, frozen_frames
+from dvrk_cmaes.track.still_readings import describe_frozen, frozen_frames
 
 FRAMES = 30
 
@@ -40,10 +40,3 @@ def test_reason_names_the_frame_since_which_readings_are_frozen() -> None:
     texts = describe_frozen(np.array([False, True, True, False, True]), ["a", "b", "c", "d", "e"])
     since = [None if text is None else text.split(":")[0] for text in texts]
     assert since == [None, *["readings frozen since frame b"] * 2, None, "readings frozen since frame e"]
-
-
-def test_a_joint_that_is_constant_while_the_arm_moves_is_commanded() -> None:
-    joints = np.column_stack([np.full(FRAMES, 0.4), np.linspace(0, 1, FRAMES), np.full(FRAMES, np.nan)])
-    names = ("wrist_pitch", "wrist_yaw", "jaw")
-    assert commanded_joints(moving(), joints, names) == ["wrist_pitch"]
-    assert commanded_joints(np.zeros((FRAMES, 4)), joints, names) == []
