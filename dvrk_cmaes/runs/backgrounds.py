@@ -17,6 +17,7 @@ from dvrk_cmaes.segment.background import FEWEST, MOST, learn_background
 from dvrk_cmaes.segment.classic import segment_classic
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import SegmentSettings
+from dvrk_cmaes.silhouette.threads import map_threaded
 
 _TRIED: Final = 3  # images in which the instrument is looked for by colours
 
@@ -45,8 +46,8 @@ def learned_backgrounds(settings: SegmentSettings, images: Mapping[str, Sequence
     """
     if settings.model != "classic":
         return settings
-    found = {view: learned for view, paths in images.items() if (learned := _learn(paths)) is not None}
-    return replace(settings, backgrounds=found)
+    learned = zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True)
+    return replace(settings, backgrounds={view: found for view, found in learned if found is not None})
 
 
 def _learn(paths: Sequence[Path]) -> NDArray[np.uint8] | None:

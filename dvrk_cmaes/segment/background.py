@@ -52,6 +52,9 @@ _FAR: Final = 0.04  # of the longer side; farther from what surely differs there
 _CUTS: Final = 3
 _GAP: Final = 0.02  # of the longer side, between pieces of an instrument
 _CLOSING: Final = 0.011  # of the longer side: highlights at the outline are closed
+_NEARBY: Final = 20  # px about the pixels that may be instrument, in which the image is looked at
+_WEIGHT: Final = 4.0
+"""Factor on the log-odds: in a window about the instrument, where edges are dense, the graph cut takes each for weaker."""
 _EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
 _SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted
@@ -131,23 +134,28 @@ def segment_before(image: Image, background: Image, prompts: Prompts, odds: Floa
         return nothing
     away = distance_to(mask) > max(_FAR * longer, 2.0)
     beyond = away if prompts.background is None else away | prompts.background
-    smooth = cv2.GaussianBlur(np.stack([np.log(image.mean(axis=2) + _DARK), ratio], axis=-1), (0, 0), 1.0)
-    total = by_ratio
+    near = _window(~beyond, _NEARBY)
+    smooth = cv2.GaussianBlur(np.stack([np.log(image.mean(axis=2) + _DARK), ratio], axis=-1)[near], (0, 0), 1.0)
+    guide = np.asarray(smooth, np.float32)
+    inside = prompts.within(near)
     for _ in range(_CUTS):
         known = shaft_log_odds(mask) if odds is None else odds
         total = by_ratio if known is None else by_ratio + np.clip(known, -_LARGEST_PRIOR, _LARGEST_PRIOR)
-        mask = cut(total, np.asarray(smooth, np.float32), background=beyond, tool=prompts.tool)
+        before, mask = mask, np.zeros_like(mask)
+        mask[near] = cut(total[near], guide, background=beyond[near], tool=inside.tool, weight=_WEIGHT)
         mask = fill_holes(instrument_region(mask, _GAP * longer, prompts))
         if not mask.any() or mask.all():
             return nothing
+        if odds is not None or (mask == before).all():
+            break  # another cut would be of the same log-odds
     mask = fill_holes(_closed(mask, max(round(_CLOSING * longer), 1)))
-    mask = _at_edges(image, mask, np.asarray(smooth, np.float32))
+    mask[near] = _at_edges(image[near], mask[near], guide)
+    mask = fill_holes(mask)
     if prompts.background is not None:
         mask &= ~prompts.background
     if not mask.any() or mask.all():
         return nothing
-    left, top, across, down = window_around(mask, max(round(_WINDOW * longer), 2))
-    window = np.s_[top : top + down, left : left + across]
+    window = _window(mask, max(round(_WINDOW * longer), 2))
     colours = measure_colours(np.ascontiguousarray(image[window]))
     verdict = assess_mask(mask, window, by_ratio[window], colours, prompts=prompts)
     notes = verdict.notes if verdict.confidence >= GUESS else ("a guess", *verdict.notes)
@@ -189,10 +197,19 @@ def _median_of_free(stack: Image, free: Bool, otherwise: Image) -> Image:
 
 def _at_edges(image: Image, mask: Bool, guide: Float32) -> Bool:
     """Move the outline of a mask (H, W), by at most a few pixels, to where the edges of the image are halfway."""
-    moved = cut(
-        edge_log_odds(image, mask), guide, background=distance_to(mask) > _EDGE, tool=distance_to(~mask) > _EDGE
+    return cut(
+        edge_log_odds(image, mask),
+        guide,
+        background=distance_to(mask) > _EDGE,
+        tool=distance_to(~mask) > _EDGE,
+        weight=_WEIGHT,
     )
-    return fill_holes(moved)
+
+
+def _window(mask: Bool, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns of a mask (H, W), which is not empty, with a margin, px, within the image."""
+    left, top, across, down = window_around(mask, margin)
+    return np.s_[top : top + down, left : left + across]
 
 
 def _log_ratio(image: Image, background: Image) -> Float32:

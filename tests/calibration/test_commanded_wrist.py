@@ -83,7 +83,7 @@ def test_no_frame_whose_mode_the_session_tells_is_doubtful_for_its_twin(
 
 
 def test_measured_wrists_are_not_mentioned(bundled_body: Body, world: World) -> None:
-    base, truths, frames = world
+    _, truths, frames = world
     measured = [
         with_result(frame, readings=frame.result.readings | truth.joints)
         for frame, truth in zip(frames, truths, strict=True)
