@@ -340,6 +340,8 @@ class SessionConfig:
         mask the predicted pose explains, is not searched globally.
     cables
         Whether coupling, play and wander of the cables are estimated, beside the offsets.
+    masks_again
+        Whether masks that were found in images are found again around the silhouettes that the session expects.
     """
 
     arm_deg: float = 0.1
@@ -363,6 +365,7 @@ class SessionConfig:
     cauchy: float = 0.25
     largest_misfit: float = 12.0
     cables: bool = True
+    masks_again: bool = True
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,9 @@ prediction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,11 +34,23 @@ from dvrk_cmaes.calibration.frame_task import (
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
+from dvrk_cmaes.calibration.masks_again import (
+    AgainTask,
+    FoundAgain,
+    MasksAgain,
+    PackedMask,
+    PredictedTask,
+    again_task,
+    compared,
+    predicted_task,
+    with_masks,
+)
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
-from dvrk_cmaes.calibration.solve import FrameFits, solve, solve_with_modes
+from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -63,6 +77,8 @@ class Alternation:
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``undetermined`` about what
     it does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change
     of the camera that the frames fit, None where it is not determined, ``masks`` the errors that all masks share.
+    ``again`` is what changed as masks were found again, None where they were not; ``masks_found_again`` are those that
+    are used, by frame and view.
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
 
     Parameters
@@ -106,6 +122,9 @@ class Alternation:
         self.camera: SessionCamera | None = None
         self.masks: SessionMasks | None = None
         self.undetermined: list[str] = []
+        self.again: MasksAgain | None = None
+        self.masks_found_again: dict[str, Mapping[str, PackedMask]] = {}
+        self._first: dict[int, StoredFrame] = {}  # evidence of the first masks of frames whose masks were found again
         self._left_out: dict[str, str] = {}
         names, readings = instrument.joint_names, [frame.result.readings for frame in frames]
         joints = np.array([[of_frame.get(name, np.nan) for name in names] for of_frame in readings])
@@ -191,24 +210,86 @@ class Alternation:
             expected = self.model.priors(calibration, scale=scale)
             self._fit(expected, self._starts(iteration, expected, moved, last=last), last=last)
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
-            keep_all = scale != 1.0
-            fits = FrameFits.of([fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits])
-            self._solve(fits, calibration)
-            if scale == 1.0 and session.cables:
-                self._correct_cables(fits)
+            fits = self._solve_round(calibration, keep_all=scale != 1.0)
             calibration = self.solution.calibration
-            self.lag.refine(self.model, fits, calibration, self._prior)
-            self.model = self.lag.corrected(self.model)
             if self._change is not None and not last:
                 calibration, moved = self._change_camera(calibration, fits.at, self._change)
             elif iteration + 2 == len(scales):
                 calibration, moved = self._take_off_margin(calibration, fits.at)
-        self.solution = solve(self.model, fits, calibration, self._prior)
+        self._finish(fits)
+
+    def _solve_round(self, calibration: Calibration, *, keep_all: bool) -> FrameFits:
+        """Estimate the calibration, the cables and the lag from the current fits, which are returned.
+
+        ``keep_all`` is whether fits that do not explain the mask count as well.
+        """
+        fits = FrameFits.of([fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits])
+        self._solve(fits, calibration)
+        if not keep_all and self._config.session.cables:
+            self._correct_cables(fits)
+        self.lag.refine(self.model, fits, self.solution.calibration, self._prior)
+        self.model = self.lag.corrected(self.model)
+        return fits
+
+    def _finish(self, fits: FrameFits) -> None:
+        """Solve once more with all that was found from the fits of the last round."""
+        self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
         self.lag.estimate_joints(self.model, fits, self.solution.calibration, self._prior)
-        if self.lag.applied is not None:
-            self.warnings.append(
-                f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
-            )
+
+    def with_masks_again(self) -> Alternation:
+        """Find the masks again that were found in images, around the fits, and solve again; returns the better one.
+
+        Only frames that agree with the session are looked at again, and only those whose masks change are fitted again.
+        ``again`` of the returned one tells what was compared; it is None, and this one is returned, without such
+        frames.
+        """
+        agree = [not text for text in describe_disagreements(self.fits, self.solution, self._config.session)]
+        finders = {i: frame.find_masks for i, frame in enumerate(self.frames) if agree[i]}
+        tasks = {
+            i: AgainTask(self.frames[i].data, find, self.fits[i].at, self._change)
+            for i, find in finders.items()
+            if find is not None
+        }
+        if not tasks:
+            return self
+        self._progress("finding masks again", len(tasks))
+        found: dict[int, FoundAgain] = dict(zip(tasks, self._run(again_task, list(tasks.values())), strict=True))
+        new = {i: of_frame.masks for i, of_frame in found.items() if of_frame.masks}
+        other = self._with_masks(new) if new else self
+        pairs = zip(self._left_out_predictions(), other._left_out_predictions(), strict=True)
+        poses = [Posed.stacked(pair) for pair in pairs]
+        used = [i for i, agrees in enumerate(agree) if agrees]
+        predicted = self._run(predicted_task, [PredictedTask(self._stored[i], poses[i], self._change) for i in used])
+        bases = (self.solution.calibration.camera_from_base, other.solution.calibration.camera_from_base)
+        again = compared([of_frame.iou for of_frame in found.values()], len(new), bases, predicted)
+        better = other if again.applied else self
+        better.again = again
+        return better
+
+    def _with_masks(self, masks: Mapping[int, Mapping[str, PackedMask]]) -> Alternation:
+        """Return a copy with other masks of some frames, solved in one more round from the current solution."""
+        other = copy.copy(self)
+        other.lag, other.cables = copy.copy(self.lag), copy.copy(self.cables)
+        other.warnings, other.undetermined = list(self.warnings), list(self.undetermined)
+        other.frames = [
+            replace(frame, data=with_masks(frame.data, masks[i])) if i in masks else frame
+            for i, frame in enumerate(self.frames)
+        ]
+        other._first = {i: self._stored[i] for i in masks}
+        other.masks_found_again = {self.frames[i].name: of_frame for i, of_frame in masks.items()}
+        other._stored = list(self._stored)
+        other._progress("solving again", len(masks))
+        for i, stored in zip(masks, other._run(gather_task, [other.frames[i] for i in masks]), strict=True):
+            other._stored[i] = stored
+        expected = other.model.priors(other.solution.calibration)
+        starts = [(fit.at,) if i in masks else () for i, fit in enumerate(other.fits)]
+        other._fit(expected, starts, last=True)
+        other._finish(other._solve_round(other.solution.calibration, keep_all=False))
+        return other
+
+    def _left_out_predictions(self) -> list[Posed]:
+        """Return what all other frames predict of each frame."""
+        return [self.model.subset([i]).predict(leave_one_out(self.solution, i))[0] for i in range(len(self.frames))]
 
     def _starts(
         self, iteration: int, expected: Sequence[Expected], moved: Posed | None, *, last: bool
@@ -295,6 +376,10 @@ class Alternation:
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""
         solution, session = self.solution, self._config.session
+        if self.lag.applied is not None:
+            self.warnings.append(
+                f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
+            )
         self._progress("checking camera and offsets", len(self.frames))
         at = Posed.stacked(fit.at for fit in self.fits)
         check = check_camera(
@@ -331,4 +416,5 @@ class Alternation:
         frames = self.frames if self.lag.applied is None else with_readings(self.frames, model)
         stated = {**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)}
         tasks = report_tasks(frames, self._stored, self.fits, model, solution, disagreements, session, stated)
+        tasks = [replace(task, first=self._first.get(i), change=self._change) for i, task in enumerate(tasks)]
         return self._run(report_task, tasks), reasons

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_turned_views
+from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
@@ -45,11 +46,13 @@ class SolvedSession:
 
     ``results`` has all frames: the results with the session's prior, and the own results of frames that are left out.
     ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session.
+    ``found_masks`` has the masks, by view, that were found again and used instead of the frames' own.
     """
 
     calibration: SessionCalibration
     results: dict[str, Result]
     leave_one_out: dict[str, LeaveOneOutPrediction]
+    found_masks: Mapping[str, Mapping[str, PackedMask]] = field(default_factory=dict)
 
 
 def calibrate_session(
@@ -143,6 +146,8 @@ def calibrate_with_evidence(
     )
     alternation.initialise()
     alternation.iterate()
+    if settings.session.masks_again:
+        alternation = alternation.with_masks_again()
     alternation.check_constants()
     reports, reasons = alternation.report()
     results = {frame.name: frame.result for frame in frames}
@@ -177,6 +182,7 @@ def calibrate_with_evidence(
         ),
         camera=alternation.camera,
         masks=alternation.masks,
+        masks_again=alternation.again,
         rig=rotations,
         commanded=_only_readings(usable, commanded),
         warnings=(
@@ -191,7 +197,7 @@ def calibrate_with_evidence(
     if calibration.doubt:
         calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
     predicted = {name: report.leave_one_out for name, report in reported.items()}
-    return SolvedSession(calibration, results, predicted), alternation.evidence
+    return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
 
 
 def find_lag(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.mask_margin import SessionMasks
+from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
     OUTER_OFFSETS,
@@ -98,13 +99,14 @@ class SessionCalibration:
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
     leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
-    the other frames predict.
+    the other frames predict; its first mask, where masks were found again.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
     masks : the margin that all masks share; None if it was not estimated.
+    masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : rotations of the further views against the rig's file, of those that were tested.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
@@ -127,6 +129,7 @@ class SessionCalibration:
     cables: SessionCables | None = None
     camera: SessionCamera | None = None
     masks: SessionMasks | None = None
+    masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
@@ -205,7 +208,7 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "rig", "commanded", "arm"),
+            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

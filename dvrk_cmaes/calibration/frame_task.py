@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame, terms_of_constants
-from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
+from dvrk_cmaes.calibration.masks_again import FindMasks
+from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.config import EstimateConfig
@@ -44,7 +45,7 @@ class SessionFrame:
 
     ``data`` are its data or a function that reads them, picklable where several processes are used. ``result`` is its
     own result, estimated without the session. ``keypoints`` (2, 2), px, are the jaw tips; ``time``, s, is that of its
-    image.
+    image. ``find_masks`` finds its masks again around silhouettes, where they were found in its images.
     """
 
     name: str
@@ -52,6 +53,7 @@ class SessionFrame:
     result: Result
     keypoints: Float64 | None = None
     time: float | None = None
+    find_masks: FindMasks | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,9 @@ class ReportTask:
     fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, and
     ``predicted_std`` (J,) the standard deviations of these joints, rad. ``base`` (4, 4) is the camera_from_base of the
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
-    frame's new result is the fit, otherwise its own result. ``config`` is stored with the result.
+    frame's new result is the fit, otherwise its own result. ``config`` is stored with the result. ``first`` is the
+    evidence of the frame's first masks, against which the prediction is measured, if these are others, and ``change``
+    that of its cameras, as in `FitTask`.
     """
 
     stored: StoredFrame
@@ -100,6 +104,8 @@ class ReportTask:
     doubts: tuple[str, ...]
     agree: bool
     config: Mapping[str, Any]
+    first: StoredFrame | None = None
+    change: Float64 | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,18 +180,6 @@ def _read(data: FrameData | Callable[[], FrameData]) -> FrameData:
     return data if isinstance(data, FrameData) else data()
 
 
-def _restored(body: Body, stored: StoredFrame, change: Float64 | None = None) -> list[FrameView]:
-    """Restore the evidence of a frame's views, and make their renderers, with changed cameras if there is a change."""
-    views = [view.restored(body) for view in stored.views]
-    if change is None:
-        return views
-    cameras = [changed(view.evidence.camera, change, stored.camera.width) for view in views]
-    return [
-        replace(view, evidence=replace(view.evidence, camera=camera), renderer=Renderer(body, camera, threads=1))
-        for view, camera in zip(views, cameras, strict=True)
-    ]
-
-
 def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, float]) -> Readings:
     """Return the readings and limits of the instrument's joints."""
     return split_readings(body.instrument, readings, config)[0]
@@ -194,7 +188,7 @@ def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, fl
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
     return fit_frame(
-        _restored(body, task.stored, task.change),
+        restored_views(body, task.stored, task.change),
         _of_instrument(body, config, {}),
         config,
         task.expected,
@@ -216,10 +210,14 @@ def constants_task(body: Body, config: EstimateConfig, task: ConstantsTask) -> Q
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
     """Make a frame's result, and measure the quality of its leave-one-out prediction."""
     started = time.perf_counter()
-    views = _restored(body, task.stored)
+    views = restored_views(body, task.stored)
     readings = _of_instrument(body, config, task.result.readings)
     of_views, rays = measure_views(views, readings, Posed.stacked([task.predicted, task.fit.at]), config)
-    predicted = pooled_quality([qualities[0] for qualities in of_views])
+    measured = of_views
+    if task.first is not None:
+        first = restored_views(body, task.first, task.change)
+        measured, _ = measure_views(first, readings, Posed.stacked([task.predicted]), config)
+    predicted = pooled_quality([qualities[0] for qualities in measured])
     own_result = task.result
     if task.agree:
         result = _result_of_fit(body, config, task, views, readings, [qualities[1] for qualities in of_views])

@@ -125,3 +125,15 @@ def changed(camera: Camera, change: Float64, width: int | None = None) -> Camera
     """
     size = 1.0 if width is None else camera.width / width
     return camera.changed(float(np.exp(change[0])), (size * float(change[1]), size * float(change[2])))
+
+
+def restored_views(body: Body, stored: StoredFrame, change: Float64 | None = None) -> list[FrameView]:
+    """Restore the evidence of a frame's views, and make their renderers, with changed cameras if there is a change."""
+    views = [view.restored(body) for view in stored.views]
+    if change is None:
+        return views
+    cameras = [changed(view.evidence.camera, change, stored.camera.width) for view in views]
+    return [
+        replace(view, evidence=replace(view.evidence, camera=camera), renderer=Renderer(body, camera, threads=1))
+        for view, camera in zip(views, cameras, strict=True)
+    ]

@@ -182,6 +182,7 @@ def _calibrate_arm(
 ) -> SolvedSession | None:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.results.folder import ALONE, read_results
+    from dvrk_cmaes.runs.backgrounds import segment_settings
     from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
     from dvrk_cmaes.runs.output import locked
     from dvrk_cmaes.runs.processes import usable_cores
@@ -193,6 +194,7 @@ def _calibrate_arm(
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
+            segment = segment_settings(session, results) if settings.session.masks_again else None
         else:
             from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
             from dvrk_cmaes.runs.batch import run_batch
@@ -212,6 +214,7 @@ def _calibrate_arm(
             if done.interrupted:
                 return None
             alone = done.results
+            segment = done.setup.segment
         from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
 
         return calibrate_folder(
@@ -223,6 +226,7 @@ def _calibrate_arm(
             arm=arm.kinematics,
             refine_camera=refine_camera,
             config=settings,
+            segment=segment,
             workers=count,
             processes=processes,
             progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
@@ -281,6 +285,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
         yield Line(rotation.describe())
     if calibration.masks is not None and calibration.masks.applied:
         yield Line(calibration.masks.describe())
+    if calibration.masks_again is not None:
+        yield Line(calibration.masks_again.describe())
     for text in calibration.untold:
         yield Line(f"  not told by this session: {text}", STATUS_STYLES["doubtful"].removeprefix("bold "))
     for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_margin import SessionMasks
+from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_rig import ViewRotation
@@ -209,6 +210,8 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         yield _rotation_figure(rotation)
     if calibration.masks is not None:
         yield _margin_figure(calibration.masks)
+    if calibration.masks_again is not None:
+        yield _again_figure(calibration.masks_again)
 
 
 def _lag_figure(lag: Lag) -> KeyFigure:
@@ -252,6 +255,17 @@ def _margin_figure(masks: SessionMasks) -> KeyFigure:
     done = "taken off the masks" if masks.applied else "zero within its error, not taken off"
     note = f"all round, negative if too narrow; standard deviation {masks.std_margin_px:.2f} px; {done}"
     return KeyFigure("Masks too wide", f"{masks.margin_px:+.2f} px", note)
+
+
+def _again_figure(again: MasksAgain) -> KeyFigure:
+    """Return what changed as masks were found again, and what the frames then predict of each other's first masks."""
+    note = (
+        f"frames, around the expected silhouettes; mean IoU {again.iou:.4f} with the first masks; base moved by "
+        f"{again.base_mm:.2f} mm, {again.base_deg:.2f}°; first masks predicted by the others: IoU "
+        f"{again.iou_before:.4f}, then {again.iou_after:.4f}, outline {again.contour_px_before:.2f}, then {again.contour_px_after:.2f} px; "
+        f"{'used' if again.applied else 'not used'}"
+    )
+    return KeyFigure("Masks changed when found again", f"{again.changed} of {again.frames}", note)
 
 
 def _base(calibration: SessionCalibration) -> Iterator[TableRow]:

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.results.paths import found_masks
+from dvrk_cmaes.runs.manifest import read_manifest
 from dvrk_cmaes.segment.background import FEWEST, MOST, learn_background
 from dvrk_cmaes.segment.classic import segment_classic
 from dvrk_cmaes.segment.confidence import GUESS
@@ -36,6 +39,18 @@ def with_backgrounds(
             if own is not None and own.mask is None and own.image is not None and own.problem is None:
                 images[name].append(own.image)
     return learned_backgrounds(settings, images)
+
+
+def segment_settings(session: Session, results: Path) -> SegmentSettings | None:
+    """Return how the masks of a session were found in its images, given the folder of these results.
+
+    None where it is not known, no mask was found, or not by the classic model.
+    """
+    manifest = read_manifest(results)
+    found = any(not files.has_mask and found_masks(results, files.name) for files in session.frames)
+    if manifest is None or not found or manifest.get("segment", {}).get("model") != "classic":
+        return None
+    return with_backgrounds(SegmentSettings(), session.frames, session.rig.names)
 
 
 def learned_backgrounds(settings: SegmentSettings, images: Mapping[str, Sequence[Path]]) -> SegmentSettings:

@@ -2,7 +2,7 @@
 
 OUT/session.json, OUT/camera.yaml (a refined camera; of a rig that was changed, OUT/left.yaml and OUT/right.yaml),
 OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/layers/FRAME.json, OUT/poses.csv,
-OUT/summary.json, OUT/report.html
+OUT/summary.json, OUT/report.html, OUT/masks/FRAME.png (masks that were found again)
 """
 
 from __future__ import annotations
@@ -12,32 +12,46 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_with_evidence
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.masks_again import FindMasks
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.masks_again import ImagesOfFrame
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.atomic import write_bytes, write_json
+from dvrk_cmaes.io.atomic import encoded_image, write_bytes, write_json
 from dvrk_cmaes.io.atomic_folder import replaced_folder
+from dvrk_cmaes.io.written_files import read_written
 from dvrk_cmaes.results.folder import ALONE, SESSION
-from dvrk_cmaes.results.paths import check_output, found_masks, layers_path, left_out_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import (
+    check_output,
+    found_masks,
+    layers_path,
+    left_out_path,
+    mask_path,
+    overlay_path,
+    result_path,
+)
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
+from dvrk_cmaes.runs.ownership import record_masks
 from dvrk_cmaes.runs.processes import Processes
-from dvrk_cmaes.runs.worker import BatchSetup
+from dvrk_cmaes.runs.worker import BatchSetup, hints_of
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
@@ -53,6 +67,7 @@ def calibrate_folder(
     arm: Arm = "classic",
     refine_camera: bool = False,
     config: EstimateConfig,
+    segment: SegmentSettings | None = None,
     workers: int,
     processes: Processes | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
@@ -60,7 +75,8 @@ def calibrate_folder(
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
+    are taken from there; with ``segment``, how they were found there, they are found again around the silhouettes that
+    the session expects. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
     new ones, up to ``workers``. All files are written to a folder beside, which takes the place of an earlier one when
     it is whole.
 
@@ -72,6 +88,7 @@ def calibrate_folder(
         A process died, or the disk is full.
     """
     files = {own.name: _with_mask(own, alone) for own in session.frames}
+    finders = _finders(session, alone, segment)
     frames = []
     for name, own in files.items():
         check_output(out, name)
@@ -84,7 +101,7 @@ def calibrate_folder(
             )
         # The image is only needed for the overlay.
         reader = functools.partial(read_frame, own.changed(image=None), session.rig)
-        frames.append(SessionFrame(name, reader, result, own.keypoints))
+        frames.append(SessionFrame(name, reader, result, own.keypoints, find_masks=finders.get(name)))
     with ExitStack() as stack:
         if processes is None:
             processes = stack.enter_context(instrument_processes(instrument, workers, frames))
@@ -100,14 +117,18 @@ def calibrate_folder(
             progress=progress,
         )
         progress("drawing", len(solved.leave_one_out))
+        masks = Path(stack.enter_context(TemporaryDirectory(prefix="dvrk-cmaes-")))
+        files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
         corrected = Rig(solved.calibration.corrected_views(session.rig.views))
         tasks = [
             DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
-    with replaced_folder(out, kept=(ALONE,)) as beside:
-        _write(solved, pictures, session, instrument, beside, arm, config, alone)
+        with replaced_folder(out, kept=(ALONE,)) as beside:
+            for path in masks.rglob("*.png"):
+                write_bytes(beside / path.relative_to(masks), path.read_bytes())
+            _write(solved, pictures, session, instrument, beside, arm, config, alone)
     return solved
 
 
@@ -120,6 +141,36 @@ def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
         return replace(files, mask=next(iter(masks.values()), None))
     others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
     return replace(files, mask=next(iter(masks.values()), None), others=others)
+
+
+def _finders(session: Session, alone: Path | None, segment: SegmentSettings | None) -> dict[str, FindMasks]:
+    """Return what finds masks again, by frame: of frames without masks, whose found ones were not corrected by hand."""
+    if alone is None or segment is None or segment.model != "classic":
+        return {}
+    record = read_written(alone)
+    changed = set() if record is None else {name for name in record.files if record.is_changed(alone, name)}
+    out: dict[str, FindMasks] = {}
+    for files in session.frames:
+        found = [path.relative_to(alone).as_posix() for path in found_masks(alone, files.name)]
+        if not files.has_mask and found and not changed & set(found):
+            out[files.name] = ImagesOfFrame(files, session.rig, segment, hints_of(files) or Hints())
+    return out
+
+
+def _with_masks_again(
+    solved: SolvedSession, session: Session, folder: Path, files: Mapping[str, FrameFiles]
+) -> dict[str, FrameFiles]:
+    """Write the masks of frames that were found again below a folder; returns the frames with them."""
+    alone, out = len(session.rig.views) == 1, {}
+    for name, own in files.items():
+        paths = {}
+        for view, mask in solved.found_masks[name].items():
+            paths[view] = mask_path(folder, name, "" if alone else view)
+            write_bytes(paths[view], encoded_image(paths[view], mask.restored()))
+        first = session.rig.names[0]
+        others = {view: replace(each, mask=paths.get(view, each.mask)) for view, each in own.others.items()}
+        out[name] = replace(own, mask=paths.get(first, own.mask), others=others)
+    return out
 
 
 def _write(
@@ -150,6 +201,7 @@ def _write(
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
     finish(out)
+    record_masks(out, "calibrate")
 
 
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:

@@ -54,7 +54,7 @@ _GAP: Final = 0.02  # of the longer side, between pieces of an instrument
 _CLOSING: Final = 0.011  # of the longer side: highlights at the outline are closed
 _NEARBY: Final = 20  # px about the pixels that may be instrument, in which the image is looked at
 _WEIGHT: Final = 4.0
-"""Factor on the log-odds: in a window about the instrument, where edges are dense, the graph cut takes each for weaker."""
+"""Factor on the log-odds: in a window about the instrument edges are dense, and the graph cut takes each for weaker."""
 _EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
 _SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted

@@ -69,17 +69,25 @@ def segment_again(
     *,
     hints: Hints,
     outside: Bool,
+    background: NDArray[np.uint8] | None = None,
 ) -> Segmentation | None:
     """Segment an image (H, W, 3) BGR with a silhouette (H, W) as prior.
 
     ``mask`` (H, W) is the mask that the silhouette's pose was fitted to; ``outside`` (H, W) are the pixels outside the
-    field of view. Returns None where silhouette and mask overlap too little for a prior, or where no pixel is taken for
+    field of view, ``background`` (h, w, 3) what the camera sees without the instrument, if the mask is to be told by
+    that. Returns None where silhouette and mask overlap too little for a prior, or where no pixel is taken for
     the instrument.
     """
     if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
         return None
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
-    segmentation = refine_outline(image, silhouette, prompts, _log_odds(silhouette))
+    odds = _log_odds(silhouette)
+    if background is None:
+        segmentation = refine_outline(image, silhouette, prompts, odds)
+    else:
+        from dvrk_cmaes.segment.background import segment_before
+
+        segmentation = segment_before(image, background, prompts, odds)
     return segmentation if segmentation.mask.any() else None
 
 

@@ -1,0 +1,196 @@
+"""Masks of a session that are found in its images once more, around the silhouettes that the session expects.
+
+The session is then solved again. Whether that is better is measured against the first masks, from which nothing that is
+expected of a frame has been drawn: if the frames predict each other's first masks worse, the first solution is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import Posed, change_between
+from dvrk_cmaes.io.encode import Document
+from dvrk_cmaes.io.typed_document import Count, Number
+from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.silhouette import Body, Renderer
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+FindMasks = Callable[[Mapping[str, Bool], Mapping[str, Bool]], Mapping[str, Bool]]
+"""Finds masks (H, W) in the images of a frame, by view, around silhouettes, given the first masks; picklable."""
+
+_UNCHANGED = 0.999  # intersection over union of both masks of a view, from which on the first one is kept
+_WORSE = 5e-4, 0.02  # overlap and px, by which the predictions of the first masks may become worse
+
+
+@dataclass(frozen=True)
+class PackedMask:
+    """A mask with one bit a pixel."""
+
+    shape: tuple[int, int]
+    bits: bytes
+
+    @classmethod
+    def of(cls, mask: Bool) -> PackedMask:
+        """Pack a mask (H, W)."""
+        return cls((mask.shape[0], mask.shape[1]), np.packbits(mask).tobytes())
+
+    def restored(self) -> Bool:
+        """Return the mask (H, W)."""
+        height, width = self.shape
+        bits = np.unpackbits(np.frombuffer(self.bits, np.uint8), count=height * width)
+        return bits.reshape(height, width).astype(np.bool_)
+
+
+@dataclass(frozen=True)
+class MasksAgain(Document):
+    """What changed as the masks of a session were found again around its silhouettes.
+
+    frames : number of frames whose masks were found again, changed : of those whose masks changed. iou : mean overlap
+    of both masks. base_mm, base_deg : move of the base. before, after : mean overlap, and median contour distance, px,
+    of the first masks and the silhouettes that the other frames predict, by both solutions. applied : whether the new
+    masks and their solution are used.
+    """
+
+    frames: Count
+    changed: Count
+    iou: Number
+    base_mm: Number
+    base_deg: Number
+    iou_before: Number
+    iou_after: Number
+    contour_px_before: Number
+    contour_px_after: Number
+    applied: bool
+
+    def describe(self) -> str:
+        """Describe in words what changed, and what is used."""
+        done = "used" if self.applied else "not used, since the first masks are predicted worse"
+        if not self.changed:
+            done = "all as they were"
+        return (
+            f"masks found again around the silhouettes that the session expects: {self.changed} of {self.frames} "
+            f"frames changed (mean IoU {self.iou:.4f} with the first masks), base moved by {self.base_mm:.2f} mm, "
+            f"{self.base_deg:.2f} deg; first masks predicted by the other frames: IoU {self.iou_before:.4f}, then "
+            f"{self.iou_after:.4f}, contour {self.contour_px_before:.2f}, then {self.contour_px_after:.2f} px median; "
+            f"{done}"
+        )
+
+
+def compared(
+    overlaps: Sequence[float],
+    changed_frames: int,
+    bases: tuple[Float64, Float64],
+    predicted: Sequence[tuple[tuple[float, float], tuple[float, float]]],
+) -> MasksAgain:
+    """Compare two solutions of a session, the second one of masks that were found again, and choose one.
+
+    Parameters
+    ----------
+    overlaps
+        Intersection over union of both masks, of each frame whose masks were found again.
+    changed_frames
+        Number of frames whose masks changed.
+    bases
+        camera_from_base (4, 4), m, of both solutions.
+    predicted
+        Of each frame, by both solutions, the overlap of its first mask and the silhouette that the other frames
+        predict, and the median distance of their contours, px.
+    """
+    both = np.array(predicted).reshape(-1, 2, 2)
+    iou, contour = both[..., 0].mean(axis=0), np.median(both[..., 1], axis=0)
+    moved = change_between(*bases)
+    worse = iou[1] < iou[0] - _WORSE[0] or contour[1] > contour[0] + _WORSE[1]
+    return MasksAgain(
+        frames=len(overlaps),
+        changed=changed_frames,
+        iou=float(np.mean(overlaps)),
+        base_mm=1e3 * float(np.linalg.norm(moved[:3])),
+        base_deg=float(np.degrees(np.linalg.norm(moved[3:]))),
+        iou_before=float(iou[0]),
+        iou_after=float(iou[1]),
+        contour_px_before=float(contour[0]),
+        contour_px_after=float(contour[1]),
+        applied=changed_frames > 0 and not worse,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class AgainTask:
+    """Arguments of `again_task`: a frame's data, what finds its masks, and where the instrument is, with ``change``.
+
+    ``change`` (3,) is that of all cameras, as of `changed`, where they are not those of the data.
+    """
+
+    data: FrameData | Callable[[], FrameData]
+    find: FindMasks
+    at: Posed
+    change: Float64 | None
+
+
+@dataclass(frozen=True)
+class FoundAgain:
+    """The masks of a frame by view that changed, and the least overlap of both masks over the views."""
+
+    masks: dict[str, PackedMask]
+    iou: float
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedTask:
+    """Arguments of `predicted_task`: the evidence of a frame, poses (C,) and the change of its cameras, if any."""
+
+    stored: StoredFrame
+    poses: Posed
+    change: Float64 | None
+
+
+def again_task(body: Body, config: EstimateConfig, task: AgainTask) -> FoundAgain:
+    """Find the masks of one frame again."""
+    data = task.data if isinstance(task.data, FrameData) else task.data()
+    given = [view for view in data.views if view.given]
+    width, silhouettes = data.camera.width, {}
+    for view in given:
+        camera = view.camera if task.change is None else changed(view.camera, task.change, width)
+        seen = task.at.seen_from(view.view_from_camera)
+        drawn = Renderer(body, camera, threads=1).masks(seen.pose[None], seen.joints[None])[0]
+        silhouettes[view.name] = np.asarray(drawn)
+    first = {view.name: view.mask for view in given}
+    found = task.find(silhouettes, first)
+    overlaps = {name: _overlap(mask, first[name]) for name, mask in found.items()}
+    masks = {name: PackedMask.of(mask) for name, mask in found.items() if overlaps[name] < _UNCHANGED}
+    return FoundAgain(masks, min(overlaps.values(), default=1.0))
+
+
+def predicted_task(body: Body, config: EstimateConfig, task: PredictedTask) -> list[tuple[float, float]]:
+    """Measure the overlap of a frame's mask and the silhouette at each pose, and the median contour distance, px."""
+    views = restored_views(body, task.stored, task.change)
+    of_views, _ = measure_views(views, Readings.none(body.instrument), task.poses, config)
+    pooled = (pooled_quality(qualities) for qualities in zip(*of_views, strict=True))
+    return [(quality.iou, quality.contour_px_median) for quality in pooled]
+
+
+def with_masks(data: FrameData | Callable[[], FrameData], masks: Mapping[str, PackedMask]) -> Callable[[], FrameData]:
+    """Return a function that reads the data of a frame with other masks of some views."""
+    return partial(_read_with_masks, data, masks)
+
+
+def _read_with_masks(data: FrameData | Callable[[], FrameData], masks: Mapping[str, PackedMask]) -> FrameData:
+    read = data if isinstance(data, FrameData) else data()
+    views = (replace(v, mask=masks[v.name].restored()) if v.name in masks else v for v in read.views)
+    return replace(read, views=tuple(views))
+
+
+def _overlap(first: Bool, second: Bool) -> float:
+    """Intersection over union of two masks; 1 if both are empty."""
+    return float((first & second).sum() / max(int((first | second).sum()), 1)) if (first | second).any() else 1.0
