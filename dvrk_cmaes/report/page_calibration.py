@@ -262,8 +262,8 @@ def _again_figure(again: MasksAgain) -> KeyFigure:
     note = (
         f"frames, around the expected silhouettes; mean IoU {again.iou:.4f} with the first masks; base moved by "
         f"{again.base_mm:.2f} mm, {again.base_deg:.2f}°; first masks predicted by the others: IoU "
-        f"{again.iou_before:.4f}, then {again.iou_after:.4f}, outline {again.contour_px_before:.2f}, then {again.contour_px_after:.2f} px; "
-        f"{'used' if again.applied else 'not used'}"
+        f"{again.iou_before:.4f}, then {again.iou_after:.4f}, outline {again.contour_px_before:.2f}, then "
+        f"{again.contour_px_after:.2f} px; {'used' if again.applied else 'not used'}"
     )
     return KeyFigure("Masks changed when found again", f"{again.changed} of {again.frames}", note)
 
