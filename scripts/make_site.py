@@ -25,7 +25,13 @@ from pages.gallery import EXHIBITS, Exhibit, gallery_page
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 CONFIG: Final = ROOT / "scripts" / "pages" / "mkdocs.yml"
-COPIED: Final = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "data/reference", "data/docs")
+COPIED: Final = (
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "CITATION.cff",
+    *(f"data/{name}" for name in ("reference", "experiments", "docs")),
+)
 """Files and folders that keep their places on the site, so that links between them are those of the repository."""
 
 
@@ -54,6 +60,7 @@ def write_sources(docs: Path, work: Path, exhibits: tuple[Exhibit, ...] = EXHIBI
             shutil.copytree(source, copy)
         else:
             shutil.copy(source, copy)
+    shutil.copy(CONFIG.with_name("extra.css"), docs)
     (work / "gallery").mkdir()
     made = {
         "gallery.md": gallery_page(docs / "gallery", work / "gallery", exhibits),
@@ -66,8 +73,11 @@ def write_sources(docs: Path, work: Path, exhibits: tuple[Exhibit, ...] = EXHIBI
 
 def build(docs: Path, out: Path) -> bool:
     """Build the site of a folder of sources, and return whether there was neither an error nor a warning."""
-    line = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--config-file", str(CONFIG), "--site-dir", str(out)]
-    return subprocess.run(line, env={**os.environ, "SITE_DOCS": str(docs)}, check=False).returncode == 0
+    line = [sys.executable, "-m", "mkdocs", "build", "--config-file", str(CONFIG), "--site-dir", str(out)]
+    environment = {**os.environ, "SITE_DOCS": str(docs), "NO_MKDOCS_2_WARNING": "1"}
+    ended = subprocess.run(line, env=environment, check=False).returncode
+    (out / "404.html").unlink(missing_ok=True)  # its links hold only where the site is at the root of its host
+    return ended == 0
 
 
 if __name__ == "__main__":

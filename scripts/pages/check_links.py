@@ -26,6 +26,7 @@ class _Page(HTMLParser):
 
     links: list[str] = field(default_factory=list)
     anchors: set[str] = field(default_factory=set)
+    text: str = ""
 
     def __post_init__(self) -> None:
         super().__init__()
@@ -44,8 +45,8 @@ class _Page(HTMLParser):
 def dead_links(site: Path) -> list[str]:
     """Return what leads nowhere in the HTML pages of a folder, sorted: ``PAGE: LINK``.
 
-    Links to other sites are not followed. An anchor is looked for in pages alone; those of a page's own script, ``#/``,
-    are left out.
+    Links to other sites are not followed. An anchor ``#frame-NAME`` may be one that a page's script follows: the name
+    must then be among the page's data.
     """
     pages = {path.resolve(): _read(path) for path in site.rglob("*.html")}
     return sorted(
@@ -58,7 +59,8 @@ def dead_links(site: Path) -> list[str]:
 
 def _read(path: Path) -> _Page:
     page = _Page()
-    page.feed(path.read_text(encoding="utf-8"))
+    page.text = path.read_text(encoding="utf-8")
+    page.feed(page.text)
     return page
 
 
@@ -74,4 +76,10 @@ def _leads_somewhere(link: str, path: Path, site: Path, pages: dict[Path, _Page]
     if not target.is_file():
         return False
     anchor = unquote(parts.fragment)
-    return not anchor or target not in pages or anchor.startswith("/") or anchor in pages[target].anchors
+    return not anchor or target not in pages or _has_anchor(pages[target], anchor)
+
+
+def _has_anchor(page: _Page, anchor: str) -> bool:
+    """Whether a page has an element with this anchor, or a script with the data of the frame that it names."""
+    frame = anchor.removeprefix("frame-")
+    return anchor in page.anchors or (frame != anchor and "<script" in page.text and f'"{frame}"' in page.text)

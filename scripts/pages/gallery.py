@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,8 +97,8 @@ EXHIBITS: Final = (
     ),
     Exhibit(
         "A followed recording",
-        "The silhouette of the pose over the images; the strip has the status. The report shows joints, offsets and tips "
-        "over time, and where the pose is doubtful.",
+        "The silhouette of the pose over the images; the strip has the status. The report shows joints, offsets and "
+        "tips over time, and where the pose is doubtful.",
         (
             "synth recording --motion video --level easy --frames 45 --lag 3frames --seed 5",
             "track recording --every 3 --out tracks",
@@ -155,7 +155,7 @@ def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) 
 def _run(command: str, work: Path) -> None:
     """Run a command, whose messages are shown only if it fails."""
     line = [sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)]
-    ran = subprocess.run(line, cwd=work, env={**os.environ}, capture_output=True, text=True, check=False)
+    ran = subprocess.run(line, cwd=work, capture_output=True, text=True, check=False)
     if ran.returncode not in _DONE:
         raise RuntimeError(f"dvrk-cmaes {command}: exit code {ran.returncode}\n{ran.stderr}")
 
@@ -164,7 +164,13 @@ def _entry(exhibit: Exhibit, folder: str) -> str:
     """Return the entry of an exhibit in Markdown; its files are in a folder beside the page."""
     place = f"{folder}/{exhibit.shown}"
     lines = [f"## {exhibit.title}\n", f"{exhibit.text}\n"]
-    lines += [f"    dvrk-cmaes {command}" for command in exhibit.commands]
+    lines += [_printed(f"dvrk-cmaes {command}") for command in exhibit.commands]
     lines += [f"\n![{text}]({place}/{path})" for path, text in exhibit.pictures]
     lines += [f"\n[Open {text}]({place}/{path}){{ .md-button }}" for path, text in exhibit.pages]
     return "\n".join([*lines, ""])
+
+
+def _printed(command: str) -> str:
+    """Return a command as a block of code, on several lines if it is long."""
+    lines = textwrap.wrap(command, 84, break_long_words=False, break_on_hyphens=False)
+    return " \\\n".join([f"    {lines[0]}", *(f"        {line}" for line in lines[1:])])
