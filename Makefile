@@ -1,11 +1,11 @@
-# make demo | test | lint | experiments: each makes the environment it needs first. VENV=DIR puts that elsewhere,
+# make demo | test | lint | site | experiments: each makes the environment it needs first. VENV=DIR puts that elsewhere,
 # PYTHON=... chooses the interpreter, TESTS=... the tests. Experiments take half an hour and rebuild data/experiments.
 VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
-.PHONY: demo test lint experiments clean
+.PHONY: demo test lint site experiments clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.package
@@ -18,6 +18,10 @@ lint: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+site: $(VENV)/.package
+	$(PIP) --editable '.[docs]'
+	$(BIN)/python scripts/make_site.py
 
 experiments: $(VENV)/.tools
 	$(BIN)/python scripts/experiments/table1.py

@@ -1,14 +1,22 @@
-"""Write the README's picture data/docs/overlay.jpg: the overlay of one frame of the bundled session, reduced in size.
+"""Write the README's pictures: data/docs/overlay.jpg, a frame, and data/docs/followed.webp, a followed recording.
 
-python scripts/make_readme_picture.py
+    python scripts/make_readme_picture.py
+
+The frame is one of the bundled session. The recording is made by `dvrk-cmaes synth`: another instrument and a piece of
+tissue pass before the one that is followed.
 """
 
 from __future__ import annotations
 
 import argparse
+import shlex
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import cv2
+from pages.moving_picture import moving_picture
 
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.estimation import estimate
@@ -22,12 +30,27 @@ FRAME = "0001"
 WIDTH = 960  # px
 QUALITY = 78  # of the JPEG, 0 to 100
 
+RECORDING = (
+    "synth recording --motion video --level medium --frames 90 --seed 7",
+    "track recording --every 2 --out tracks --no-page",
+)
+"""Commands that make and follow the recording."""
+FOLLOWED_WIDTH = 480  # px
+FOLLOWED_QUALITY = 70  # of the WebP, 0 to 100
+FOLLOWED_MS = 67  # between two images; 30 images a second, every second one
+
 
 def main() -> None:
-    """Estimate the frame and write its overlay."""
+    """Write both pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=bundled_path("docs", "overlay.jpg"), help="file to write")
+    parser.add_argument("--out", type=Path, default=bundled_path("docs"), help="folder to write to")
     out = parser.parse_args().out
+    write_bytes(out / "overlay.jpg", frame_picture())
+    write_bytes(out / "followed.webp", recording_picture())
+
+
+def frame_picture() -> bytes:
+    """Estimate the frame and return its overlay, reduced in size, as a JPEG."""
     session, body = read_session(bundled_path("demo")), prepare("lnd")
     files = next(frame for frame in session.frames if frame.name == FRAME)
     data = read_frame(files, session.camera)
@@ -35,7 +58,16 @@ def main() -> None:
     drawn = draw_overlay(result, data.mask, data.camera, body, image=data.image)
     size = (WIDTH, round(drawn.shape[0] * WIDTH / drawn.shape[1]))
     small = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
-    write_bytes(out, cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
+    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
+
+
+def recording_picture() -> bytes:
+    """Make and follow the recording, and return it as an animated WebP."""
+    with tempfile.TemporaryDirectory() as folder:
+        for command in RECORDING:
+            subprocess.run([sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)], cwd=folder, check=False)
+        tracks = Path(folder) / "tracks"
+        return moving_picture(tracks, width=FOLLOWED_WIDTH, milliseconds=FOLLOWED_MS, quality=FOLLOWED_QUALITY)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ TOPICS = Group.create_ordered("ROS recording")
 VIDEO = Group.create_ordered("Video")
 POSES = Group.create_ordered("Cartesian poses")
 FOLDER = Group.create_ordered("Stereo endoscope")
+MOST_EPISODES = 1_000_000
 
 
 @Parameter(name="*", group=TOPICS)
@@ -164,7 +165,7 @@ def import_recording(
         File of readings with times, e.g. CSV with a column time (s). Required for a video; for other recordings it
         replaces their own.
     video_start
-        Time of the video's first image on the clock of the readings, in seconds.
+        Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
     side
         Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
         in the name of the images' topic.
@@ -190,6 +191,7 @@ def import_recording(
     if not math.isfinite(video_start):
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
     check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
+    check_range("--episode", episode, 0, MOST_EPISODES)
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
@@ -288,8 +290,10 @@ def _opened(
     from dvrk_cmaes.recording.video import open_video
 
     if path.is_dir() and is_lerobot(path):
-        if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS:
-            raise InputError(f"{path}: expected none of --side both, --pose-of and topics with a LeRobot data set")
+        if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS or video_start:
+            raise InputError(
+                f"{path}: expected none of --side both, --pose-of, --video-start and topics with a LeRobot data set"
+            )
         return open_lerobot(path, episode=episode, side=side or "left", arm=arm, camera=camera, joints=joints)
     if episode:
         raise InputError(f"{path}: --episode: expected a LeRobot data set, with meta/info.json and data")

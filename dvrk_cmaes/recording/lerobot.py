@@ -92,10 +92,9 @@ def open_lerobot(
     key = _video_key(file, info, side)
     where = _place(path, file, info, key, episode)
     columns = read_columns(where.table, _ROWS if joints is not None else (*_ROWS, _STATE))
-    rows = sorted(
-        (k for k, own in enumerate(columns["episode_index"]) if own == episode), key=columns["timestamp"].__getitem__
-    )
-    times = [_time(where.table, columns["timestamp"][k]) for k in rows]
+    at = {k: _time(where.table, columns["timestamp"][k]) for k in _rows(columns, episode)}
+    rows = sorted(at, key=at.__getitem__)
+    times = [at[k] for k in rows]
     if not times or any(later <= before for before, later in pairwise(times)):
         raise InputError(
             f"{where.table}: timestamp: expected increasing times of episode {episode}, got others or none"
@@ -175,7 +174,7 @@ def _formatted(path: Path, file: Path, info: Mapping[str, Any], key: str, values
     if not isinstance(template, str):
         raise InputError(f"{file}: {key}: expected a path, got {shown(template)}")
     found = path / re.sub(r"\{(\w+)(?::0(\d)d)?\}", filled, template)
-    if not found.resolve().is_relative_to(path.resolve()):
+    if "\0" in str(found) or not found.resolve().is_relative_to(path.resolve()):
         raise InputError(f"{file}: {key}: expected a path within the folder, got {shown(template)}")
     return found
 
@@ -242,6 +241,11 @@ def _number(path: Path, key: str, value: Any, least: float = 1.0) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < 1e9:
         raise InputError(f"{path}: {key}: expected a number of at least {least:g}, got {shown(value)}")
     return float(value)
+
+
+def _rows(columns: Mapping[str, Sequence[Any]], episode: int) -> list[int]:
+    """Return the numbers of an episode's rows."""
+    return [k for k, own in enumerate(columns["episode_index"]) if own == episode]
 
 
 def _time(path: Path, value: Any) -> int:

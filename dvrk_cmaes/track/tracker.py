@@ -208,6 +208,9 @@ class Tracker:
     ) -> TrackResult:
         """Follow the instrument to the image of a later time.
 
+        With a rig of several views, mask, image and ignore are given by name of the view or in the rig's order, None
+        for a view that is missing.
+
         Parameters
         ----------
         time
@@ -218,9 +221,6 @@ class Tracker:
             (H, W, 3) uint8, BGR; None if there is none. A grey one, (H, W), is only tested for being black.
         ignore
             (H, W) bool, pixels that count neither way.
-
-        With a rig of several views, each of them is given by name of the view or in the rig's order, None for a view
-        that is missing.
 
         Raises
         ------

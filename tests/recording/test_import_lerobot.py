@@ -130,3 +130,58 @@ def test_other_versions_are_refused(imported: Import, made: Path) -> None:
 def test_missing_pyarrow_is_one_line(imported: Import, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert imported().refusal.endswith("parquet files need pyarrow: pip install '.[parquet]'")
+
+
+def table_of(made: Path) -> Path:
+    return min((made / "data").rglob("*.parquet"))
+
+
+@pytest.mark.parametrize("wrong", [None, float("nan"), -1.0])
+def test_time_that_is_none_is_refused_by_file_and_field(imported: Import, made: Path, wrong: float | None) -> None:
+    columns = rows(0, 1)
+    columns["timestamp"][1] = wrong
+    write_table(table_of(made), columns)
+    said = imported().refusal
+    assert f"{table_of(made).name}: timestamp: expected a number of at least 0, got " in said
+
+
+def test_text_as_time_is_refused_by_file_and_field(imported: Import, made: Path) -> None:
+    write_table(table_of(made), rows(0, 1) | {"timestamp": ["now"] * 2 * FRAMES})
+    assert f"{table_of(made).name}: timestamp: expected a number of at least 0, got 'now'" in imported().refusal
+
+
+def test_episode_is_not_negative(imported: Import) -> None:
+    said = imported("--arm", "PSM1", "--camera", "camera.yaml", "--episode", "-1").refusal
+    assert "--episode: expected a whole number of at least 0, got -1" in said
+
+
+def test_video_start_is_refused(imported: Import) -> None:
+    said = imported("--arm", "PSM1", "--camera", "camera.yaml", "--video-start", "2").refusal
+    assert "expected none of --side both, --pose-of, --video-start and topics with a LeRobot data set" in said
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "foot", "middle"])
+def test_damaged_table_is_refused_by_name(imported: Import, made: Path, damage: str) -> None:
+    path = table_of(made)
+    whole = path.read_bytes()
+    half = len(whole) // 2
+    damaged = {
+        "cut": whole[:half],
+        "empty": b"",
+        "foot": whole[:-40] + b"\xff" * 32 + whole[-8:],
+        "middle": whole[:4] + b"\xff" * half + whole[half + 4 :],
+    }
+    path.write_bytes(damaged[damage])
+    said = imported().refusal
+    assert f"{path.name}: " in said
+    assert "parquet file" in said
+
+
+@pytest.mark.parametrize("key", ["data_path", "video_path"])
+@pytest.mark.parametrize("template", ["../{video_key}", "/etc/passwd", "data/../../other", "link/outside", "a\0b"])
+def test_paths_that_leave_the_folder_are_refused(imported: Import, made: Path, key: str, template: str) -> None:
+    (made / "link").symlink_to(made.parent)
+    file = made / "meta" / "info.json"
+    info = json.loads(file.read_text())
+    file.write_text(json.dumps(info | {key: template.replace("{video_key}", KEY)}))
+    assert f"info.json: {key}: expected a path within the folder, got " in imported().refusal

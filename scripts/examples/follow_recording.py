@@ -1,0 +1,35 @@
+"""Follow an instrument through a recording, image by image, as a program beside a running robot would.
+
+    dvrk-cmaes synth recording --motion video --level easy --frames 30
+    python scripts/examples/follow_recording.py recording
+
+The argument is a session folder with consecutive masks and with times in its joints.csv.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from dvrk_cmaes import Tracker, prepare, read_frame, read_session
+
+
+def main(folder: str) -> None:
+    session = read_session(folder)
+    tracker = Tracker(session.camera, prepare("lnd"))
+    for files in session.frames:
+        assert files.time is not None  # s
+        tracker.add_readings(files.time, files.readings)  # at any rate, also between the images
+        mask = read_frame(files, session.camera).mask  # (H, W) bool
+        pose = tracker.step(files.time, mask)
+        if pose.status == "lost" or pose.tips is None:
+            print(f"{files.name}: lost")
+            continue
+        u, v = session.camera.project(pose.tips.mean(axis=0))
+        doubts = "".join(f"; {reason}" for reason in pose.reasons)
+        print(f"{files.name}: {pose.status}, tips at pixel {u:.0f} {v:.0f}, {1e3 * pose.seconds:.0f} ms{doubts}")
+    offsets = {name: round(value, 3) for name, value in tracker.offsets.items()}
+    print(f"true = reading + offset, rad: {offsets}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

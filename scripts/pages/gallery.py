@@ -1,0 +1,176 @@
+"""The gallery: commands that are run when the site is built, their pictures and their pages."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from dvrk_cmaes.io.bundled import bundled_path
+from pages.moving_picture import moving_picture
+
+_INTRODUCTION: Final = """\
+# Gallery
+
+What the commands write. All of it was made by the commands shown when this site was built: the bundled session and the
+recordings are drawn, so that their truth is known. The pages are those that the commands write, as they are.
+"""
+_DONE: Final = (0, 3)
+"""Exit codes of commands whose output is shown: ok and doubtful."""
+_FOLLOWED: Final = "followed.webp"
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """An entry of the gallery.
+
+    ``commands`` are those of `dvrk-cmaes`, of which the last one writes the folder ``shown``. ``pictures`` and
+    ``pages`` are paths in that folder with their texts; of a folder that `track` wrote, followed.webp is made of its
+    video.
+    """
+
+    title: str
+    text: str
+    commands: tuple[str, ...]
+    shown: str
+    pictures: tuple[tuple[str, str], ...]
+    pages: tuple[tuple[str, str], ...] = ()
+
+
+EXHIBITS: Final = (
+    Exhibit(
+        "A frame",
+        "One mask, the camera and the readings. The overlay shows mask and silhouette, what only one of them covers, "
+        "and the joints as found and as read.",
+        (
+            "estimate --mask data/demo/masks/0001.png --camera data/demo/camera.yaml --joints data/demo/joints.csv "
+            "--image data/demo/images/0001.jpg --out frame",
+        ),
+        "frame",
+        (("overlays/0001.jpg", "The pose of one frame, drawn over its image"),),
+    ),
+    Exhibit(
+        "A frame without a mask",
+        "The mask is found in the image, by colour and shape.",
+        (
+            "estimate --image data/demo/images/0003.jpg --camera data/demo/camera.yaml --joints data/demo/joints.csv "
+            "--out image",
+        ),
+        "image",
+        (("overlays/0003.jpg", "The pose of a frame whose mask was found in the image"),),
+    ),
+    Exhibit(
+        "A folder of frames",
+        "In this frame tissue covers a jaw. The report has all frames, the most doubtful ones first; its keys are `j` "
+        "and `k`.",
+        ("batch data/demo --out results",),
+        "results",
+        (("overlays/0002.jpg", "The pose of a frame in which tissue covers a jaw"),),
+        (("report.html", "the report of the five frames"),),
+    ),
+    Exhibit(
+        "A calibrated session",
+        "The base of the arm and the offsets of the joints, from all frames together. The picture shows a frame as the "
+        "others predict it, without its own image.",
+        ("batch data/demo --out results", "calibrate data/demo --results results --out calibrated"),
+        "calibrated",
+        (("overlays_left_out/0003.jpg", "A frame as the four others predict it"),),
+        (("report.html", "the report of the calibration"),),
+    ),
+    Exhibit(
+        "Two sets of results",
+        "The frames by themselves and those of the calibration, compared with the truth.",
+        (
+            "batch data/demo --out results",
+            "calibrate data/demo --results results --out calibrated",
+            "compare data/demo/golden.json results calibrated --out differences",
+        ),
+        "differences",
+        (),
+        (("compare.html", "the differences by frame and in sum"),),
+    ),
+    Exhibit(
+        "A followed recording",
+        "The silhouette of the pose over the images; the strip has the status. The report shows joints, offsets and "
+        "tips over time, and where the pose is doubtful.",
+        (
+            "synth recording --motion video --level easy --frames 45 --lag 3frames --seed 5",
+            "track recording --every 3 --out tracks",
+        ),
+        "tracks",
+        ((_FOLLOWED, "The silhouette of a followed instrument, drawn over the images of the recording"),),
+        (("report.html", "the report of the recording"),),
+    ),
+    Exhibit(
+        "Both eyes",
+        "Both views of a stereo endoscope tell one pose.",
+        ("synth stereo --stereo --level easy --frames 1 --seed 4", "batch stereo --out eyes"),
+        "eyes",
+        (("overlays/0000.jpg", "The pose of one frame in the left and the right view"),),
+    ),
+    Exhibit(
+        "Two arms",
+        "Two tools that cross, each without the pixels of the other one, or with it as background where it is behind.",
+        ("synth crossing --arms 2 --level easy --frames 2 --seed 2", "batch crossing --out arms"),
+        "arms",
+        (("overlays/0000.jpg", "The poses of two tools that cross"),),
+        (("report.html", "the report of both arms"),),
+    ),
+)
+
+
+def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) -> str:
+    """Run the commands of the exhibits in a new folder, copy what is shown, and return the page in Markdown.
+
+    Parameters
+    ----------
+    out
+        Folder to which the folders that are shown are copied.
+    work
+        A new folder, in which the commands are run.
+    exhibits
+        What is shown; a command that several of them name is run once.
+    """
+    (work / "data").symlink_to(bundled_path(), target_is_directory=True)
+    parts, ran = [_INTRODUCTION], set[str]()
+    for exhibit in exhibits:
+        for command in exhibit.commands:
+            if command not in ran:
+                _run(command, work)
+                ran.add(command)
+        if _FOLLOWED in dict(exhibit.pictures):
+            data = moving_picture(work / exhibit.shown, width=560, milliseconds=100, quality=70)
+            (work / exhibit.shown / _FOLLOWED).write_bytes(data)
+        shutil.copytree(work / exhibit.shown, out / exhibit.shown)
+        parts.append(_entry(exhibit, out.name))
+    return "\n".join(parts)
+
+
+def _run(command: str, work: Path) -> None:
+    """Run a command, whose messages are shown only if it fails."""
+    line = [sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)]
+    ran = subprocess.run(line, cwd=work, capture_output=True, text=True, check=False)
+    if ran.returncode not in _DONE:
+        raise RuntimeError(f"dvrk-cmaes {command}: exit code {ran.returncode}\n{ran.stderr}")
+
+
+def _entry(exhibit: Exhibit, folder: str) -> str:
+    """Return the entry of an exhibit in Markdown; its files are in a folder beside the page."""
+    place = f"{folder}/{exhibit.shown}"
+    lines = [f"## {exhibit.title}\n", f"{exhibit.text}\n"]
+    lines += [_printed(f"dvrk-cmaes {command}") for command in exhibit.commands]
+    lines += [f"\n![{text}]({place}/{path})" for path, text in exhibit.pictures]
+    lines += [f"\n[Open {text}]({place}/{path}){{ .md-button }}" for path, text in exhibit.pages]
+    return "\n".join([*lines, ""])
+
+
+def _printed(command: str) -> str:
+    """Return a command as a block of code, on several lines if it is long."""
+    lines = textwrap.wrap(command, 84, break_long_words=False, break_on_hyphens=False)
+    return " \\\n".join([f"    {lines[0]}", *(f"        {line}" for line in lines[1:])])

@@ -1,0 +1,68 @@
+"""The examples in scripts/examples: they run, print what they are to show, and need public names only."""
+
+from __future__ import annotations
+
+import ast
+import re
+import runpy
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.places import ROOT, SCRIPTS
+
+import dvrk_cmaes
+from dvrk_cmaes.cli import main
+
+EXAMPLES = sorted((SCRIPTS / "examples").glob("*.py"))
+
+
+def run(name: str, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    """Run an example with arguments, as Python runs a script."""
+    path = str(SCRIPTS / "examples" / name)
+    monkeypatch.setattr(sys, "argv", [path, *map(str, arguments)])
+    runpy.run_path(path, run_name="__main__")
+
+
+def test_frame_is_estimated_from_arrays(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("estimate_frame.py", monkeypatch)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "status: ok"
+    assert re.fullmatch(r"wrist_yaw: found \+0\.6[78]\d rad, read \+0\.557 rad", lines[3])
+    assert re.fullmatch(r"tips within \d\.\d+ mm \(90 %\)", lines[-1])
+
+
+def test_recording_is_followed_to_its_last_image(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split("synth recording --motion video --level easy --frames 3 --seed 1 --no-images")) == 0
+    capsys.readouterr()
+    run("follow_recording.py", monkeypatch, "recording")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(",")[0] for line in lines[:3]] == ["0000: ok", "0001: ok", "0002: ok"]
+    assert set(ast.literal_eval(lines[3].partition(": ")[2])) == {"roll", "wrist_pitch", "wrist_yaw", "jaw"}
+
+
+def test_session_is_calibrated_and_used(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    run("calibrate_session.py", monkeypatch, ROOT / "data" / "demo", tmp_path / "session.json")
+    out = capsys.readouterr().out
+    assert out.startswith("ok: 5 frames agree\n")
+    assert out.endswith("0000 with the calibration: ok, solved from the session\n")
+    assert dvrk_cmaes.read_calibration(tmp_path / "session.json").frames == ("0000", "0001", "0002", "0003", "0004")
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_uses_public_names_alone(path: Path) -> None:
+    imports = [
+        node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom)
+    ]
+    own = [node for node in imports if (node.module or "").startswith("dvrk_cmaes")]
+    assert [node.module for node in own] == ["dvrk_cmaes"]
+    assert {name.name for node in own for name in node.names} <= set(dvrk_cmaes.__all__)

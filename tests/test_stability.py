@@ -1,0 +1,39 @@
+"""The reference page on stability lists the public names, the commands and the exit codes that there are."""
+
+from __future__ import annotations
+
+import re
+
+from helpers.places import ROOT
+
+import dvrk_cmaes
+from dvrk_cmaes.cli.app import SUMMARIES, app
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+
+PAGE = (ROOT / "data" / "reference" / "stability.md").read_text(encoding="utf-8")
+RESULTS = (ROOT / "data" / "reference" / "results.md").read_text(encoding="utf-8")
+
+
+def first_paragraph(title: str) -> list[str]:
+    """Words in backticks of the first paragraph under a heading, in their order."""
+    return re.findall(r"`([\w-]+)`", PAGE.split(f"\n## {title}\n\n")[1].split("\n\n")[0])
+
+
+def exit_codes(page: str) -> list[int]:
+    """Exit codes of the table on a page."""
+    table = page.split("| exit code | meaning |\n")[1].split("\n\n")[0]
+    return [int(code) for code in re.findall(r"^\| (\d+) \|", table, flags=re.MULTILINE)]
+
+
+def test_stable_names_are_those_of_the_package() -> None:
+    assert first_paragraph("Python") == dvrk_cmaes.__all__
+
+
+def test_stable_commands_are_those_of_the_program() -> None:
+    assert first_paragraph("Commands") == list(SUMMARIES)
+    assert {name for name in app if not name.startswith("-")} == set(SUMMARIES)
+
+
+def test_exit_codes_are_those_of_the_errors_and_of_results() -> None:
+    assert exit_codes(PAGE) == exit_codes(RESULTS)
+    assert {DvrkCmaesError.exit_code, InputError.exit_code} <= set(exit_codes(PAGE))
