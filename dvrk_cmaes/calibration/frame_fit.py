@@ -133,7 +133,7 @@ def fit_frame(
     else:
         noises = own_estimate.noises
     own_iou = 0.0 if own_estimate is None else own_estimate.iou
-    return _without_shared(fits[0], coverage, terms, noises, overlap(views, drawn), count, own_iou=own_iou)
+    return _without_shared(fits[0], coverage, terms, noises, overlap(views, drawn), own_iou, count)
 
 
 def fit_predicted(
@@ -143,29 +143,29 @@ def fit_predicted(
     expected: Expected,
     starts: Sequence[Posed],
     *,
-    lengths: Sequence[float] = (),
     margin: float = 0.0,
 ) -> tuple[FrameFit, OwnEstimate]:
-    """Fit a frame that has no estimate of its own, but starts near the answer; other arguments as of `fit_frame`.
+    """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
 
-    The correlation lengths of the contours' errors, px, one of each view, are ``lengths``, such as those of the image
-    before, and the noise of the outlines is estimated during the fit. Both are measured where it ends, which is also
-    returned, and one more step is taken with them.
+    The noise of the outlines is estimated during a first fit, and measured where that ends for a second one. Also
+    returns what was measured.
     """
     shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
         coverage = _coverage(views, config, None, shrink, margin)
-        if lengths:
-            coverage = coverage.with_lengths(lengths)
         steps = replace(Steps.of(config.refine.outline, shrink), tested="long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    own = OwnEstimate.of(views, fits[0].at)
+    first = OwnEstimate.of(views, fits[0].at)
+    at = Posed.stacked([_without_shared(fits[0], coverage, terms, first.noises, first.iou, 0.0, 0).at])
+    own = OwnEstimate.of(views, at[0])
     coverage = coverage.with_lengths(own.lengths)
     coverage = coverage.with_noise(coverage.noise_at(own.at))
-    return _without_shared(fits[0], coverage, terms, own.noises, own.iou, count, own_iou=own.iou), own
+    (fit,) = refine(coverage, terms, at, steps)
+    iou = overlap(views, [view.silhouette(fit.at) for view in views])
+    return _without_shared(fit, coverage, terms, own.noises, iou, own.iou, count + coverage.silhouettes), own
 
 
 def _without_shared(
@@ -174,9 +174,8 @@ def _without_shared(
     terms: Sequence[Term],
     noises: Sequence[OutlineNoise],
     iou: float,
-    evaluations: int,
-    *,
     own_iou: float,
+    evaluations: int,
 ) -> FrameFit:
     """Return a fit after one step by which the errors that the masks share are eliminated.
 

@@ -69,37 +69,20 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     None stands for a frame whose mask shows nothing.
     """
     found: list[FittedFrame | None] = []
-    before: _Before | None = None
+    deviation: Float64 | None = None
     for frame in task.frames:
-        fitted = _fit(body, config, frame, before, task.margin)
+        fitted = _fit(body, config, frame, deviation, task.margin)
         found.append(fitted)
-        before = None if fitted is None or not fitted.fit.explains_mask else _Before.of(fitted, frame)
+        deviation = None
+        if fitted is not None and fitted.fit.explains_mask:
+            deviation = fitted.fit.at.minus(frame.expected.mean)
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Before:
-    """What the fit of a frame tells of the next one.
-
-    ``deviation`` (D,) is that from the frame's prediction, ``lengths`` are the correlation lengths of the contours'
-    errors, px, by view.
-    """
-
-    deviation: Float64
-    lengths: Mapping[str, float]
-
-    @classmethod
-    def of(cls, fitted: FittedFrame, frame: PredictedFrame) -> _Before:
-        """Return what the fit of a frame tells."""
-        names = (view.name for view in fitted.stored.views)
-        lengths = dict(zip(names, fitted.stored.own.lengths, strict=True))
-        return cls(fitted.fit.at.minus(frame.expected.mean), lengths)
-
-
 def _fit(
-    body: Body, config: EstimateConfig, frame: PredictedFrame, before: _Before | None, margin: float
+    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, margin: float
 ) -> FittedFrame | None:
-    """Fit a frame, by what that of the frame ``before`` tells if that is given."""
+    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
     started = time.perf_counter()
     data, expected = frame.read(), frame.expected
     if data is None:
@@ -112,17 +95,18 @@ def _fit(
         evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
         views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
     limits = split_readings(body.instrument, {}, config)[0]
-    starts, lengths = [expected.mean], []
+    starts = [expected.mean]
     if before is not None:
-        deviation = before.deviation
-        apart = float(np.sqrt(deviation @ expected.information @ deviation / len(deviation)))
-        near = expected.mean.moved(deviation)
+        apart = float(np.sqrt(before @ expected.information @ before / len(before)))
+        near = expected.mean.moved(before)
         starts = [near, expected.mean] if apart > _ANOTHER_START else [near]
-        lengths = [before.lengths.get(view.name, config.refine.outline.correlation) for view in views]
-    fit, own = fit_predicted(views, limits, config, expected, starts, lengths=lengths, margin=margin)
+    fit, own = fit_predicted(views, limits, config, expected, starts, margin=margin)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
     return FittedFrame(
-        StoredFrame(tuple(stored), data.camera, own), fit, own.noises[0].inflation, time.perf_counter() - started
+        StoredFrame(tuple(stored), data.camera, own),
+        fit,
+        views[0].noise_at(fit.at).inflation,
+        time.perf_counter() - started,
     )
 
 
