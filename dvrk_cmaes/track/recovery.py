@@ -13,7 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Posed, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.pose.search.modes import are_distinct
+from dvrk_cmaes.pose.search.modes import are_distinct, is_twin
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette import Body
@@ -105,8 +105,13 @@ def search_around(
 
 
 def has_jumped(follower: Follower, before: Hypothesis, after: Hypothesis) -> bool:
-    """Whether a found pose is of another mode than that before."""
-    return bool(are_distinct(follower.posed(before), follower.posed(after)))
+    """Whether a found pose may be of another mode than that before: its mirror twin, or one with other joints.
+
+    How far the instrument rolled does not tell: nothing may have read that.
+    """
+    was, found = follower.posed(before), follower.posed(after)
+    joints_differ = are_distinct(was, Posed(was.pose, found.joints))
+    return bool(joints_differ) or (follower.instrument.has_twin and is_twin(follower.instrument, was, found))
 
 
 @dataclass(frozen=True, eq=False)
