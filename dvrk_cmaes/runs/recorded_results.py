@@ -31,8 +31,8 @@ Float64 = NDArray[np.float64]
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
-_OVERLAP_LOSS = 0.06  # below that of the keyframes, from which on a mask is not explained; neighbours support the pose,
-_CONTOUR_FACTOR, _LARGEST_PX = 2.0, 3.5  # so the limits are wider than those of a single frame
+_OVERLAP_LOSS = 0.1  # below that of the keyframes, from which on a mask is not explained; neighbours support the pose,
+_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0  # so the limits are wider than those of a single frame
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _CALIBRATION_ERROR = 2.0  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
@@ -94,8 +94,9 @@ def _of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, instrument
     if instrument.shaft is None:
         return np.zeros((size, size))
     margin = _MARGIN_PX**2
-    if masks is not None:
-        margin += masks.std_margin_px**2 + (masks.margin_px - masks.taken_off) ** 2
+    if masks is not None:  # what was found but is not clear counts as one more standard deviation, at most
+        left = min(abs(masks.margin_px - masks.taken_off), masks.std_margin_px)
+        margin += masks.std_margin_px**2 + left**2
     tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
     distance = float(np.linalg.norm(tips))
     width = camera.fx * 2 * instrument.shaft.radius / distance
