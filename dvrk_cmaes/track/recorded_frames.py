@@ -71,7 +71,7 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     found: list[FittedFrame | None] = []
     deviation: Float64 | None = None
     for frame in task.frames:
-        fitted = _fit(body, config, frame, deviation, task.margin)
+        fitted = fit_followed(body, config, frame, deviation, task.margin)
         found.append(fitted)
         deviation = None
         if fitted is not None and fitted.fit.explains_mask:
@@ -79,7 +79,7 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     return found
 
 
-def _fit(
+def fit_followed(
     body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, margin: float
 ) -> FittedFrame | None:
     """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
