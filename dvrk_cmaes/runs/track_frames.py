@@ -61,7 +61,6 @@ class TrackSettings:
             lag=self.lag,
             evidence=self.evidence,
             hints=self.hints,
-            keyframes=self.evidence == "masks" and self.use_joints,
         )
 
 
@@ -150,8 +149,6 @@ def followed(
             image, masks[name], ignored[name] = read_arrays(of_view, rig.view(name).camera)
             images[name] = image if with_images or of_view.mask is None else None
         yield files, tracker.step(time, masks, images, ignored)
-        if tracker.solution_due:
-            tracker.use(tracker.solve())
 
 
 def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Mask | None, Mask | None]:
