@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.outline_noise import measure_noise
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
@@ -126,27 +126,61 @@ def fit_frame(
         steps = steps if confirm else replace(steps, tested="long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    return _without_shared(views, fits[0], coverage, terms, own_estimate, count)
-
-
-def _without_shared(
-    views: Sequence[FrameView],
-    fit: Fit,
-    coverage: Coverage,
-    terms: Sequence[Term],
-    own_estimate: OwnEstimate | None,
-    evaluations: int,
-) -> FrameFit:
-    """Return a fit after one step by which the errors that the masks share are eliminated.
-
-    ``terms`` are those beside the ``coverage``; the other arguments are as in `fit_frame` and `FrameFit`.
-    """
-    drawn = [view.silhouette(fit.at) for view in views]
+    drawn = [view.silhouette(fits[0].at) for view in views]
     if own_estimate is None:
         pairs = zip(views, drawn, strict=True)
         noises = tuple(measure_noise(view.evidence.contour, silhouette) for view, silhouette in pairs)
     else:
         noises = own_estimate.noises
+    own_iou = 0.0 if own_estimate is None else own_estimate.iou
+    return _without_shared(fits[0], coverage, terms, noises, overlap(views, drawn), own_iou, count)
+
+
+def fit_predicted(
+    views: Sequence[FrameView],
+    readings: Readings,
+    config: EstimateConfig,
+    expected: Expected,
+    starts: Sequence[Posed],
+    *,
+    margin: float = 0.0,
+) -> tuple[FrameFit, OwnEstimate]:
+    """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
+
+    The noise of the outlines is estimated during a first fit, and measured where that ends for a second one. Also
+    returns what was measured.
+    """
+    shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
+    at, count = Posed.stacked(starts), 0
+    for shrink in shrinks:
+        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
+        coverage = _coverage(views, config, None, shrink, margin)
+        steps = replace(Steps.of(config.refine.outline, shrink), tested="long")
+        fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
+        at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
+    first = OwnEstimate.of(views, fits[0].at)
+    at = Posed.stacked([_without_shared(fits[0], coverage, terms, first.noises, first.iou, 0.0, 0).at])
+    own = OwnEstimate.of(views, at[0])
+    coverage = coverage.with_lengths(own.lengths)
+    coverage = coverage.with_noise(coverage.noise_at(own.at))
+    (fit,) = refine(coverage, terms, at, steps)
+    iou = overlap(views, [view.silhouette(fit.at) for view in views])
+    return _without_shared(fit, coverage, terms, own.noises, iou, own.iou, count + coverage.silhouettes), own
+
+
+def _without_shared(
+    fit: Fit,
+    coverage: Coverage,
+    terms: Sequence[Term],
+    noises: Sequence[OutlineNoise],
+    iou: float,
+    own_iou: float,
+    evaluations: int,
+) -> FrameFit:
+    """Return a fit after one step by which the errors that the masks share are eliminated.
+
+    ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours; the others as in `FrameFit`.
+    """
     outline = coverage.near_without_shared(fit.at, noises)
     whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
     step = -np.linalg.solve(whole.information[0], whole.slope[0])
@@ -160,8 +194,8 @@ def _without_shared(
         slope=outline.slope[0] + outline.information[0] @ at.minus(fit.at),
         score=fit.score,
         evaluations=evaluations,
-        iou=overlap(views, drawn),
-        own_iou=0.0 if own_estimate is None else own_estimate.iou,
+        iou=iou,
+        own_iou=own_iou,
     )
 
 

@@ -49,11 +49,13 @@ def gather_evidence(
     ignore: NDArray[np.bool_] | None = None,
     keypoints: Float64 | None = None,
     seed: int = 0,
+    features: bool = True,
 ) -> Evidence:
     """Collect the evidence of one frame.
 
     ``mask`` and ``ignore`` are (H, W), of the camera's size; ``keypoints`` (2, 2) are jaw tips in pixels, in either
-    order. The mask's values at ignored pixels have no effect. Raises `InputError` if the mask has another size, is
+    order. The mask's values at ignored pixels have no effect. Without ``features``, the shaft's edges and the jaw tips
+    are not looked for: only a search needs them. Raises `InputError` if the mask has another size, is
     empty or full, or if ``ignore`` or ``keypoints`` have another shape or are not finite.
     """
     if mask.shape != (camera.height, camera.width):
@@ -77,7 +79,7 @@ def gather_evidence(
         raise InputError("mask: expected some background, got instrument everywhere")
     marks = None if keypoints is None else tuple(keypoints.ravel().tolist())
     hidden = None if ignore is None else ignore.tobytes()
-    return _gathered(mask.tobytes(), hidden, marks, camera, instrument, seed)
+    return _gathered(mask.tobytes(), hidden, marks, camera, instrument, seed, features)
 
 
 @lru_cache(maxsize=4)
@@ -88,10 +90,12 @@ def _gathered(
     camera: Camera,
     instrument: Instrument,
     seed: int,
+    features: bool,
 ) -> Evidence:
     """Collect the evidence of one frame; that of the last ones is kept, because an overlay shows it, too.
 
-    ``mask_bytes`` and ``ignore_bytes`` are the contents of ``mask`` and ``ignore``, ``marks`` those of ``keypoints``.
+    ``mask_bytes`` and ``ignore_bytes`` are the contents of ``mask`` and ``ignore``, ``marks`` those of ``keypoints``;
+    the others are as in `gather_evidence`.
     """
     size = camera.height, camera.width
     mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(size)
@@ -101,6 +105,8 @@ def _gathered(
     if ignore is not None:
         weight[ignore] = 0.0
     contour = find_contour(mask, camera, ignore)
+    if not features:
+        return Evidence(camera, mask, weight, contour, (), keypoints, keypoints is not None)
     unused: list[str] = []
     edges: tuple[ShaftEdges, ...] = ()
     if instrument.shaft is None:

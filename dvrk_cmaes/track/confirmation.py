@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 
@@ -14,7 +15,6 @@ _ENOUGH = 1.0
 _OF_AN_IMAGE = {"ok": 1.0, "doubtful": 0.5}  # what an image that was solved by itself counts for, if it agrees
 _AFTER_A_CHANGE = 0.5
 _FIRST_WAIT, _MOST_WAIT = 5, 32  # images between those that are solved by themselves
-_SAME_POSE = 60.0  # squared deviation, in standard deviations, up to which two poses agree
 _SAME_TIPS = 3e-3  # m, between the tips of two poses that agree
 
 UNCONFIRMED = "mode not confirmed: an image left it in doubt, and none since, solved by itself, has agreed with it"
@@ -66,11 +66,12 @@ class Confirmation:
 
 
 def agree(follower: Follower, followed: Hypothesis, result: Result) -> bool:
-    """Whether the pose and the joints of an image solved by itself are those that are followed."""
-    if result.camera_from_root is None or result.covariance is None:
+    """Whether the pose and the joints of an image solved by itself are of the mode that is followed."""
+    if result.camera_from_root is None:
         return False
     joints = np.array([result.joints[name] for name in follower.instrument.joint_names])
-    _, deviation = follower.fused(followed, Posed(result.camera_from_root, joints), result.covariance)
+    if are_distinct(follower.posed(followed), Posed(result.camera_from_root, joints)):
+        return False
     tips, ends = follower.located(followed).tips, np.array(result.tips).reshape(-1, 3)
     apart = np.linalg.norm(tips - ends, axis=1) if len(tips) == len(ends) else np.zeros(1)
-    return deviation < _SAME_POSE and bool(apart.max() < _SAME_TIPS)
+    return bool(apart.max() < _SAME_TIPS)

@@ -101,6 +101,12 @@ class Following:
         self.readings.forget_poses()
         self.last_step = None
 
+    def forget(self) -> None:
+        """Forget what was followed; the next image is solved by itself."""
+        self.hypotheses, self.last_step = [], None
+        self._search = Searching()
+        self.readings.forget_poses()
+
     def _begin_anew(self, seen: Seen, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
         """Start from the result of images in the place of what was followed until then; arguments as of `begin`."""
         self.begin(result, starts, changed=changed)

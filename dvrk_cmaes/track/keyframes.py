@@ -77,7 +77,7 @@ def choose_keyframes(
     candidates = np.flatnonzero(usable)
     if len(candidates) <= most:
         return candidates.tolist()
-    units = np.array([_UNITS.get(name, _JOINT_UNIT) for name in joint_names])
+    units = distance_units(joint_names)
     duration = max(float(np.ptp(times)), 1e-12)
     place = np.column_stack([np.nan_to_num(readings) / units, (times - times[0]) / duration * _TIME_UNITS])
     place = place[candidates]
@@ -87,6 +87,11 @@ def choose_keyframes(
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
     return sorted(candidates[chosen].tolist())
+
+
+def distance_units(joint_names: tuple[str, ...]) -> Float64:
+    """Return the changes (K,) of joints, rad and m, by which poses of the arm are equally different."""
+    return np.array([_UNITS.get(name, _JOINT_UNIT) for name in joint_names])
 
 
 def has_outer_joints(joint_names: tuple[str, ...], readings: Float64) -> Bool:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_predicted
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
@@ -72,7 +71,7 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     found: list[FittedFrame | None] = []
     deviation: Float64 | None = None
     for frame in task.frames:
-        fitted = _fit(body, config, frame, deviation, task.margin)
+        fitted = fit_followed(body, config, frame, deviation, task.margin)
         found.append(fitted)
         deviation = None
         if fitted is not None and fitted.fit.explains_mask:
@@ -80,7 +79,7 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     return found
 
 
-def _fit(
+def fit_followed(
     body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, margin: float
 ) -> FittedFrame | None:
     """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
@@ -93,7 +92,7 @@ def _fit(
         return None
     views = []
     for view in shown:
-        evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, seed=config.seed)
+        evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
         views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
     limits = split_readings(body.instrument, {}, config)[0]
     starts = [expected.mean]
@@ -101,12 +100,14 @@ def _fit(
         apart = float(np.sqrt(before @ expected.information @ before / len(before)))
         near = expected.mean.moved(before)
         starts = [near, expected.mean] if apart > _ANOTHER_START else [near]
-    first = fit_frame(views, limits, config, expected, starts, None, margin=margin, confirm=False)
-    own = OwnEstimate.of(views, first.at)
-    fit = fit_frame(views, limits, config, expected, (first.at,), own, margin=margin, confirm=False)
+    fit, own = fit_predicted(views, limits, config, expected, starts, margin=margin)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
-    inflation = views[0].noise_at(fit.at).inflation
-    return FittedFrame(StoredFrame(tuple(stored), data.camera, own), fit, inflation, time.perf_counter() - started)
+    return FittedFrame(
+        StoredFrame(tuple(stored), data.camera, own),
+        fit,
+        views[0].noise_at(fit.at).inflation,
+        time.perf_counter() - started,
+    )
 
 
 @dataclass(frozen=True, eq=False)

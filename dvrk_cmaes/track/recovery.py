@@ -13,6 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Posed, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.pose.search.modes import are_distinct, is_twin
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette import Body
@@ -27,10 +28,10 @@ from dvrk_cmaes.track.update import Fit
 
 Float64 = NDArray[np.float64]
 
+_JUMP = 0.17  # rad, change of a joint that readings do not make from one image to the next
 _WIDENED = (4e-3, 0.12, 0.35, 0.35)  # m; rad about the root's x and y axes, about its z axis, and of the joints
 _HELD = (3e-3, 0.08, 0.2, 0.2)
 _KNOWN_JOINT = 0.06  # rad, instead of that of the joints, where readings tell how the instrument moves
-_JUMP = 0.17  # rad, change of the joints with which a found pose may be of another mode
 _ROLLS = np.deg2rad([-60.0, -30.0, 30.0, 60.0])  # from the prediction, where no reading tells how it moved
 _PASSES = 2  # further corrections of the best pose that was found
 _JOINT_PENALTY = 0.3  # of agreement for each rad that the joints are changed
@@ -104,9 +105,13 @@ def search_around(
 
 
 def has_jumped(follower: Follower, before: Hypothesis, after: Hypothesis) -> bool:
-    """Whether the joints of a found pose differ so much from those before that it may be of another mode."""
-    change = follower.posed(after).joints - follower.posed(before).joints
-    return float(np.linalg.norm(change)) > _JUMP
+    """Whether a found pose may be of another mode than that before: its mirror twin, or one with other joints.
+
+    How far the instrument rolled does not tell: nothing may have read that.
+    """
+    was, found = follower.posed(before), follower.posed(after)
+    joints_differ = are_distinct(was, Posed(was.pose, found.joints))
+    return bool(joints_differ) or (follower.instrument.has_twin and is_twin(follower.instrument, was, found))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,12 +28,14 @@ from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.hypothesis import Follower
+from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
+from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.readings import LaggedReadings
 from dvrk_cmaes.track.recovery import GlobalSearch
-from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Sight
+from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Seen, Sight
 from dvrk_cmaes.track.smoother import Recorder
 
 Float64 = NDArray[np.float64]
@@ -68,6 +70,10 @@ class Tracker:
         Where the instrument is in the first image, of the first view, if that has no mask.
     record
         Keep what `smoothed` needs of every image; memory then grows with the recording.
+    keyframes
+        Keep images with masks and readings that differ, at most 60. `solve` finds base, lag and offsets from them, and
+        after `use` every image is fitted with these, as by `dvrk-cmaes track`; until then no pose is ok. A
+        ``calibration`` is used in the same way.
 
     Raises
     ------
@@ -87,6 +93,7 @@ class Tracker:
         evidence: EvidenceKind | None = None,
         hints: Hints | None = None,
         record: bool = False,
+        keyframes: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
@@ -108,23 +115,30 @@ class Tracker:
         self._sight = Sight(rig, track, evidence, hints)
         solve = GlobalSearch(follower, self._sight, body, settings, calibration)
         self._following = Following(follower, rig, self._sight, solve, self._readings, settings, calibration)
+        self._known = KnownBase(rig, body, self._arm, settings, calibration) if keyframes else None
         self._time: float | None = None
         self._recorder = Recorder() if record else None
 
     @property
     def lag(self) -> FoundLag | None:
         """Lag of the images behind the readings; None while it is not determined."""
+        if self._known is not None and self._known.calibration is not None:
+            return self._known.lag
         return self._readings.known_lag
 
     @property
     def camera_from_base(self) -> Float64 | None:
         """Pose of the arm's base in the camera (4, 4), m; None without readings of the outer joints."""
+        if self._known is not None and self._known.calibration is not None:
+            return self._known.calibration.camera_from_base
         best = self._following.best
         return None if best is None or not best.anchor.outer_read else best.state.camera_from_base
 
     @property
     def offsets(self) -> dict[str, float]:
         """Offsets of roll and of the joints, rad: true = reading + offset; empty before the first pose."""
+        if self._known is not None and self._known.calibration is not None:
+            return {name: self._known.calibration.offsets[name] for name in ("roll", *self._names)}
         best = self._following.best
         return {} if best is None else dict(zip(("roll", *self._names), best.state.offsets.tolist(), strict=True))
 
@@ -133,6 +147,8 @@ class Tracker:
 
         ``interval`` s is the time between images. If ``unit`` is frames, the lag is only given in frames.
         """
+        if self._known is not None and self._known.calibration is not None:
+            return self._known.calibration
         best = self._following.best
         if best is None or not best.anchor.outer_read:
             return None
@@ -147,6 +163,7 @@ class Tracker:
             **self._following.checkpoint(),
             **self._readings.checkpoint(),
             "sight": self._sight.checkpoint(),
+            "known": None if self._known is None else self._known.checkpoint(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -162,6 +179,8 @@ class Tracker:
             self._following.restore(saved)
             self._readings.restore(saved)
             self._sight.restore(saved["sight"])
+            if self._known is not None:
+                self._known.restore(saved["known"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
             raise InputError("checkpoint: expected the state of a tracker, got something else") from None
 
@@ -174,6 +193,48 @@ class Tracker:
             A value is not finite or in another unit, or a joint is unknown.
         """
         self._readings.buffer.add(time, joints)
+        if self._known is not None:
+            self._known.store.add_readings(time, joints)
+
+    @property
+    def solution_due(self) -> bool:
+        """Whether enough keyframes are there that solving them anew pays: at 8, 16, 32 and 60 of them."""
+        return self._known is not None and self._known.due
+
+    def problem(self) -> KeyframeProblem:
+        """Return what the keyframes pose to be solved, which another process can do (`KeyframeProblem.solve`).
+
+        Raises
+        ------
+        InputError
+            The tracker keeps no keyframes.
+        """
+        if self._known is None:
+            raise InputError("problem: expected a tracker that keeps keyframes, got one without keyframes=True")
+        return self._known.problem()
+
+    def solve(self) -> Solution:
+        """Solve the keyframes together: base, lag, offsets. That takes seconds, and changes nothing until `use`.
+
+        Raises
+        ------
+        InputError
+            The tracker keeps no keyframes.
+        """
+        return self.problem().solve(self._following.solve.body)
+
+    def use(self, solution: Solution) -> bool:
+        """Follow by a solution from the next step on; returns whether it has a calibration that predicts its frames.
+
+        Raises
+        ------
+        InputError
+            The tracker keeps no keyframes.
+        """
+        check_type("use", solution, Solution, "what Tracker.solve returns")
+        if self._known is None:
+            raise InputError("use: expected a tracker that keeps keyframes, got one without keyframes=True")
+        return self._known.use(solution)
 
     def start(self, time: float, result: Result, image: Images | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.
@@ -231,16 +292,29 @@ class Tracker:
         started = clock.perf_counter()
         self._check_time(time)
         seen = self._sight.look(mask, image, ignore)
-        following = self._following
+        result = self._followed(time, seen)
+        self._time = time
+        result = replace(result, seconds=clock.perf_counter() - started)
+        if self._recorder is not None:
+            self._recorder.add(self._following.last_step, self._following.best, result)
+        return result
+
+    def _followed(self, time: float, seen: Seen) -> TrackResult:
+        """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
+        known, following = self._known, self._following
+        if known is not None and known.calibration is not None:
+            result = known.follow(time, self._readings.buffer, seen, self._sight)
+            if known.calibration is None:  # contradicted
+                following.forget()
+            return result
         if following.best is None or self._time is None:
             result = following.first(time, seen)
         else:
             result = following.follow(time, time - self._time, seen)
-        self._time = time
-        result = replace(result, seconds=clock.perf_counter() - started)
-        if self._recorder is not None:
-            self._recorder.add(following.last_step, following.best, result)
-        return result
+        if known is None:
+            return result
+        known.offer(time, self._readings.buffer.at(time), seen, self._sight)
+        return known.unconfirmed(result, told=following.best is not None and following.best.anchor.based)
 
     def smoothed(self) -> list[TrackResult]:
         """Return the results of all images given all images; status and reasons stay as they were.

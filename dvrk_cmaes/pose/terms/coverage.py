@@ -95,6 +95,10 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         """Return the same term with other correlation lengths, px, one of each view, and the width of scores."""
         return Coverage(self.views, self._config, correlations=lengths, noise=self.noise)
 
+    def with_lengths(self, lengths: Sequence[float]) -> Coverage:
+        """Return the same term with other correlation lengths, px, one of each view."""
+        return Coverage(self.views, self._config, correlations=lengths, cauchy=self._width, noise=self.noise)
+
     def with_width(self, cauchy: float) -> Coverage:
         """Return the same term with another width of the loss that is made small."""
         return Coverage(self.views, self._config, correlations=self._correlations, cauchy=cauchy, noise=self.noise)

@@ -1,0 +1,237 @@
+"""Following by a known calibration: each image is fitted with what that and the images just before expect.
+
+The terms are those of a recording on disk (`recorded_frames`), and the deviations from the calibration's predictions
+are estimated over the last images instead of all. The base and the offsets stay as they are.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.seen_view import seen_views
+from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.calibrated_frames import (
+    MEDIAN_TO_STD,
+    Told,
+    calibration_covariance,
+    covariance_of_margin,
+    describe,
+    status_of,
+)
+from dvrk_cmaes.track.describe import without_pose
+from dvrk_cmaes.track.offset_smoother import smooth
+from dvrk_cmaes.track.reading_buffer import ReadingAt
+from dvrk_cmaes.track.recorded_frames import (
+    EMPTY,
+    FittedFrame,
+    JudgedFrame,
+    JudgeTask,
+    PredictedFrame,
+    fit_followed,
+    judge_frame,
+)
+from dvrk_cmaes.track.sight import Seen, Sight
+
+Float64 = NDArray[np.float64]
+
+BASE_MOVED: Final = (
+    "calibration contradicted: {count} images in a row disagree with it; the base or the camera may have moved"
+)
+
+_WINDOW = 15  # images whose deviations are estimated together
+_MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
+_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """What is known of one image: its prediction, and what its fit tells, as in `smooth`."""
+
+    time: float
+    predicted: Posed
+    prior: Float64
+    jacobian: Float64
+    told: Told
+
+
+class CalibratedFollowing:
+    """Follows an instrument whose calibration is known.
+
+    Parameters
+    ----------
+    rig, body, config
+        The views, the instrument, all settings.
+    calibration
+        Its base, offsets and spreads; its lag is taken out of the readings before they are given.
+    """
+
+    def __init__(self, rig: Rig, body: Body, config: EstimateConfig, calibration: SessionCalibration) -> None:
+        self.calibration = calibration
+        self._rig, self._body = rig, body
+        self._config = replace(config, threads=1)
+        self._images: deque[_Image] = deque(maxlen=_WINDOW)
+        self._before: Float64 | None = None
+        self._outer: Float64 | None = None
+        self._astray = 0
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether so many images in a row disagree with the calibration that it does not hold any more."""
+        return self._astray >= _MOST_ASTRAY
+
+    def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> TrackResult:
+        """Fit the image of a later time, s, whose readings, less the lag, are ``reading``."""
+        started = clock.perf_counter()
+        told = reading.has_outer and not reading.still
+        if reading.has_outer:
+            self._outer = reading.outer
+        if self._outer is None:
+            return without_pose(time, "no readings of the outer joints so far")
+        model, calibration = self.calibration.model(self._outer[None], reading.joints[None], self._names)
+        at, prior, jacobian = (
+            model.predict(calibration)[0],
+            model.covariance(calibration)[0],
+            model.jacobian(calibration)[0],
+        )
+        if not told:
+            prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(self._names)))
+        spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
+        fitted = self._fitted(at, spread, seen, sight)
+        told_by_fit = Told.of(fitted, at, spread)
+        self._images.append(_Image(time, at, prior, jacobian, told_by_fit))
+        followed, covariance = self._filtered()
+        judged: JudgedFrame | None = None
+        status: TrackStatus
+        if fitted is None:
+            problem = seen.problem if seen.masks[seen.main] is None else None
+            status, reasons = ("lost", [EMPTY]) if problem is None else ("doubtful", [problem])
+            self._before = None
+        else:
+            readings = self._by_name(reading)
+            judged = judge_frame(self._body, self._config, JudgeTask(fitted.stored, followed, covariance, readings))
+            status, reasons = status_of(judged, told_by_fit.misfit, self.calibration, self._config)
+            self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
+            disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
+            self._astray = self._astray + 1 if disagrees and told else 0
+        if not reading.has_outer:
+            reasons.append("no readings: none of the outer joints at the time of the image less the lag")
+        elif reading.still and fitted is not None:
+            reasons.append("readings stand still: where the instrument is, only the mask tells")
+        if self.contradicted:
+            reasons.insert(0, BASE_MOVED.format(count=self._astray))
+        if reasons and status == "ok":
+            status = "doubtful"
+        offsets = self._offsets(followed, at, calibration.offsets, float(model.correction.values[0, 0]), reading)
+        base_from_root = model.base_from_root(calibration.offsets)[0]
+        return describe(
+            time,
+            status,
+            tuple(reasons),
+            followed,
+            covariance,
+            np.asarray(followed.pose @ inverse(base_from_root)),
+            offsets,
+            self._body.instrument,
+            self._rig.views[0].camera,
+            seconds=clock.perf_counter() - started,
+            residual=None if judged is None else MEDIAN_TO_STD * judged.quality.contour_px_median,
+        )
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the state as plain values."""
+        images = [
+            [
+                image.time,
+                image.predicted.pose.tolist(),
+                image.predicted.joints.tolist(),
+                image.prior.tolist(),
+                image.jacobian.tolist(),
+                image.told.information.tolist(),
+                image.told.optimum.tolist(),
+            ]
+            for image in self._images
+        ]
+        return {
+            "calibration": self.calibration.to_dict(),
+            "images": images,
+            "before": None if self._before is None else self._before.tolist(),
+            "outer": None if self._outer is None else self._outer.tolist(),
+            "astray": self._astray,
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from the values of `checkpoint` but for its calibration; errors as of `KnownBase.restore`."""
+        self._images.clear()
+        for time, *rest in saved["images"]:
+            pose, joints, prior, jacobian, information, optimum = (np.array(each, dtype=np.float64) for each in rest)
+            self._images.append(
+                _Image(float(time), Posed(pose, joints), prior, jacobian, Told(information, optimum, 0.0))
+            )
+        self._before = None if saved["before"] is None else np.array(saved["before"], dtype=np.float64)
+        self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
+        self._astray = int(saved["astray"])
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return self._body.instrument.joint_names
+
+    def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> FittedFrame | None:
+        """Fit an image's masks; None if they show nothing, or there is none."""
+        names = self._rig.names
+        masks = {names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
+        if not masks:
+            return None
+        views = self.calibration.corrected_views(seen_views(masks, self._rig, sight.ignored(seen)))
+        frame = PredictedFrame(
+            "", lambda: FrameData(views), Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
+        )
+        margin = 0.0 if self.calibration.masks is None else self.calibration.masks.taken_off
+        return fit_followed(self._body, self._config, frame, self._before, margin)
+
+    def _filtered(self) -> tuple[Posed, Float64]:
+        """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""
+        images = list(self._images)
+        calibrated = calibration_covariance(self.calibration)
+        smoothed = smooth(
+            np.array([image.time for image in images]),
+            np.array([image.prior for image in images]),
+            np.array([image.told.information for image in images]),
+            np.array([image.told.optimum for image in images]),
+            np.array([image.jacobian for image in images]),
+        )
+        at = images[-1].predicted.moved(smoothed.deviations[-1])
+        response = smoothed.response[-1]
+        covariance = smoothed.covariance[-1] + response @ calibrated @ response.T
+        camera = self.calibration.corrected(self._rig.views[0].camera)
+        covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
+        return at, np.asarray(covariance)
+
+    def _by_name(self, reading: ReadingAt) -> dict[str, float]:
+        """Return the readings that are there, by name."""
+        values = zip((*OUTER_JOINTS, *self._names), [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
+        return {name: value for name, value in values if not np.isnan(value)}
+
+    def _offsets(
+        self, at: Posed, predicted: Posed, offsets: Float64, of_cables: float, reading: ReadingAt
+    ) -> dict[str, float]:
+        """Return the offsets of roll and of the joints that were read: true = reading + offset."""
+        found = {"roll": float(offsets[1] + of_cables + at.minus(predicted)[5])} if reading.has_outer else {}
+        for name, value, read in zip(self._names, at.joints.tolist(), reading.joints.tolist(), strict=True):
+            if not np.isnan(read):
+                found[name] = value - read
+        return found

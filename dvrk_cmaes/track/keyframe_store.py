@@ -1,0 +1,258 @@
+"""The keyframes that a tracker keeps while it follows, and the problem that they pose: base, lag and offsets.
+
+A keyframe is an image well in view, far enough from all others in the arm's pose and in time. When there are too many,
+one of the two that are nearest to each other is dropped, so that they stay spread over all that was seen.
+"""
+
+from __future__ import annotations
+
+import zlib
+from base64 import b64decode, b64encode
+from bisect import insort
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.seen_view import seen_views
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, well_in_view
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+SOLVED_AT: Final = (8, 16, 32, MOST_KEYFRAMES)
+"""Numbers of keyframes at which they are solved together."""
+
+_LEAST_APART = 0.15  # of `distance_units`, between two keyframes
+_LEAST_SECONDS = 0.09  # between two keyframes
+_SECONDS = 4.0  # of as different images as one of `distance_units`
+_AROUND = 0.6  # s, of readings that are kept before and after a keyframe
+_LATEST = 2.0  # s, of readings that are kept without a keyframe
+_SHAPES = 200  # masks whose areas tell what is well in view
+_PRUNED_EVERY = 2000  # readings
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings."""
+
+    time: float
+    masks: Mapping[str, NDArray[np.uint8]]
+    ignored: Mapping[str, NDArray[np.uint8]]
+    readings: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        """Name of the frame in a calibration."""
+        return f"{self.time:.6f}"
+
+    def data(self, rig: Rig) -> FrameData:
+        """Return the frame as it was given."""
+        return FrameData(seen_views(_unpacked(self.masks, rig), rig, _unpacked(self.ignored, rig) or None))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What keyframes tell together: the calibration, or why there is none.
+
+    ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice.
+    """
+
+    calibration: SessionCalibration | None
+    reason: str
+    keyframes: int
+    alone: Mapping[str, Result]
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeProblem:
+    """Keyframes and all that is needed to solve them together, in this or in another process.
+
+    ``alone`` are results of keyframes that were solved by themselves before, by name.
+    """
+
+    keyframes: tuple[Keyframe, ...]
+    series: ReadingSeries
+    rig: Rig
+    arm: Arm
+    config: EstimateConfig
+    alone: Mapping[str, Result] = field(default_factory=dict)
+
+    def solve(self, body: Body) -> Solution:
+        """Estimate the keyframes by themselves, and find base, lag and offsets from all of them."""
+        alone: dict[str, Result] = {}
+        frames = []
+        for keyframe in self.keyframes:
+            data = keyframe.data(self.rig)
+            result = self.alone.get(keyframe.name)
+            if result is None:
+                masks = {view.name: view.mask for view in data.views if view.given}
+                ignored = {view.name: view.ignore for view in data.views if view.ignore is not None}
+                result = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=self.config)
+                result = Result.from_dict(result.to_dict())  # in the digits that an interrupted run goes on with
+            alone[keyframe.name] = result
+            frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time))
+        try:
+            solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=self.config)
+        except InputError as error:
+            return Solution(None, str(error), len(frames), alone)
+        return Solution(solved.calibration, solved.calibration.doubt, len(frames), alone)
+
+
+class KeyframeStore:
+    """Keyframes of what is followed, and the readings around them."""
+
+    def __init__(self, rig: Rig, joint_names: tuple[str, ...]) -> None:
+        self._rig = rig
+        self._names = (*OUTER_JOINTS, *joint_names)
+        self._kept: list[Keyframe] = []
+        self._places = np.zeros((0, len(self._names) + 1))
+        self._shapes: list[MaskShape] = []
+        self._rows: list[tuple[float, int, Mapping[str, float]]] = []
+        self._added = 0
+        self._last: float | None = None
+        self._interval: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def clear(self) -> None:
+        """Forget all keyframes: those that follow are of another base."""
+        self._kept, self._places = [], self._places[:0]
+
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        """Keep the readings of one time, s."""
+        insort(self._rows, (time, self._added, dict(joints)))
+        self._added += 1
+        if len(self._rows) % _PRUNED_EVERY == 0:
+            self._prune()
+
+    def offer(
+        self, time: float, masks: Mapping[str, Bool], ignored: Mapping[str, Bool], readings: Mapping[str, float]
+    ) -> None:
+        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept."""
+        if self._last is not None:
+            self._interval = [*self._interval[-50:], time - self._last]
+        self._last = time
+        mask = next((masks[name] for name in self._rig.names if name in masks), None)
+        if mask is None or not mask.any() or not set(OUTER_JOINTS) <= set(readings):
+            return
+        self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
+        if not well_in_view(self._shapes)[-1] or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
+            return
+        units = distance_units(self._names)
+        values = np.array([readings.get(name, 0.0) for name in self._names])
+        place = np.array([*(values / units), time / _SECONDS])
+        nearest = float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
+        if nearest < _LEAST_APART:
+            return
+        if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
+            return
+        self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings)))
+        self._places = np.vstack([self._places, place])
+
+    def _drops_one(self, nearest: float) -> bool:
+        """Drop one of the two keyframes that are nearest to each other, if they are nearer than ``nearest``."""
+        apart = np.linalg.norm(self._places[:, None] - self._places, axis=2) + np.diag(np.full(len(self._kept), np.inf))
+        closest = int(apart.min(axis=1).argmin())
+        if apart[closest].min() >= nearest:
+            return False
+        del self._kept[closest]
+        self._places = np.delete(self._places, closest, axis=0)
+        return True
+
+    def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result]) -> KeyframeProblem:
+        """Return what the keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
+        names = [keyframe.name for keyframe in self._kept]
+        rows: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in self._names}
+        for time, _, joints in self._rows:
+            for name, value in joints.items():
+                stamps, values = rows[name]
+                if stamps and stamps[-1] == time:
+                    values[-1] = value
+                else:
+                    stamps.append(time)
+                    values.append(value)
+        known = {name: row for name, row in rows.items() if row[0]}
+        series = ReadingSeries(
+            "s",
+            {name: np.array(stamps) for name, (stamps, _) in known.items()},
+            {name: np.array(values) for name, (_, values) in known.items()},
+            {keyframe.name: keyframe.time for keyframe in self._kept},
+            float(np.median(self._interval)) if self._interval else 1 / 30,
+        )
+        known_alone = {name: alone[name] for name in names if name in alone}
+        return KeyframeProblem(tuple(self._kept), series, self._rig, arm, config, known_alone)
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the state as plain values."""
+        return {
+            "keyframes": [
+                [one.time, _written(one.masks), _written(one.ignored), dict(one.readings)] for one in self._kept
+            ],
+            "places": self._places.tolist(),
+            "shapes": [[shape.area, shape.on_border] for shape in self._shapes],
+            "rows": [[time, joints] for time, _, joints in self._rows],
+            "last": self._last,
+            "interval": self._interval,
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
+        self._kept = [
+            Keyframe(float(time), _read(masks), _read(ignored), dict(readings))
+            for time, masks, ignored, readings in saved["keyframes"]
+        ]
+        self._places = np.array(saved["places"], dtype=np.float64).reshape(len(self._kept), len(self._names) + 1)
+        self._shapes = [MaskShape(float(area), float(share)) for area, share in saved["shapes"]]
+        self._rows = [(float(time), number, dict(joints)) for number, (time, joints) in enumerate(saved["rows"])]
+        self._added = len(self._rows)
+        self._last = None if saved["last"] is None else float(saved["last"])
+        self._interval = [float(value) for value in saved["interval"]]
+
+    def _prune(self) -> None:
+        """Drop old readings that are near no keyframe."""
+        times = np.array([row[0] for row in self._rows])
+        kept = times > times[-1] - _LATEST
+        for keyframe in self._kept:
+            kept |= np.abs(times - keyframe.time) < _AROUND
+        self._rows = [row for row, keep in zip(self._rows, kept, strict=True) if keep]
+
+
+def _packed(masks: Mapping[str, Bool]) -> dict[str, NDArray[np.uint8]]:
+    """Return masks (H, W) by view as packed bits."""
+    return {name: np.packbits(mask) for name, mask in masks.items()}
+
+
+def _written(masks: Mapping[str, NDArray[np.uint8]]) -> dict[str, str]:
+    """Return packed bits by view as text."""
+    return {name: b64encode(zlib.compress(bits.tobytes())).decode("ascii") for name, bits in masks.items()}
+
+
+def _read(masks: Mapping[str, str]) -> dict[str, NDArray[np.uint8]]:
+    """Return packed bits by view of their text."""
+    return {name: np.frombuffer(zlib.decompress(b64decode(text)), np.uint8) for name, text in masks.items()}
+
+
+def _unpacked(masks: Mapping[str, NDArray[np.uint8]], rig: Rig) -> dict[str, Bool]:
+    """Return masks (H, W) by view of packed bits."""
+    found = {}
+    for name, bits in masks.items():
+        camera = rig.view(name).camera
+        flat = np.unpackbits(bits, count=camera.height * camera.width)
+        found[name] = flat.reshape(camera.height, camera.width).astype(np.bool_)
+    return found

@@ -1,0 +1,73 @@
+"""A tracker that keeps keyframes: their solution, following by it, and going on from a saved state."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from helpers.moving_worlds import MovingWorld, moving_world
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.track import Tracker
+
+
+@pytest.fixture(scope="module")
+def world() -> MovingWorld:
+    return moving_world()
+
+
+@pytest.fixture(scope="module")
+def before(world: MovingWorld) -> tuple[Tracker, list[TrackResult]]:
+    """A tracker that has followed until its keyframes are to be solved for the first time, and its results."""
+    tracker, results = Tracker(world.camera, world.body, keyframes=True), []
+    for k in range(len(world.masks)):
+        tracker.add_readings(world.time(k), world.readings[k])
+        results.append(tracker.step(world.time(k), world.masks[k]))
+        if tracker.solution_due:
+            break
+    assert tracker.solution_due
+    return tracker, results
+
+
+def step(tracker: Tracker, world: MovingWorld, k: int) -> TrackResult:
+    tracker.add_readings(world.time(k), world.readings[k])
+    return tracker.step(world.time(k), world.masks[k])
+
+
+def test_no_pose_is_ok_before_a_solution(before: tuple[Tracker, list[TrackResult]]) -> None:
+    _, results = before
+    assert all(result.status != "ok" for result in results)
+    assert "base not known yet: 8 keyframes" in results[-1].reasons[0]
+
+
+def test_solution_is_followed_within_the_error_that_it_states(
+    world: MovingWorld, before: tuple[Tracker, list[TrackResult]]
+) -> None:
+    tracker, results = before
+    problem = pickle.loads(pickle.dumps(tracker.problem()))
+    solution = problem.solve(world.body)
+    assert solution.keyframes == 8
+    assert tracker.use(solution)
+    assert not tracker.solution_due
+    saved = json.loads(json.dumps(tracker.checkpoint()))
+    later = range(len(results), len(results) + 6)
+    followed = [step(tracker, world, k) for k in later]
+    errors = [world.error_mm(k, result) for k, result in zip(later, followed, strict=True)]
+    assert max(errors) < 2.0
+    assert np.mean([result.status == "ok" for result in followed]) > 0.5
+
+    again = Tracker(world.camera, world.body, keyframes=True)
+    for k in range(len(results)):
+        again.add_readings(world.time(k), world.readings[k])
+    again.restore(saved)
+    assert [step(again, world, k).to_dict("") | {"seconds": 0} for k in later] == [
+        result.to_dict("") | {"seconds": 0} for result in followed
+    ]
+
+
+def test_tracker_without_keyframes_has_nothing_to_solve(world: MovingWorld) -> None:
+    with pytest.raises(InputError, match="keyframes=True"):
+        Tracker(world.camera, world.body).solve()
