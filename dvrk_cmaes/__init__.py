@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
     from dvrk_cmaes.calibration.mask_margin import SessionMasks
+    from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
     from dvrk_cmaes.calibration.session_rig import ViewRotation
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
+    from dvrk_cmaes.track.keyframe_store import Keyframe, KeyframeProblem, Solution
     from dvrk_cmaes.track.lag import FoundLag
 
 _HOMES = {
@@ -63,6 +65,8 @@ _HOMES = {
     "InputError": "errors",
     "Instrument": "instrument",
     "JawTip": "instrument.model",
+    "Keyframe": "track.keyframe_store",
+    "KeyframeProblem": "track.keyframe_store",
     "Lag": "joints.lag",
     "LagCurve": "calibration.lag",
     "LeaveOneOutPrediction": "calibration.frame_task",
@@ -70,7 +74,9 @@ _HOMES = {
     "LinkModel": "results.links",
     "LookAtRange": "config",
     "LossWeights": "config",
+    "MasksAgain": "calibration.masks_again",
     "OutlineConfig": "config",
+    "PackedMask": "calibration.masks_again",
     "Quality": "results.result",
     "ReadingSeries": "joints.series",
     "ReadingSigmas": "config",
@@ -91,6 +97,7 @@ _HOMES = {
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
     "SolvedSession": "calibration.calibrate",
+    "Solution": "track.keyframe_store",
     "ToolInFrame": "estimation",
     "TrackConfig": "config",
     "TrackResult": "results.tracked",
@@ -155,6 +162,7 @@ __all__ = [
     "Shaft",
     "SilhouetteConfig",
     "SolvedSession",
+    "Solution": "track.keyframe_store",
     "ToolInFrame",
     "TrackConfig",
     "TrackResult",

@@ -35,8 +35,8 @@ RECORDING = (
     "track recording --every 2 --out tracks --no-page",
 )
 """Commands that make and follow the recording."""
-FOLLOWED_WIDTH = 480  # px
-FOLLOWED_QUALITY = 70  # of the WebP, 0 to 100
+FOLLOWED_WIDTH = 320  # px
+FOLLOWED_QUALITY = 30  # of the WebP, 0 to 100
 FOLLOWED_MS = 67  # between two images; 30 images a second, every second one
 
 
