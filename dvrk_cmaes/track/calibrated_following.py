@@ -55,6 +55,7 @@ BASE_MOVED: Final = (
 
 _WINDOW = 15  # images whose deviations are estimated together
 _MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
+_DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
 _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
@@ -93,6 +94,11 @@ class CalibratedFollowing:
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
         return self._astray >= _MOST_ASTRAY
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the last images disagree with the calibration."""
+        return self._astray >= _DISAGREES
 
     def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> TrackResult:
         """Fit the image of a later time, s, whose readings, less the lag, are ``reading``."""

@@ -33,6 +33,7 @@ class KnownBase:
         self._alone: dict[str, Result] = {}
         self._solved = 0  # keyframes when they were last solved
         self._reason = ""
+        self._bases = 0  # that were given up
         self._following: CalibratedFollowing | None = None
         if calibration is not None:
             self._begin(calibration)
@@ -53,15 +54,25 @@ class KnownBase:
 
     @property
     def due(self) -> bool:
-        """Whether there are more keyframes than when they were last solved, by enough that it pays."""
+        """Whether there are more keyframes than when they were last solved, by enough that it pays.
+
+        Where the last images disagree with the calibration, one more is enough.
+        """
+        if self._following is not None and self._following.disagrees and len(self.store) > max(self._solved, 2):
+            return True
         return any(self._solved < count <= len(self.store) for count in SOLVED_AT)
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved."""
-        return self.store.problem(self._arm, self._config, self._alone)
+        return self.store.problem(self._arm, self._config, self._alone, self._bases)
 
     def use(self, solution: Solution) -> bool:
-        """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has."""
+        """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has.
+
+        One of keyframes of a base that was given up since is not used.
+        """
+        if solution.base != self._bases:
+            return False
         self._alone.update(solution.alone)
         self._solved = max(self._solved, solution.keyframes)
         self._reason = solution.reason
@@ -81,7 +92,7 @@ class KnownBase:
         lag = 0.0 if self.lag is None else self.lag.seconds
         result = self._following.follow(time, readings.at(time - lag), seen, sight)
         if self._following.contradicted:
-            self._following, self._solved = None, 0
+            self._following, self._solved, self._bases = None, 0, self._bases + 1
             self._alone.clear()
             self.store.clear()
         else:
@@ -115,6 +126,7 @@ class KnownBase:
             "alone": {name: result.to_dict() for name, result in self._alone.items()},
             "solved": self._solved,
             "reason": self._reason,
+            "bases": self._bases,
             "following": None if self._following is None else self._following.checkpoint(),
         }
 
@@ -123,6 +135,7 @@ class KnownBase:
         self.store.restore(saved["store"])
         self._alone = {name: Result.from_dict(document) for name, document in saved["alone"].items()}
         self._solved, self._reason = int(saved["solved"]), str(saved["reason"])
+        self._bases = int(saved["bases"])
         self._following = None
         if saved["following"] is not None:
             self._begin(SessionCalibration.from_dict(saved["following"]["calibration"]))

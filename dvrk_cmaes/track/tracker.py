@@ -198,7 +198,7 @@ class Tracker:
 
     @property
     def solution_due(self) -> bool:
-        """Whether enough keyframes are there that solving them anew pays: at 8, 16, 32 and 60 of them."""
+        """Whether solving the keyframes anew pays: at 4, 8, 16, 32 and 60 of them, and where images disagree."""
         return self._known is not None and self._known.due
 
     def problem(self) -> KeyframeProblem:
