@@ -153,27 +153,28 @@ class KeyframeStore:
 
     def offer(
         self, time: float, masks: Mapping[str, Bool], ignored: Mapping[str, Bool], readings: Mapping[str, float]
-    ) -> None:
-        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept."""
+    ) -> bool:
+        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept; whether it is."""
         if self._last is not None:
             self._interval = [*self._interval[-50:], time - self._last]
         self._last = time
         mask = next((masks[name] for name in self._rig.names if name in masks), None)
         if mask is None or not mask.any() or not set(OUTER_JOINTS) <= set(readings):
-            return
+            return False
         self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
         if not well_in_view(self._shapes)[-1] or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
-            return
+            return False
         units = distance_units(self._names)
         values = np.array([readings.get(name, 0.0) for name in self._names])
         place = np.array([*(values / units), time / _SECONDS])
         nearest = float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
         if nearest < _LEAST_APART:
-            return
+            return False
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
-            return
+            return False
         self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings)))
         self._places = np.vstack([self._places, place])
+        return True
 
     def _drops_one(self, nearest: float) -> bool:
         """Drop one of the two keyframes that are nearest to each other, if they are nearer than ``nearest``."""
