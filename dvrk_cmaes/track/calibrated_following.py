@@ -62,10 +62,7 @@ _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion wh
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """What is known of one image: its prediction, and what its fit tells, as in `smooth`.
-
-    ``jacobian`` (D, K + 1) is that of the prediction by the calibration and by the lag.
-    """
+    """What is known of one image: its prediction, and what its fit tells, as in `smooth`."""
 
     time: float
     predicted: Posed
@@ -122,8 +119,11 @@ class CalibratedFollowing:
         at, prior = model.predict(calibration)[0], model.covariance(calibration)[0]
         if not told:
             prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(self._names)))
-        jacobian = np.column_stack([model.jacobian(calibration)[0], self._by_lag(reading, at)])
-        spread = prior + jacobian @ self._with_lag(self.calibration.covariance_given_camera) @ jacobian.T
+        if self._lag_std > 0:
+            late = self._lag_std * self._by_lag(reading, at)
+            prior = prior + np.outer(late, late)
+        jacobian = model.jacobian(calibration)[0]
+        spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
         fitted = self._fitted(at, spread, seen, sight)
         told_by_fit = Told.of(fitted, at, spread)
         self.misfit = told_by_fit.misfit
@@ -213,13 +213,6 @@ class CalibratedFollowing:
         model, calibration = self.calibration.model(outer[None], joints[None], self._names)
         return np.asarray(model.predict(calibration)[0].minus(at) / _LAG_STEP)
 
-    def _with_lag(self, covariance: Float64) -> Float64:
-        """Return a covariance of the calibration (K, K) with the variance of the lag as one more, (K + 1, K + 1)."""
-        size = len(covariance)
-        whole = np.zeros((size + 1, size + 1))
-        whole[:size, :size], whole[size, size] = covariance, self._lag_std**2
-        return whole
-
     def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> FittedFrame | None:
         """Fit an image's masks; None if they show nothing, or there is none."""
         names = self._rig.names
@@ -236,7 +229,7 @@ class CalibratedFollowing:
     def _filtered(self) -> tuple[Posed, Float64]:
         """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""
         images = list(self._images)
-        calibrated = self._with_lag(calibration_covariance(self.calibration))
+        calibrated = calibration_covariance(self.calibration)
         smoothed = smooth(
             np.array([image.time for image in images]),
             np.array([image.prior for image in images]),

@@ -160,10 +160,12 @@ class KnownBase:
     def _give_up(self) -> None:
         """Follow by the calibration no longer: images contradict it.
 
-        The keyframes are forgotten, unless the calibration was one of an earlier run, which they are later than.
+        The base may have moved: the keyframes are forgotten. Those that are later than a calibration of an earlier run
+        are not, nor those that are to be solved once more, since a solution of few may have been wrong itself.
         """
+        few = self._own and self._solved < _OWN_IS_ENOUGH and len(self.store) > self._solved
         self._following, self._solved, self._reason = None, 0, ""
-        if self._agreeing is None:
+        if self._agreeing is None and not few:
             self._bases += 1
             self._alone.clear()
             self.store.clear()
