@@ -33,6 +33,8 @@ from dvrk_cmaes.calibration.frame_task import (
     with_changed_cameras,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE
+from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
 from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
@@ -121,6 +123,7 @@ class Alternation:
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
         self.masks: SessionMasks | None = None
+        self.lasting: LastingEstimate | None = None
         self.undetermined: list[str] = []
         self.again: MasksAgain | None = None
         self.masks_found_again: dict[str, Mapping[str, PackedMask]] = {}
@@ -132,6 +135,7 @@ class Alternation:
         self.model = SessionModel(outer, joints, names, deviations, arm=arm, roll_offset=instrument.roll_offset)
         self._offset_std = offset_deviations(config, names)
         self._prior = np.diag([*np.zeros(6), *(1 / self._offset_std**2)])
+        self._size = USUAL_SIZE
         self._modes = [Mode.all_of(frame.result, names) for frame in frames]
         self.cables = CableEstimate(names, deviations, self._offset_std[1:])
         self.lag = LagEstimate(series, [frame.name for frame in frames], deviations.outer)
@@ -223,7 +227,7 @@ class Alternation:
 
         ``keep_all`` is whether fits that do not explain the mask count as well.
         """
-        fits = FrameFits.of([fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits])
+        fits = self._frame_fits(keep_all=keep_all)
         self._solve(fits, calibration)
         if not keep_all and self._config.session.cables:
             self._correct_cables(fits)
@@ -231,8 +235,19 @@ class Alternation:
         self.model = self.lag.corrected(self.model)
         return fits
 
+    def _frame_fits(self, *, keep_all: bool) -> FrameFits:
+        """Return the current fits; without the outlines that do not explain the mask, unless they are kept as well."""
+        fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
+        terms = [fit.whole_outline for fit in fits]
+        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self._size, self._times)
+
     def _finish(self, fits: FrameFits) -> None:
-        """Solve once more with all that was found from the fits of the last round."""
+        """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
+        self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
+        self.lasting = estimate_lasting(self.model, self.fits, self.solution, self._prior, self._times)
+        self._size = self.lasting.size
+        self.fits = [fit.with_size(self._size) for fit in self.fits]
+        fits = self._frame_fits(keep_all=False)
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
         self.lag.estimate_joints(self.model, fits, self.solution.calibration, self._prior)
 
@@ -363,6 +378,11 @@ class Alternation:
         return (estimate.calibration, estimate.at) if estimate.masks.applied else (calibration, None)
 
     @property
+    def _times(self) -> Float64:
+        """Times (N,) of the frames, s; NaN where unknown."""
+        return np.array([np.nan if frame.time is None else frame.time for frame in self.frames])
+
+    @property
     def _margin(self) -> float:
         """Margin, px, that is taken off the masks."""
         return 0.0 if self.masks is None else self.masks.taken_off
@@ -371,7 +391,7 @@ class Alternation:
         """Return the outlines of all frames, as functions of poses, joints and camera."""
         pairs = zip(self.fits, self._stored, strict=True)
         used = np.array([fit.explains_mask and stored.in_reference for fit, stored in pairs])
-        return SessionOutlines(self._stored, used, self._run, self._margin)
+        return SessionOutlines(self._stored, used, self._run, self._times, self._margin, self._size)
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

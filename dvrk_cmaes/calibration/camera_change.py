@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_task import ConstantsTask, Run, constants_task
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
@@ -46,13 +47,16 @@ class SessionOutlines:
 
     The constants are a change of that camera and the margin of the masks, px. ``stored`` are the frames with the
     unchanged camera. Those for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a function
-    to many tasks. ``margin``, px, is the value of the margin from which estimates start.
+    to many tasks. ``margin``, px, is the value of the margin from which estimates start. ``times`` (N,), s, are those
+    of the frames, NaN where unknown, and ``size`` is that of the masks' errors that last from frame to frame.
     """
 
     stored: Sequence[StoredFrame]
     used: NDArray[np.bool_]
     run: Run[Any, Any]
+    times: Float64
     margin: float = 0.0
+    size: LastingSize = USUAL_SIZE
 
     @property
     def width(self) -> int:
@@ -71,10 +75,9 @@ class SessionOutlines:
             ConstantsTask(stored, at[k], changed(stored.reference.evidence.camera, constants[:3]), float(constants[3]))
             for k, stored in enumerate(self.stored)
         ]
-        terms = Quadratic.joined(self.run(constants_task, tasks))
-        used = self.used.astype(np.float64)
-        of_used = Quadratic(used[:, None, None] * terms.information, used[:, None] * terms.slope)
-        return FrameFits(at, of_used, constants)
+        pairs = zip(self.run(constants_task, tasks), self.used, strict=True)
+        terms = [of_frame if used else Quadratic.zero(1, of_frame.dimension) for of_frame, used in pairs]
+        return FrameFits.with_lasting(at, terms, self.size, self.times, constants)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +144,7 @@ def estimate_camera(
         model, solution = solve_with_variances(model, fits, calibration, prior, config, steps=_STEPS)
         calibration, constants = solution.calibration, solution.calibration.further
         change, information = constants[:3], solution.information + weak
-        covariance = _inverse(information)[of_camera, of_camera]
+        covariance = solution.covariance_of(_inverse(information))[of_camera, of_camera]
         at = at.moved(marginalise(model, fits, calibration).own)
         plausible = bool((np.abs(change) < _PLAUSIBLE * WEAK_PRIOR).all())
         if not plausible or (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():

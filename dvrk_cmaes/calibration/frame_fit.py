@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -18,6 +19,7 @@ from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
+from dvrk_cmaes.pose.terms.shared_errors import side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
@@ -38,7 +40,9 @@ class FrameFit:
     ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of the outline alone at the fit, and ``slope`` (D,)
     the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit, ``evaluations`` the
     number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's silhouette and the
-    mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
+    mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the same terms of the outline
+    as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
+    usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
     """
 
     at: Posed
@@ -48,6 +52,21 @@ class FrameFit:
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0
+    lasting: Quadratic | None = None
+    side_px: float = 0.0
+
+    @property
+    def whole_outline(self) -> Quadratic:
+        """The outline's terms with the errors that last, (1, D + S)."""
+        alone = Quadratic(self.information[None], self.slope[None])
+        return alone if self.lasting is None else self.lasting
+
+    def with_size(self, size: LastingSize) -> FrameFit:
+        """Return the fit with errors that last of another size."""
+        if self.lasting is None:
+            return self
+        left = without_lasting(self.lasting, self.lasting.dimension - len(self.slope), size)
+        return replace(self, information=left.information[0], slope=left.slope[0])
 
     @property
     def explains_mask(self) -> bool:
@@ -65,7 +84,8 @@ class FrameFit:
     def moved_to(self, expected: Expected) -> FrameFit:
         """Return the fit where it would be with another prior, as in `step_to`, with the outline's slope there."""
         step = self._step(expected)[0]
-        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step)
+        lasting = None if self.lasting is None else _after(self.lasting, step)
+        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step, lasting=lasting)
 
     def _step(self, expected: Expected) -> tuple[Float64, Float64]:
         """Return the change (D,) of the fit with another prior, and the slope (D,) there, whose minimum it is."""
@@ -75,7 +95,10 @@ class FrameFit:
 
     def without_outline(self) -> FrameFit:
         """Return the fit with zero information and slope, so that it does not influence the calibration."""
-        return replace(self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope))
+        nothing = None if self.lasting is None else Quadratic.zero(1, self.lasting.dimension)
+        return replace(
+            self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope), lasting=nothing
+        )
 
 
 def fit_frame(
@@ -181,7 +204,9 @@ def _without_shared(
 
     ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours; the others as in `FrameFit`.
     """
-    outline = coverage.near_without_shared(fit.at, noises)
+    lasting = coverage.near_with_lasting(fit.at, noises)
+    own = 6 + len(fit.at.joints)
+    outline = without_lasting(lasting, lasting.dimension - own, USUAL_SIZE)
     whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
     step = -np.linalg.solve(whole.information[0], whole.slope[0])
     step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
@@ -192,11 +217,18 @@ def _without_shared(
         at,
         information=outline.information[0],
         slope=outline.slope[0] + outline.information[0] @ at.minus(fit.at),
+        lasting=_after(lasting, at.minus(fit.at)),
+        side_px=side_deviation(noises[0]),
         score=fit.score,
         evaluations=evaluations,
         iou=iou,
         own_iou=own_iou,
     )
+
+
+def _after(terms: Quadratic, step: Float64) -> Quadratic:
+    """Return terms (1, D + S) about where their first D unknowns are after a step."""
+    return Quadratic(terms.information, terms.slope + terms.information[:, :, : len(step)] @ step)
 
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
@@ -236,8 +268,8 @@ def terms_of_constants(
     """Compute the outline's terms about a pose and about what all frames share: the camera and the masks' margin.
 
     ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size, and the mask less ``margin``
-    px; the view has the evidence's own camera. The last four unknowns are those of `of_camera` and the margin, px. The
-    errors that parts of one mask share are eliminated.
+    px; the view has the evidence's own camera. Four further unknowns are those of `of_camera` and the margin, px; the
+    last ones are the errors that last, as in `FrameFit`. Other errors that parts of one mask share are eliminated.
     """
     own = replace(own_estimate, noises=own_estimate.noises[:1])
     noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
@@ -247,7 +279,7 @@ def terms_of_constants(
     def constants(sized: SizedView, outline: OutlinePoints) -> Float64:
         return np.column_stack([of_camera(sized, outline), of_margin(outline)])
 
-    return coverage.near_without_shared(fitted, own.noises, constants)
+    return coverage.near_with_lasting(fitted, own.noises, constants)
 
 
 def _limits(readings: Readings) -> Readings:
