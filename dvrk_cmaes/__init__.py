@@ -9,10 +9,10 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
-    from dvrk_cmaes.calibration.mask_margin import SessionMasks
     from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
+    from dvrk_cmaes.calibration.session_masks import SessionMasks
     from dvrk_cmaes.calibration.session_rig import ViewRotation
     from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.camera.files import read_camera
@@ -92,7 +92,7 @@ _HOMES = {
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration.frame_task",
-    "SessionMasks": "calibration.mask_margin",
+    "SessionMasks": "calibration.session_masks",
     "SessionVideo": "frames.session_video",
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",

@@ -35,7 +35,7 @@ from dvrk_cmaes.calibration.frame_task import (
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
-from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
+from dvrk_cmaes.calibration.mask_margin import estimate_margin
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
     FoundAgain,
@@ -50,6 +50,7 @@ from dvrk_cmaes.calibration.masks_again import (
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
+from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -78,7 +79,7 @@ class Alternation:
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``undetermined`` about what
     it does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change
-    of the camera that the frames fit, None where it is not determined, ``masks`` the errors that all masks share.
+    of the camera that the frames fit, None where it is not determined.
     ``again`` is what changed as masks were found again, None where they were not; ``masks_found_again`` are those that
     are used, by frame and view.
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
@@ -122,8 +123,8 @@ class Alternation:
         self.fits: list[FrameFit] = []
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
-        self.masks: SessionMasks | None = None
-        self.lasting: LastingEstimate | None = None
+        self._margins: list[tuple[str, Margin]] = []  # of the views, in their order
+        self._lasting: LastingEstimate | None = None
         self.undetermined: list[str] = []
         self.again: MasksAgain | None = None
         self.masks_found_again: dict[str, Mapping[str, PackedMask]] = {}
@@ -244,8 +245,8 @@ class Alternation:
     def _finish(self, fits: FrameFits) -> None:
         """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
-        self.lasting = estimate_lasting(self.model, self.fits, self.solution, self._prior, self._times)
-        self._size = self.lasting.size
+        self._lasting = estimate_lasting(self.model, self.fits, self.solution, self._prior, self._times)
+        self._size = self._lasting.size
         self.fits = [fit.with_size(self._size) for fit in self.fits]
         fits = self._frame_fits(keep_all=False)
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
@@ -334,7 +335,10 @@ class Alternation:
         The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
         """
         again = [i for i, of_frame in enumerate(starts) if of_frame]
-        tasks = [FitTask(self._stored[i], expected[i], starts[i], self._change, self._margin) for i in again]
+        tasks = [
+            FitTask(self._stored[i], expected[i], starts[i], self._change, self._taken_off(self._stored[i]))
+            for i in again
+        ]
         fits = dict(enumerate(self.fits))
         if last:
             fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
@@ -368,14 +372,20 @@ class Alternation:
         return estimate.calibration, estimate.at
 
     def _take_off_margin(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
-        """Estimate the margin of the masks from the current fits, and take it off if it is clear.
+        """Estimate the margin of each view's masks from the current fits, and take it off if it is clear.
 
-        Returns the calibration, and the frames' poses with masks less the margin; None if it is not taken off.
+        Returns the calibration, and the frames' poses with masks less the margin of a view; None if none is taken off.
         """
         session = self._config.session
-        estimate = estimate_margin(self.model, calibration, self._prior, session, at, self._outlines())
-        self.masks = estimate.masks
-        return (estimate.calibration, estimate.at) if estimate.masks.applied else (calibration, None)
+        names = list(dict.fromkeys(view.name for stored in self._stored for view in stored.views))
+        found = []
+        for outlines in [self._outlines(name) for name in names]:
+            found.append(estimate_margin(self.model, calibration, self._prior, session, at, outlines))
+        self._margins = [(name, estimate.margin) for name, estimate in zip(names, found, strict=True)]
+        for estimate in found:
+            if estimate.margin.applied:
+                return estimate.calibration, estimate.at
+        return calibration, None
 
     @property
     def _times(self) -> Float64:
@@ -383,15 +393,28 @@ class Alternation:
         return np.array([np.nan if frame.time is None else frame.time for frame in self.frames])
 
     @property
-    def _margin(self) -> float:
-        """Margin, px, that is taken off the masks."""
-        return 0.0 if self.masks is None else self.masks.taken_off
+    def masks(self) -> SessionMasks | None:
+        """What is stated of errors that the masks share; None if their margin was not estimated."""
+        return SessionMasks.of(self._margins, self._lasting) if self._margins else None
 
-    def _outlines(self) -> SessionOutlines:
-        """Return the outlines of all frames, as functions of poses, joints and camera."""
+    def _taken_off(self, stored: StoredFrame) -> tuple[float, ...]:
+        """Return the margins, px, that are taken off the masks of a frame's views."""
+        masks = self.masks
+        return tuple(0.0 if masks is None else masks.taken_off_in(view.name) for view in stored.views)
+
+    def _outlines(self, view: str | None = None) -> SessionOutlines:
+        """Return the outlines of all frames in a view, by default the reference camera's."""
+        name = self._reference if view is None else view
         pairs = zip(self.fits, self._stored, strict=True)
-        used = np.array([fit.explains_mask and stored.in_reference for fit, stored in pairs])
-        return SessionOutlines(self._stored, used, self._run, self._times, self._margin, self._size)
+        views = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
+        margin = 0.0 if self.masks is None else self.masks.taken_off_in(name)
+        return SessionOutlines(self._stored, views, self._run, self._times, margin, self._size)
+
+    @property
+    def _reference(self) -> str:
+        """Name of the view of the reference camera; of another one if it does not show the instrument in any frame."""
+        named = (stored.views[0].name for stored in self._stored if stored.in_reference)
+        return next(named, self._stored[0].views[0].name)
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

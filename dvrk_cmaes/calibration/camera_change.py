@@ -23,7 +23,9 @@ from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.shared_errors import LASTING
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
@@ -43,16 +45,17 @@ _PLAUSIBLE = 2.0  # standard deviations of `WEAK_PRIOR`; linearised farther away
 
 @dataclass(frozen=True, eq=False)
 class SessionOutlines:
-    """The outlines of N frames in the reference camera, as functions of poses, joints and four constants.
+    """The outlines of N frames in one view, as functions of poses, joints and four constants.
 
-    The constants are a change of that camera and the margin of the masks, px. ``stored`` are the frames with the
-    unchanged camera. Those for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a function
-    to many tasks. ``margin``, px, is the value of the margin from which estimates start. ``times`` (N,), s, are those
-    of the frames, NaN where unknown, and ``size`` is that of the masks' errors that last from frame to frame.
+    The constants are a change of that view's camera and the margin of its masks, px. ``stored`` are the frames with the
+    unchanged camera, ``views`` (N,) the numbers of the view in them. Those for which this is None do not influence the
+    estimate. ``run`` applies a function to many tasks. ``margin``, px, is the value of the margin from which estimates
+    start. ``times`` (N,), s, are those of the frames, NaN where unknown, and ``size`` is that of the masks' errors that
+    last from frame to frame.
     """
 
     stored: Sequence[StoredFrame]
-    used: NDArray[np.bool_]
+    views: Sequence[int | None]
     run: Run[Any, Any]
     times: Float64
     margin: float = 0.0
@@ -61,7 +64,12 @@ class SessionOutlines:
     @property
     def width(self) -> int:
         """Width of the images, px, to which changes of the camera refer."""
-        return self.stored[0].reference.evidence.camera.width
+        return self._evidence[0].camera.width
+
+    @property
+    def _evidence(self) -> list[Evidence]:
+        """Evidence of the view in each frame; that of another view where the frame does not count."""
+        return [one.views[view or 0].stored.evidence for one, view in zip(self.stored, self.views, strict=True)]
 
     def near(self, at: Posed, constants: Float64) -> FrameFits:
         """Linearise the outlines at N poses and values (4,) of the constants, in both.
@@ -72,11 +80,13 @@ class SessionOutlines:
             With the changed focal length, the lens distortion is not one-to-one over the image.
         """
         tasks = [
-            ConstantsTask(stored, at[k], changed(stored.reference.evidence.camera, constants[:3]), float(constants[3]))
-            for k, stored in enumerate(self.stored)
+            ConstantsTask(self.stored[k], view, at[k], changed(evidence.camera, constants[:3]), float(constants[3]))
+            for k, (view, evidence) in enumerate(zip(self.views, self._evidence, strict=True))
+            if view is not None
         ]
-        pairs = zip(self.run(constants_task, tasks), self.used, strict=True)
-        terms = [of_frame if used else Quadratic.zero(1, of_frame.dimension) for of_frame, used in pairs]
+        found = iter(self.run(constants_task, tasks))
+        nothing = Quadratic.zero(1, 6 + at.joints.shape[1] + len(constants) + LASTING)
+        terms = [nothing if view is None else next(found) for view in self.views]
         return FrameFits.with_lasting(at, terms, self.size, self.times, constants)
 
 

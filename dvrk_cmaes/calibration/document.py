@@ -12,7 +12,6 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
@@ -24,6 +23,7 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera

@@ -110,7 +110,7 @@ def fit_frame(
     own_estimate: OwnEstimate | None,
     own_cameras: Sequence[Camera] | None = None,
     *,
-    margin: float = 0.0,
+    margins: Sequence[float] = (),
     confirm: bool = True,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
@@ -132,8 +132,8 @@ def fit_frame(
         the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_cameras
         The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
-    margin
-        Margin of the masks, px, that is taken off them all round.
+    margins
+        Margin of each view's mask, px, that is taken off it all round; none by default.
     confirm
         Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
@@ -141,7 +141,7 @@ def fit_frame(
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, own_estimate, shrink, margin)
+        coverage = _coverage(views, config, own_estimate, shrink, margins)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
@@ -170,14 +170,14 @@ def fit_predicted(
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
 
-    The noise of the outlines is estimated during a first fit, and measured where that ends for a second one. Also
-    returns what was measured.
+    The noise of the outlines is estimated during a first fit, and measured where that ends for a second one. ``margin``
+    is that of every view's mask. Also returns what was measured.
     """
     shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, None, shrink, margin)
+        coverage = _coverage(views, config, None, shrink, [margin] * len(views))
         steps = replace(Steps.of(config.refine.outline, shrink), tested="long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
@@ -241,14 +241,15 @@ def _coverage(
     config: EstimateConfig,
     own_estimate: OwnEstimate | None,
     shrink: int = 1,
-    margin: float = 0.0,
+    margins: Sequence[float] = (),
 ) -> Coverage:
     """Return the coverage of a frame's views at 1 / ``shrink`` of the image size.
 
     The correlation lengths are those of the residuals at the own estimate.
     """
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
+    pairs = zip(views, margins or [0.0] * len(views), strict=True)
+    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view, margin in pairs]
     return Coverage(sized, outline, correlations=() if own_estimate is None else own_estimate.lengths)
 
 
@@ -268,18 +269,18 @@ def terms_of_constants(
     """Compute the outline's terms about a pose and about what all frames share: the camera and the masks' margin.
 
     ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size, and the mask less ``margin``
-    px; the view has the evidence's own camera. Four further unknowns are those of `of_camera` and the margin, px; the
-    last ones are the errors that last, as in `FrameFit`. Other errors that parts of one mask share are eliminated.
+    px; the view has the evidence's own camera. ``own_estimate`` is that of this view alone. Four further unknowns are
+    those of `of_camera` and the margin, px; the last ones are the errors that last, as in `FrameFit`. Other errors that
+    parts of one mask share are eliminated.
     """
-    own = replace(own_estimate, noises=own_estimate.noises[:1])
-    noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
-    noise = _noise(_coverage([view], config, own), own, None) if noise is None else noise  # that of this view alone
-    coverage = _coverage([view], config, own, margin=margin).with_cameras([camera]).with_noise(noise)
+    noise = own_estimate.residual
+    noise = _noise(_coverage([view], config, own_estimate), own_estimate, None) if noise is None else noise
+    coverage = _coverage([view], config, own_estimate, margins=[margin]).with_cameras([camera]).with_noise(noise)
 
     def constants(sized: SizedView, outline: OutlinePoints) -> Float64:
         return np.column_stack([of_camera(sized, outline), of_margin(outline)])
 
-    return coverage.near_with_lasting(fitted, own.noises, constants)
+    return coverage.near_with_lasting(fitted, own_estimate.noises, constants)
 
 
 def _limits(readings: Readings) -> Readings:

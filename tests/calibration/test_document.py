@@ -15,9 +15,9 @@ from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
