@@ -33,7 +33,7 @@ from dvrk_cmaes.calibration.frame_task import (
     with_changed_cameras,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
 from dvrk_cmaes.calibration.mask_margin import estimate_margin
 from dvrk_cmaes.calibration.masks_again import (
@@ -240,7 +240,7 @@ class Alternation:
         """Return the current fits; without the outlines that do not explain the mask, unless they are kept as well."""
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
         terms = [fit.whole_outline for fit in fits]
-        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self._size, self._times)
+        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self._common)
 
     def _finish(self, fits: FrameFits) -> None:
         """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
@@ -390,7 +390,14 @@ class Alternation:
     @property
     def _times(self) -> Float64:
         """Times (N,) of the frames, s; NaN where unknown."""
-        return np.array([np.nan if frame.time is None else frame.time for frame in self.frames])
+        read = self.lag.seconds()
+        return np.full(len(self.frames), np.nan) if read is None else read
+
+    @property
+    def _common(self) -> CommonErrors:
+        """The errors that the frames share."""
+        by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
+        return CommonErrors(self._size, self._times, by_lag)
 
     @property
     def masks(self) -> SessionMasks | None:
@@ -408,7 +415,7 @@ class Alternation:
         pairs = zip(self.fits, self._stored, strict=True)
         views = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
         margin = 0.0 if self.masks is None else self.masks.taken_off_in(name)
-        return SessionOutlines(self._stored, views, self._run, self._times, margin, self._size)
+        return SessionOutlines(self._stored, views, self._run, self._common, margin)
 
     @property
     def _reference(self) -> str:

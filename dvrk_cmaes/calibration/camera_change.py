@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_task import ConstantsTask, Run, constants_task
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
@@ -50,16 +50,14 @@ class SessionOutlines:
     The constants are a change of that view's camera and the margin of its masks, px. ``stored`` are the frames with the
     unchanged camera, ``views`` (N,) the numbers of the view in them. Those for which this is None do not influence the
     estimate. ``run`` applies a function to many tasks. ``margin``, px, is the value of the margin from which estimates
-    start. ``times`` (N,), s, are those of the frames, NaN where unknown, and ``size`` is that of the masks' errors that
-    last from frame to frame.
+    start. ``common`` are the errors that the frames share.
     """
 
     stored: Sequence[StoredFrame]
     views: Sequence[int | None]
     run: Run[Any, Any]
-    times: Float64
+    common: CommonErrors
     margin: float = 0.0
-    size: LastingSize = USUAL_SIZE
 
     @property
     def width(self) -> int:
@@ -87,7 +85,7 @@ class SessionOutlines:
         found = iter(self.run(constants_task, tasks))
         nothing = Quadratic.zero(1, 6 + at.joints.shape[1] + len(constants) + LASTING)
         terms = [nothing if view is None else next(found) for view in self.views]
-        return FrameFits.with_lasting(at, terms, self.size, self.times, constants)
+        return FrameFits.with_lasting(at, terms, self.common, constants)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize, without_lasting
+from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -182,13 +182,15 @@ def fit_predicted(
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
     first = OwnEstimate.of(views, fits[0].at)
-    at = Posed.stacked([_without_shared(fits[0], coverage, terms, first.noises, first.iou, 0.0, 0).at])
+    near = _without_shared(fits[0], coverage, terms, first.noises, first.iou, 0.0, 0, SINGLE_SIZE)
+    at = Posed.stacked([near.at])
     own = OwnEstimate.of(views, at[0])
     coverage = coverage.with_lengths(own.lengths)
     coverage = coverage.with_noise(coverage.noise_at(own.at))
     (fit,) = refine(coverage, terms, at, steps)
     iou = overlap(views, [view.silhouette(fit.at) for view in views])
-    return _without_shared(fit, coverage, terms, own.noises, iou, own.iou, count + coverage.silhouettes), own
+    count += coverage.silhouettes
+    return _without_shared(fit, coverage, terms, own.noises, iou, own.iou, count, SINGLE_SIZE), own
 
 
 def _without_shared(
@@ -199,14 +201,16 @@ def _without_shared(
     iou: float,
     own_iou: float,
     evaluations: int,
+    size: LastingSize = USUAL_SIZE,
 ) -> FrameFit:
     """Return a fit after one step by which the errors that the masks share are eliminated.
 
-    ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours; the others as in `FrameFit`.
+    ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours, and ``size`` is that of the
+    errors that last from frame to frame; the others as in `FrameFit`.
     """
     lasting = coverage.near_with_lasting(fit.at, noises)
     own = 6 + len(fit.at.joints)
-    outline = without_lasting(lasting, lasting.dimension - own, USUAL_SIZE)
+    outline = without_lasting(lasting, lasting.dimension - own, size)
     whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
     step = -np.linalg.solve(whole.information[0], whole.slope[0])
     step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))

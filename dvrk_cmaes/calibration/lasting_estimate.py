@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SECONDS, USUAL_SIZE, LastingSize
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
 from dvrk_cmaes.geometry import Posed
@@ -22,9 +22,9 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
 
-_SCALE_STD, _SECONDS_STD = 0.4, 0.8  # of the logarithms of both, beforehand
-_SCALES = np.geomspace(0.3, 4.0, 11)
-_SECONDS = np.geomspace(0.03, 3.0, 9)
+_SCALE_STD, _SECONDS_STD = 0.5, 0.6  # of the logarithms of both, beforehand
+_SCALES = USUAL_SIZE.scale * np.geomspace(0.2, 5.0, 11)
+_SECONDS = USUAL_SIZE.seconds * np.geomspace(0.1, 10.0, 9)
 _BLOCK = 40  # frames whose errors are compared with each other
 _LEAST_BASE = 1.0, 1.0  # m and rad, known of the base beforehand, for sessions that do not determine all of it
 
@@ -83,8 +83,8 @@ def estimate_lasting(
             for scale in _SCALES
         ]
     )
-    log -= 0.5 * (np.log(_SCALES)[:, None] / _SCALE_STD) ** 2
-    log -= 0.5 * (np.log(_SECONDS / USUAL_SECONDS) / _SECONDS_STD) ** 2
+    log -= 0.5 * (np.log(_SCALES / USUAL_SIZE.scale)[:, None] / _SCALE_STD) ** 2
+    log -= 0.5 * (np.log(_SECONDS / USUAL_SIZE.seconds) / _SECONDS_STD) ** 2
     probability = np.exp(log - log.max())
     probability /= probability.sum()
     scale, std_scale = _moments(np.log(_SCALES), probability.sum(axis=1))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.lasting_errors import LastingSize, LastingSlopes, without_lasting
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, without_lasting
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
@@ -41,13 +41,15 @@ class FrameFits:
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
     J, and for changes of E further unknowns from their values ``further`` (E,); most often there are none. The slope
     is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks that last
-    from frame to frame; none by default.
+    from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of the lag
+    between images and readings; none by default.
     """
 
     at: Posed
     outlines: Quadratic
     further: Float64 = field(default_factory=lambda: np.zeros(0))
     lasting: LastingSlopes | None = None
+    by_lag: Float64 | None = None
 
     @classmethod
     def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
@@ -63,19 +65,22 @@ class FrameFits:
 
     @classmethod
     def with_lasting(
-        cls, at: Posed, terms: Sequence[Quadratic], size: LastingSize, times: Float64, further: Float64 | None = None
+        cls,
+        at: Posed,
+        terms: Sequence[Quadratic],
+        common: CommonErrors,
+        further: Float64 | None = None,
     ) -> FrameFits:
         """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
 
-        ``size`` is that of these errors, ``times`` (N,), s, are those of the frames, NaN where unknown; ``further``
-        (E,) as above.
+        ``common`` are the errors that the frames share; ``further`` (E,) as above.
         """
         constants = np.zeros(0) if further is None else further
         own = 6 + at.joints.shape[1] + len(constants)
         most = max(of_frame.dimension for of_frame in terms)
         stacked = Quadratic.joined([of_frame.padded(most) for of_frame in terms])
-        lasting = LastingSlopes.of(stacked, most - own, size, times)
-        return cls(at, without_lasting(stacked, most - own, size), constants, lasting)
+        lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
+        return cls(at, without_lasting(stacked, most - own, common.size), constants, lasting, common.by_lag)
 
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
@@ -96,7 +101,8 @@ class FrameFits:
     def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
         """Return the fits of the frames at some indices."""
         lasting = None if self.lasting is None else self.lasting.subset(index)
-        return FrameFits(self.at[index], self.outlines.select([int(i) for i in index]), self.further, lasting)
+        by_lag = None if self.by_lag is None else self.by_lag[index]
+        return FrameFits(self.at[index], self.outlines.select([int(i) for i in index]), self.further, lasting, by_lag)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +112,8 @@ class Solution:
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
     outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
     information matrix and to the gradient of half the sum of squares at the solution. The frames are in the order they
-    were taken. ``lasting`` are the changes of these gradients by errors of the masks that last from frame to frame.
+    were taken. ``lasting`` are the changes of these gradients by errors of the masks that last from frame to frame,
+    ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
     """
 
     calibration: Calibration
@@ -116,21 +123,23 @@ class Solution:
     frame_information: Float64
     frame_slopes: Float64
     lasting: LastingSlopes
+    by_lag: Float64
 
     @cached_property
     def covariance(self) -> Float64:
         """Covariance (K, K) of the calibration, in the order of its steps.
 
-        Frames that follow each other share errors, which do not average out as those of independent frames do. Those
-        of the masks are counted with their correlation. What else they share, of cables for example, is told by how
-        much the slopes of successive parts of the recording scatter (the covariance for clustered errors): standard
-        deviations grow where these scatter more than expected.
+        Frames share errors, which do not average out as those of independent frames do. Those of the masks that last
+        from frame to frame are counted with their correlation, and so is that of the lag, which is the same for all.
+        What else they share, of cables for example, is told by how much the slopes of successive parts of the recording
+        scatter (the covariance for clustered errors): standard deviations grow where these scatter more than expected.
         """
         return self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance for a given inverse (K, K) of the information, as of a matrix with something added."""
-        expected = inverse + inverse @ self.lasting.between_frames @ inverse
+        shared = self.lasting.between_frames + np.outer(self.by_lag, self.by_lag)
+        expected = inverse + inverse @ shared @ inverse
         ratio = np.diag(inverse @ scatter(self.frame_slopes) @ inverse) / np.diag(expected)
         factor = np.sqrt(np.maximum(ratio, 1.0))
         return np.asarray(factor[:, None] * expected * factor)
@@ -197,8 +206,11 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
     information = prior + frame_information.sum(axis=0)
-    lasting = _of_calibration(fits, frames, weighted)
-    return Solution(calibration, information, weights, misfit, frame_information, frame_slopes, lasting)
+    lasting, own = _of_calibration(fits, frames, weighted), fits.outlines.dimension - len(fits.further)
+    by_lag = np.zeros(len(information))
+    if fits.by_lag is not None:
+        by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
+    return Solution(calibration, information, weights, misfit, frame_information, frame_slopes, lasting, by_lag)
 
 
 def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
