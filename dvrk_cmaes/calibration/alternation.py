@@ -420,8 +420,8 @@ class Alternation:
     @property
     def _reference(self) -> str:
         """Name of the view of the reference camera; of another one if it does not show the instrument in any frame."""
-        named = (stored.views[0].name for stored in self._stored if stored.in_reference)
-        return next(named, self._stored[0].views[0].name)
+        firsts = [stored.views[0].name for stored in [s for s in self._stored if s.in_reference] or self._stored]
+        return firsts[0]
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

@@ -95,11 +95,13 @@ class CameraEstimate:
     ``covariance`` (3, 3) is that of the change, whose prior is `WEAK_PRIOR`. ``sensitivity`` (K, 3) is the derivative
     of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N frames with
     the changed camera. ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing
-    about it.
+    about it. ``first_change`` (3,) and ``first_covariance`` (3, 3) are what the first linearisation told, at the start.
     """
 
     change: Float64
     covariance: Float64
+    first_change: Float64
+    first_covariance: Float64
     sensitivity: Float64
     calibration: Calibration
     at: Posed
@@ -147,19 +149,21 @@ def estimate_camera(
     of_camera = slice(count, count + 3)
     prior = np.pad(prior, (0, 4)) + np.diag([*np.zeros(count), *WEAK_PRIOR**-2, MARGIN_STD**-2])
     weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (count - 2)])
+    found: list[tuple[Float64, Float64]] = []
     for _ in range(passes):
         before, fits = constants[:3], outlines.near(at, constants)
         model, solution = solve_with_variances(model, fits, calibration, prior, config, steps=_STEPS)
         calibration, constants = solution.calibration, solution.calibration.further
         change, information = constants[:3], solution.information + weak
         covariance = solution.covariance_of(_inverse(information))[of_camera, of_camera]
+        found.append((change, covariance))
         at = at.moved(marginalise(model, fits, calibration).own)
         plausible = bool((np.abs(change) < _PLAUSIBLE * WEAK_PRIOR).all())
         if not plausible or (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
     sensitivity = -_inverse(information[:count, :count]) @ information[:count, of_camera]
     calibration = replace(calibration, further=np.zeros(0))
-    return CameraEstimate(change, covariance, sensitivity, calibration, at, plausible=plausible)
+    return CameraEstimate(change, covariance, *found[0], sensitivity, calibration, at, plausible=plausible)
 
 
 def _inverse(information: Float64) -> Float64:

@@ -114,7 +114,7 @@ class LagEstimate:
         ends = [self._clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
-        return np.where(np.isnan(change).any(axis=1)[:, None], none, change)
+        return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
 
     def has_readings(self) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).
