@@ -208,6 +208,7 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         yield from _camera_figures(calibration.camera)
     for rotation in calibration.rig:
         yield _rotation_figure(rotation)
+        yield from _scale_figures(rotation)
     if calibration.masks is not None:
         yield from _mask_figures(calibration.masks)
     if calibration.masks_again is not None:
@@ -266,6 +267,20 @@ def _mask_figures(masks: SessionMasks) -> Iterator[KeyFigure]:
     if masks.lasting_seconds is not None:
         note = f"in which their correlation falls to 37 %; standard deviation {masks.std_lasting_seconds:.2f} s"
         yield KeyFigure("These errors last", f"{masks.lasting_seconds:.2f} s", note)
+
+
+def _scale_figures(view: ViewRotation) -> Iterator[KeyFigure]:
+    """Yield what is told of a further view's baseline and focal length, and what was done about it."""
+    names = {"baseline": view.baseline, "focal length beside the first eye's": view.focal_length}
+    for name, scale in names.items():
+        if scale is not None:
+            percent, std = scale.percent
+            done = "applied" if scale.applied else "not applied"
+            yield KeyFigure(
+                f"{view.view.capitalize()} eye's {name}, against its file",
+                f"{percent:+.1f} %",
+                f"standard deviation {std:.1f} %; {done}",
+            )
 
 
 def _again_figure(again: MasksAgain) -> KeyFigure:

@@ -32,8 +32,11 @@ from dvrk_cmaes.silhouette import OutlinePoints
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-Columns = Callable[[SizedView, OutlinePoints], Float64]
-"""Displacements (N, E) of an outline's N points in a view by E unknowns, times the lengths of their normals, px."""
+Columns = Callable[[int, OutlinePoints, Float64], Float64]
+"""Displacements (N, E) of an outline's N points by E unknowns, times the lengths of their normals, px.
+
+Arguments are the number of the view, its outline, and the displacements (N, D) by the pose.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +193,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
             lasting = np.zeros((len(of_errors), LASTING * len(self.views)))
             lasting[:, LASTING * k : LASTING * (k + 1)] = of_errors[:, :LASTING] * errors.deviations[:LASTING]
-            of_kept = [] if kept is None else [kept(view, outline)]
+            of_kept = [] if kept is None else [kept(k, outline, of_pose)]
             jacobian = np.column_stack([of_pose, *of_kept, lasting, of_errors[:, LASTING:]])
             profiles = Profiles.sampled(
                 [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
@@ -200,12 +203,12 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             parts.append(without_last(terms, errors.information[LASTING:, LASTING:]))
         return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
 
-    def near_without_shared(self, at: Posed, noises: Sequence[OutlineNoise]) -> Quadratic:
-        """Return the approximation (1, D) near one pose, with all that the errors of the masks share eliminated.
+    def near_without_shared(self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None) -> Quadratic:
+        """Return the approximation near one pose, with all that the errors of the masks share eliminated: (1, D + E).
 
-        ``noises`` are those of the views' contours.
+        Arguments as of `near_with_lasting`.
         """
-        return without_last(self.near_with_lasting(at, noises), np.eye(LASTING * len(self.views)))
+        return without_last(self.near_with_lasting(at, noises, kept), np.eye(LASTING * len(self.views)))
 
 
 def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
