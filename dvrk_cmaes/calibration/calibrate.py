@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
+from dvrk_cmaes.calibration.lag_trials import best_predicting, lags_to_try
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -144,8 +146,7 @@ def calibrate_with_evidence(
     alternation = Alternation(
         usable, series, body.instrument, arm, settings, run, progress, rig=rotations, refine_camera=refine_camera
     )
-    alternation.initialise()
-    alternation.iterate()
+    alternation = _solved(alternation, progress)
     if settings.session.masks_again:
         alternation = alternation.with_masks_again()
     alternation.check_constants()
@@ -201,6 +202,44 @@ def calibrate_with_evidence(
         calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
+
+
+def _solved(alternation: Alternation, progress: Callable[[str, int], None]) -> Alternation:
+    """Solve a session; where the frames' own modes do not tell the lag, also at the lags that they allow.
+
+    A solution at such a lag is taken where it predicts frames that are left out clearly better than that without.
+
+    Raises
+    ------
+    InputError
+        As `Alternation.initialise`.
+    """
+    problem: InputError | None = None
+    try:
+        alternation.initialise()
+        alternation.iterate()
+    except InputError as error:
+        problem = error
+    trials = _at_other_lags(alternation, progress) if alternation.lag.can_be_tried else []
+    if not trials:
+        if problem is not None:
+            raise problem
+        return alternation
+    overlaps = [trial.left_out_overlaps() for trial in trials]
+    if problem is not None:
+        return trials[int(np.argmax([np.mean(list(each.values())) for each in overlaps]))]
+    best = best_predicting(alternation.left_out_overlaps(), overlaps)
+    return alternation if best is None else trials[best]
+
+
+def _at_other_lags(alternation: Alternation, progress: Callable[[str, int], None]) -> list[Alternation]:
+    """Solve a session at the lags that its frames' own modes allow, but for those that its readings contradict."""
+    trials, curve = [], alternation.lag.curve
+    for lag in lags_to_try(curve):
+        progress("trying another lag", len(alternation.frames))
+        with contextlib.suppress(InputError):
+            trials.append(alternation.at_lag(lag))
+    return trials
 
 
 def find_lag(
