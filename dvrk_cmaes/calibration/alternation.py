@@ -186,7 +186,8 @@ class Alternation:
         other.frames, other._modes, other.model, other.rig = self._given
         other.lag, other.cables = self.lag.of_all(), CableEstimate(*self._of_cables)
         other.fits, other.warnings, other.undetermined, other._left_out = [], [], [], {}
-        other.masks, other._change = None, None if self._change is None else np.zeros(3)
+        other._margins, other._lasting, other._size = [], None, USUAL_SIZE
+        other._change = None if self._change is None else np.zeros(3)
         other.initialise(lag)
         other.iterate()
         return other
