@@ -163,16 +163,19 @@ def calibrate_with_evidence(
         described["untold"] += (f"lag between images and readings: {alternation.lag.undetermined}",)
     if commanded:
         described["untold"] += (f"offsets of {', '.join(commanded)} at other readings than the only one of each",)
+    alone = {name: report.leave_one_out for name, report in reported.items() if name not in left_out}
+    view_names = dict.fromkeys(view for predicted in alone.values() for view in predicted.views)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
         roll_offset=body.instrument.roll_offset,
         frames=tuple(frame.name for frame in alternation.frames if frame.name not in left_out),
         left_out=dict(sorted(left_out.items())),
-        leave_one_out={
-            name: (report.leave_one_out.iou, report.leave_one_out.contour_px)
-            for name, report in reported.items()
-            if name not in left_out
+        leave_one_out={name: (predicted.iou, predicted.contour_px) for name, predicted in alone.items()},
+        leave_one_out_of_views={
+            view: {name: predicted.views[view] for name, predicted in alone.items() if view in predicted.views}
+            for view in view_names
+            if len(view_names) > 1
         },
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
