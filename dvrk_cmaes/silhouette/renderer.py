@@ -23,7 +23,13 @@ from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
-from dvrk_cmaes.silhouette.pose_batches import batch_slices, check_finite, check_poses
+from dvrk_cmaes.silhouette.pose_batches import (
+    POSES_PER_BATCH,
+    SUMMED_PER_BATCH,
+    batch_slices,
+    check_finite,
+    check_poses,
+)
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.shortened import ShortenedShaft
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
@@ -153,11 +159,12 @@ class Renderer:
         camera_from_root: NDArray[np.float64],
         joints: NDArray[np.float64],
         use: Callable[[OutlineEdges], T],
+        most: int = POSES_PER_BATCH,
     ) -> list[T]:
-        """Apply ``use`` to the outline edges of each batch of poses, in ``threads`` threads."""
+        """Apply ``use`` to the outline edges of each batch of at most ``most`` poses, in ``threads`` threads."""
         check_poses(self.body.instrument.joint_names, camera_from_root, joints)
         links = self.body.camera_from_links(camera_from_root, joints)
-        batches = [links[part] for part in batch_slices(len(links))]
+        batches = [links[part] for part in batch_slices(len(links), most)]
 
         def work(batch: NDArray[np.float64]) -> T:
             topology = self.body.shortened.topology_for(self.camera, batch)
@@ -216,7 +223,7 @@ class Renderer:
             columns = values.T[: images.count]
             return np.stack([np.bincount(pose, weights=column, minlength=edges.poses) for column in columns], axis=1)
 
-        return np.concatenate(self._map_batches(camera_from_root, joints, add)) / lines_per_pixel
+        return np.concatenate(self._map_batches(camera_from_root, joints, add, SUMMED_PER_BATCH)) / lines_per_pixel
 
     def coverage(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 4

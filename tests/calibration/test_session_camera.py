@@ -70,7 +70,8 @@ def estimate(change: tuple[float, float, float], std: tuple[float, float, float]
     nowhere = Posed(np.zeros((0, 4, 4)), np.zeros((0, 3)))
     calibration = Calibration(np.eye(4), np.zeros(5))
     covariance = np.diag(np.array(std) ** 2)
-    return CameraEstimate(np.array(change), covariance, np.zeros((11, 3)), calibration, nowhere)
+    there = np.array(change), covariance
+    return CameraEstimate(*there, *there, np.zeros((11, 3)), calibration, nowhere)
 
 
 # the change that frames fit

@@ -108,12 +108,13 @@ class LocalSearch:
         *,
         iterations: int | None = None,
         selection: Selection = ALL,
+        continued: bool = False,
     ) -> list[Fit]:
         """Refine candidates or modes on the coverage and all other terms."""
         if not modes:
             return []
         shrink = coverage.views[0].shrink
-        steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations)
+        steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
         return refine(coverage, self._terms(shrink), Posed.stacked([mode.at for mode in modes]), steps, selection)
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
@@ -198,7 +199,13 @@ class LocalSearch:
         """Refine modes at full image size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":
-            return self._refine(coverage, modes, iterations=config.refine.full_steps, selection=self._last_selection)
+            return self._refine(
+                coverage,
+                modes,
+                iterations=config.refine.full_steps,
+                selection=self._last_selection,
+                continued=True,
+            )
         loss = loss_of_views(self._views, self._readings, config)
         scale = 0.3 * scale_of_change(self._readings)
         fits = []
