@@ -44,7 +44,13 @@ class ReadingSigmas:
     other_deg: float = 10.0
 
     def of(self, joint: str) -> float:
-        """Return the standard deviation of the reading of a joint, in degrees."""
+        """Return the standard deviation of the reading of a joint, in degrees.
+
+        Parameters
+        ----------
+        joint
+            Name of the joint.
+        """
         return float(getattr(self, f"{joint}_deg", self.other_deg))
 
 
