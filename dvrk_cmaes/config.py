@@ -82,7 +82,7 @@ class SearchConfig:
     method: str = "cmaes"
     samples: int = 768
     starts: int = 4
-    evaluations: int = 64
+    evaluations: int = 33
     spares: int = 22
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
@@ -245,7 +245,7 @@ class RefineConfig:
     small_steps: int = 8
     small_share: float = field(default=0.9, metadata=_SHARE)
     last_share: float = field(default=0.93, metadata=_SHARE)
-    first_gap: float = 150.0
+    first_gap: float = 60.0
     small_gap: float = 80.0
     last_gap: float = 60.0
     half_size_modes: int = 3
