@@ -245,7 +245,7 @@ class RefineConfig:
     small_steps: int = 8
     small_share: float = field(default=0.9, metadata=_SHARE)
     last_share: float = field(default=0.93, metadata=_SHARE)
-    first_gap: float = 60.0
+    first_gap: float = 150.0
     small_gap: float = 80.0
     last_gap: float = 60.0
     half_size_modes: int = 3
