@@ -88,7 +88,7 @@ class SearchConfig:
     method: str = "cmaes"
     samples: int = 768
     starts: int = 4
-    evaluations: int = 64
+    evaluations: int = 33
     spares: int = 22
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
