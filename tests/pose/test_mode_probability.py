@@ -67,7 +67,7 @@ def test_uneven_contour_and_narrow_shaft_widen_covariance_of_single_view() -> No
     smooth = Quality(0.9, 0.1, {}, 0.8, 2.0)
     assert single_view_factor(even, smooth, 0.2) == 1.0
     assert single_view_factor(uneven, smooth, 0.11) == pytest.approx((1.8 / 0.8 / 1.35) ** 1.6)
-    assert single_view_factor(uneven, smooth, 0.055) == pytest.approx((2 * 1.8 / 0.8 / 1.35) ** 1.6)
+    assert single_view_factor(uneven, smooth, 0.088) == pytest.approx((1.25 * 1.8 / 0.8 / 1.35) ** 1.6)
     assert single_view_factor(uneven, smooth, None) == single_view_factor(uneven, smooth, 0.11)
     assert single_view_factor(uneven, smooth, 0.001) == 2.5**2
 
