@@ -176,13 +176,20 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             )
         return Profiles.of_views(of_views, self._shares)
 
-    def near_without_shared(self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None) -> Quadratic:
+    def near_without_shared(
+        self,
+        at: Posed,
+        noises: Sequence[OutlineNoise],
+        kept: Columns | None = None,
+        drawn: DrawnCoverage | None = None,
+    ) -> Quadratic:
         """Return the approximation near one pose, with what the errors of the masks share eliminated.
 
         ``noises`` are those of the views' contours. ``kept`` gives E further unknowns, if any, which stay beside the
-        pose: (1, D + E), in standard deviations.
+        pose: (1, D + E), in standard deviations. ``drawn`` is the pose where it was drawn before, with derivatives.
         """
-        (drawn,) = self.draw(Posed.stacked([at]))
+        if drawn is None:
+            (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
         of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
         for k, (view, noise, image, outline, share) in enumerate(of_views):
