@@ -45,7 +45,7 @@ _CLEAR = 3.0  # standard deviations
 _TOLD = 0.9  # of the prior's standard deviation, below which the session tells an unknown
 _Scales = dict[tuple[str, int], ViewScale | None]  # by view and number among its unknowns; None if not told
 _PASSES = 4  # largest number of linearisations of the outlines
-_FAR = 2.0  # standard deviations of a scale, up to which it is far from contradicting the file
+_FAR = 1.0  # standard deviations of a scale, up to which it is far from contradicting the file
 _SETTLED = 0.3  # standard deviations of the unknowns, below which the outlines are not linearised again
 
 
@@ -205,7 +205,7 @@ def estimate_rig(
     if not free[_are_scales(len(deviations))].any():
         views = tuple(_with_scales(each, scales) for each in stated)
         return RigEstimate(views, untold, {}, calibration, at, moved=False)
-    turned = {}
+    turned: dict[str, dict[str, Any]] = {}
     for number, name in enumerate(names):
         first = len(prior) + _of_view(number).start
         covariance = _SHARED_ERRORS**2 * solution.covariance[first : first + 3, first : first + 3]
