@@ -153,13 +153,24 @@ class SessionCalibration:
         return np.asarray(self.camera_from_base[:3, 3])
 
     def corrected(self, camera: Camera) -> Camera:
-        """Return the camera with the change with which the session was solved; the camera itself if there is none."""
+        """Return the camera with the change with which the session was solved; the camera itself if there is none.
+
+        Parameters
+        ----------
+        camera
+            The camera as its file has it.
+        """
         return camera if self.camera is None else self.camera.corrected(camera)
 
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
         """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.
 
         The views keep what they hold beside their camera.
+
+        Parameters
+        ----------
+        views
+            The views as the cameras' files have them.
         """
         own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
         return changed_views(own, changes_of(self.rig))
@@ -224,6 +235,13 @@ class SessionCalibration:
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], *, where: str = "session") -> SessionCalibration:
         """Read a calibration from its document.
+
+        Parameters
+        ----------
+        document
+            The content of session.json.
+        where
+            Where it is from, for messages.
 
         Raises
         ------
@@ -368,6 +386,12 @@ def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) 
 
 
 def read_calibration(path: str | Path) -> SessionCalibration:
-    """Read a session's calibration; InputError names the file and the field."""
+    """Read a session's calibration; InputError names the file and the field.
+
+    Parameters
+    ----------
+    path
+        The file, session.json.
+    """
     document = read_json_object(Path(path), expected="a session calibration (session.json)")
     return SessionCalibration.from_dict(document, where=str(path))
