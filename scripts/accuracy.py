@@ -10,7 +10,8 @@
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
-    python scripts/accuracy.py fleet FOLDER...         recordings, or folders of them, followed with their calibration
+    python scripts/accuracy.py fleet FOLDER...         recordings, or folders of them, followed with their calibration;
+                                                       with --calibrate-every N each is calibrated, too
     python scripts/accuracy.py perturbed SESSION...    real images: back from poses that are moved and turned
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
