@@ -17,7 +17,7 @@ from dvrk_cmaes.results.result import Result
 
 WIDTH = 288  # px
 LARGEST = 6000  # bytes, largest size at a quality above the lowest
-_QUALITIES = (40, 25, 12, 4)  # WebP qualities; the first that gives a small enough file is used, or the last
+_QUALITIES = (35, 25, 12, 4)  # WebP qualities; the first that gives a small enough file is used, or the last
 _LEAST_SHARE = 0.4  # least width of the crop, as a fraction of the picture's
 _MARGIN = 0.06  # margin on each side, as a fraction of the outlines' extent
 _LIKE = 50  # largest difference in each channel from an outline's colour; thin lines are blended with the background
