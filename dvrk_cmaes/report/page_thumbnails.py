@@ -88,7 +88,8 @@ def encoded_thumbnail(picture: NDArray[np.uint8], widest: int, largest: int, cro
     height, width = picture.shape[:2]
     scale = min(widest / width, _TALLEST * widest / height)
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    small = cv2.resize(picture, size, interpolation=method).astype(np.uint8)
     for quality in _QUALITIES:
         address = webp_address(small, quality)
         if len(address) <= largest * 4 // 3:
