@@ -12,7 +12,7 @@ from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.report.page_thumbnails import webp_address
 from dvrk_cmaes.results.layers import Outline, read_layers
 
-EMBEDDED = 3_000_000
+EMBEDDED = 1_150_000
 """Size in bytes from which on no more full pictures are put into the page, about 40 frames of 640 x 480 px."""
 
 _QUALITY = 50  # of WebP

@@ -17,7 +17,7 @@ from dvrk_cmaes.results.result import Result
 
 WIDTH = 288  # px
 LARGEST = 6000  # bytes, largest size at a quality above the lowest
-_QUALITIES = (40, 25, 12, 4)  # WebP qualities; the first that gives a small enough file is used, or the last
+_QUALITIES = (35, 25, 12, 4)  # WebP qualities; the first that gives a small enough file is used, or the last
 _LEAST_SHARE = 0.4  # least width of the crop, as a fraction of the picture's
 _MARGIN = 0.06  # margin on each side, as a fraction of the outlines' extent
 _LIKE = 50  # largest difference in each channel from an outline's colour; thin lines are blended with the background
@@ -88,7 +88,8 @@ def encoded_thumbnail(picture: NDArray[np.uint8], widest: int, largest: int, cro
     height, width = picture.shape[:2]
     scale = min(widest / width, _TALLEST * widest / height)
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    small = cv2.resize(picture, size, interpolation=method).astype(np.uint8)
     for quality in _QUALITIES:
         address = webp_address(small, quality)
         if len(address) <= largest * 4 // 3:
