@@ -147,11 +147,17 @@ class Alternation:
         self._prior = np.diag([*np.zeros(6), *(1 / self._offset_std**2)])
         self._size = USUAL_SIZE
         self._modes = [Mode.all_of(frame.result, names) for frame in frames]
-        self.cables = CableEstimate(names, deviations, self._offset_std[1:])
+        self._of_cables = names, deviations, self._offset_std[1:]
+        self.cables = CableEstimate(*self._of_cables)
         self.lag = LagEstimate(series, [frame.name for frame in frames], deviations.outer)
+        self._given = self.frames, self._modes, self.model, self.rig
+        self._gathered: dict[str, StoredFrame] = {}
 
-    def initialise(self) -> None:
+    def initialise(self, lag: float | None = None) -> None:
         """Find the camera_from_base that most frames agree on, each frame's mode for it, and faults of the session.
+
+        ``lag`` is taken out of the readings, in the unit of their times; by default that is done with the one on which
+        the frames' own modes agree.
 
         Raises
         ------
@@ -162,7 +168,10 @@ class Alternation:
         check_motion(self.model)
         if self._change is not None and (reason := untested(self.model)):
             raise InputError(f"--refine-camera: {reason}")
-        self.search_lag()
+        if lag is None:
+            self.search_lag()
+        else:
+            self.lag.take(lag)
         self._take_out_lag()
         start = self._consensus_on_one_base().calibration
         self.solution, self._chosen = solve_with_modes(self.model, self._modes, start, self._prior)
@@ -170,6 +179,25 @@ class Alternation:
     def search_lag(self) -> None:
         """Find the lag from the frames' own modes, without correcting the readings."""
         self.lag.search(self.model, self._modes, self._offset_std, self._prior)
+
+    def at_lag(self, lag: float) -> Alternation:
+        """Solve the same frames from the beginning with readings less another lag; as `initialise` and `iterate`."""
+        other = copy.copy(self)
+        other.frames, other._modes, other.model, other.rig = self._given
+        other.lag, other.cables = self.lag.of_all(), CableEstimate(*self._of_cables)
+        other.fits, other.warnings, other.undetermined, other._left_out = [], [], [], {}
+        other._margins, other._lasting, other._size = [], None, USUAL_SIZE
+        other._change = None if self._change is None else np.zeros(3)
+        other.initialise(lag)
+        other.iterate()
+        return other
+
+    def left_out_overlaps(self) -> dict[str, float]:
+        """Return the overlap of each frame's masks and the silhouette that all other frames predict, by its name."""
+        poses = [Posed.stacked([at]) for at in self._left_out_predictions()]
+        tasks = [PredictedTask(*pair, self._change) for pair in zip(self._stored, poses, strict=True)]
+        measured = self._run(predicted_task, tasks)
+        return {frame.name: iou for frame, ((iou, _),) in zip(self.frames, measured, strict=True)}
 
     def _take_out_lag(self) -> None:
         """Correct the readings by the lag if it differs from zero."""
@@ -213,7 +241,11 @@ class Alternation:
         """
         session = self._config.session
         self._progress("gathering evidence", len(self.frames))
-        self._stored = self._run(gather_task, self.frames)
+        missing = [frame for frame in self.frames if frame.name not in self._gathered]
+        self._gathered |= {
+            frame.name: stored for frame, stored in zip(missing, self._run(gather_task, missing), strict=True)
+        }
+        self._stored = [self._gathered[frame.name] for frame in self.frames]
         scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
         if self._change is not None:
             scales.append(1.0)  # with the camera that all rounds before have found

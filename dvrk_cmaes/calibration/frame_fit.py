@@ -21,7 +21,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.shared_errors import side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
+from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 
@@ -30,6 +30,7 @@ Float64 = NDArray[np.float64]
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
+_FEW_STEPS = Steps(4, inner=3, tested="none", largest=4.0)  # of a fit from a pose that is nearly right
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -190,27 +191,29 @@ def fit_predicted(
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
 
-    The noise of the outlines is estimated during a first fit, and measured where that ends for a second one. ``margin``
-    is that of every view's mask. Also returns what was measured.
+    ``margin`` is that of every view's mask. Few steps are taken, from the better start. The noise of the outlines is
+    measured where they end, and the errors that masks share are eliminated there. Also returns what was measured.
     """
-    shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
-    at, count = Posed.stacked(starts), 0
-    for shrink in shrinks:
-        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, None, shrink, [margin] * len(views))
-        steps = replace(Steps.of(config.refine.outline, shrink), tested="long")
-        fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
-        at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    first = OwnEstimate.of(views, fits[0].at)
-    near = _without_shared(fits[0], coverage, terms, first.noises, first.iou, 0.0, 0, SINGLE_SIZE)
-    at = Posed.stacked([near.at])
-    own = OwnEstimate.of(views, at[0])
+    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
+    coverage = _coverage(views, config, None, 1, [margin] * len(views))
+    at = Posed.stacked([_better_start(coverage, terms, starts)])
+    (fit,) = refine(coverage, terms, at, replace(_FEW_STEPS, tolerance=config.refine.outline.tolerance))
+    own = OwnEstimate.of(views, fit.at)
     coverage = coverage.with_lengths(own.lengths)
     coverage = coverage.with_noise(coverage.noise_at(own.at))
-    (fit,) = refine(coverage, terms, at, steps)
-    iou = overlap(views, [view.silhouette(fit.at) for view in views])
-    count += coverage.silhouettes
-    return _without_shared(fit, coverage, terms, own.noises, iou, own.iou, count, SINGLE_SIZE), own
+    count = coverage.silhouettes + len(views)
+    fitted = _without_shared(fit, coverage, terms, own.noises, own.iou, own.iou, count, SINGLE_SIZE)
+    return fitted, own
+
+
+def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Sequence[Posed]) -> Posed:
+    """Return the start with the best score, or the only one."""
+    if len(starts) == 1:
+        return starts[0]
+    at = Posed.stacked(starts)
+    drawn, others = coverage.draw(at, derivatives=False), sum_of_costs(terms, at)
+    scores = [coverage.score_of(one) + 0.5 * float(other) for one, other in zip(drawn, others, strict=True)]
+    return starts[int(np.argmin(scores))]
 
 
 def _without_shared(
@@ -327,7 +330,8 @@ def terms_of_rig(
     here = OwnEstimate.of(views, fitted)
     noises = [min(pair, key=lambda noise: noise.sigma) for pair in zip(own_estimate.noises, here.noises, strict=True)]
     coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
-    noise = coverage.noise_at(fitted)
+    (drawn,) = coverage.draw(Posed.stacked([fitted]))
+    noise = sum(drawn.final_losses)
     coverage = coverage.with_noise(noise if own_estimate.residual is None else min(noise, own_estimate.residual))
 
     def constants(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
@@ -343,7 +347,7 @@ def terms_of_rig(
             columns[:, first + 5] = of_mask
         return columns
 
-    return coverage.near_without_shared(fitted, noises, constants)
+    return coverage.near_without_shared(fitted, noises, constants, drawn)
 
 
 def _by_baseline(at: Posed, place: Float64) -> Float64:

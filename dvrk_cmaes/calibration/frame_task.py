@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -118,7 +118,7 @@ class LeaveOneOutPrediction:
 
     ``joint_std`` (J,), rad, are the standard deviations of the joints.
     ``iou`` is the intersection over union of the predicted silhouette and the mask, ``contour_px`` the median distance
-    of their contours, px.
+    of their contours, px. ``views`` has both in each view by itself, by name.
     """
 
     camera_from_root: Float64
@@ -126,6 +126,7 @@ class LeaveOneOutPrediction:
     joint_std: Float64
     iou: float
     contour_px: float
+    views: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,10 +222,11 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     views = restored_views(body, task.stored)
     readings = _of_instrument(body, config, task.result.readings)
     of_views, rays = measure_views(views, readings, Posed.stacked([task.predicted, task.fit.at]), config)
-    measured = of_views
+    measured, names = of_views, [view.name for view in views]
     if task.first is not None:
         first = restored_views(body, task.first, task.change)
         measured, _ = measure_views(first, readings, Posed.stacked([task.predicted]), config)
+        names = [view.name for view in first]
     predicted = pooled_quality([qualities[0] for qualities in measured])
     own_result = task.result
     if task.agree:
@@ -243,6 +245,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         task.predicted_std,
         predicted.iou,
         predicted.contour_px_median,
+        {name: (own[0].iou, own[0].contour_px_median) for name, own in zip(names, measured, strict=True)},
     )
     return FrameReport(result, leave_one_out)
 

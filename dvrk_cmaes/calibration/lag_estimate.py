@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -43,12 +44,31 @@ class LagEstimate:
         self.undetermined = ""
         self.curve: LagCurve | None = None
         self._clock: Clock | None = None
+        self._of_all: Clock | None = None
         if series is not None and all(name in series.frames for name in names):
-            self._clock = Clock.of(series, names, outer_std)
+            self._clock = self._of_all = Clock.of(series, names, outer_std)
         else:
             self.undetermined = (
                 "the frames have no order: name them by numbers, or give the times of images (images.csv) and readings"
             )
+
+    @property
+    def can_be_tried(self) -> bool:
+        """Whether no lag is told, and the readings follow each other closely enough that one can be taken out."""
+        return self.lag is None and self._clock is not None and self._clock.interpolable
+
+    def of_all(self) -> LagEstimate:
+        """Return the estimate of all frames of the session, without a lag so far, but with the curve."""
+        other = copy.copy(self)
+        other.lag, other._clock = None, self._of_all
+        return other
+
+    def take(self, value: float) -> None:
+        """Take a lag to be tried, in the unit of the readings' times; `refine` finds its standard deviation."""
+        if self._clock is None:
+            return
+        series = self._clock.series
+        self.lag = Lag.of(value, self._clock.step or series.interval, series.unit, series.interval, applied=True)
 
     @property
     def applied(self) -> Lag | None:

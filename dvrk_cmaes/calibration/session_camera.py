@@ -82,7 +82,13 @@ class SessionCamera(Document):
         )
 
     def corrected(self, camera: Camera) -> Camera:
-        """Return the camera of the file with the change, for images of any size; unchanged if it was not applied."""
+        """Return the camera of the file with the change, for images of any size; unchanged if it was not applied.
+
+        Parameters
+        ----------
+        camera
+            The camera of the file, or one of the same image at another size.
+        """
         if not self.applied:
             return camera
         size = camera.width / self.width
@@ -98,7 +104,13 @@ class SessionCamera(Document):
         )
 
     def warnings(self, config: SessionConfig) -> list[str]:
-        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not."""
+        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not.
+
+        Parameters
+        ----------
+        config
+            Settings of calibrations.
+        """
         if not self.contradicts:
             return []
         file_std = file_deviations(config)

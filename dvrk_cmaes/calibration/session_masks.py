@@ -78,7 +78,13 @@ class SessionMasks(Document):
         return self.margin_px if self.applied else 0.0
 
     def taken_off_in(self, view: str) -> float:
-        """Return the margin, px, that was taken off the masks of a view."""
+        """Return the margin, px, that was taken off the masks of a view.
+
+        Parameters
+        ----------
+        view
+            Name of the view.
+        """
         for other in self.further_views:
             if other.view == view:
                 return other.margin_px if other.applied else 0.0
