@@ -189,7 +189,7 @@ def _sessions(given: Measurement, _: argparse.Namespace) -> Report:
 
 def _halves(given: Measurement, _: argparse.Namespace) -> Report:
     """Report how far the bases of the halves of each session differ."""
-    return halves_report(solve(given, halved(original_trials(given.runs(truth=False)))))
+    return halves_report(solve(given, halved(original_trials(given.runs(truth=False))), timed=True))
 
 
 def _disparity(given: Measurement, options: argparse.Namespace) -> Report:
