@@ -7,8 +7,11 @@ import re
 from helpers.places import ROOT
 
 import dvrk_cmaes
+from dvrk_cmaes.calibration import document
 from dvrk_cmaes.cli.app import SUMMARIES, app
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.results import result
+from dvrk_cmaes.runs import summary
 
 PAGE = (ROOT / "data" / "reference" / "stability.md").read_text(encoding="utf-8")
 RESULTS = (ROOT / "data" / "reference" / "results.md").read_text(encoding="utf-8")
@@ -32,6 +35,21 @@ def test_stable_names_are_those_of_the_package() -> None:
 def test_stable_commands_are_those_of_the_program() -> None:
     assert first_paragraph("Commands") == list(SUMMARIES)
     assert {name for name in app if not name.startswith("-")} == set(SUMMARIES)
+
+
+def test_schemas_are_those_that_are_written() -> None:
+    stated = re.search(r"a number `schema`, in this version (\d+): results, `session.json`, `summary.json`", PAGE)
+    assert stated is not None
+    assert {int(stated[1])} == {result.SCHEMA, document.SCHEMA, summary.SCHEMA}
+
+
+def test_version_is_that_of_the_changelog_and_of_semantic_versioning() -> None:
+    assert re.fullmatch(r"\d+\.\d+\.\d+", dvrk_cmaes.__version__)
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^## (\d+\.\d+\.\d+), (\d{4}-\d\d-\d\d)$", changes, flags=re.MULTILINE)
+    assert entries[0][0] == dvrk_cmaes.__version__
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"date-released: {entries[0][1]}\n" in citation
 
 
 def test_exit_codes_are_those_of_the_errors_and_of_results() -> None:

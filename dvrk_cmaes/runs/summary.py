@@ -13,7 +13,7 @@ from dvrk_cmaes.joints.commanded import commanded_in
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.rig_check import rig_doubts
 
-_SCHEMA: Final = 1
+SCHEMA: Final = 1
 _DIGITS: Final = 6
 
 
@@ -63,7 +63,7 @@ def summarize(
     missing = sorted({name for name, parts in manifest["frames"].items() if whole or parts} - set(results))
     values = list(results.values())
     return {
-        "schema": _SCHEMA,
+        "schema": SCHEMA,
         "session": manifest["session"],
         "version": manifest["version"],
         "instrument": manifest["instrument"]["name"],

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
+from dvrk_cmaes.results.folder import read_results
 
 Import = Callable[..., Ran]
 REFERENCE_FROM_BASE = RigidTransform.from_exp_coords([0.3, -0.4, 0.2, 0.1, -0.2, 0.3])
@@ -90,3 +93,42 @@ def test_poses_beyond_the_limits_of_the_tool_are_counted(imported: Import) -> No
     ran = imported("--joints", "local.csv", "--pose-of", "tip", "--pose-base", "local", "--tool", "tool.json")
     assert ran.code == 0
     assert "4 of 10 poses are not reached, e.g. wrist_pitch" in " ".join(ran.out.split())
+
+
+def test_session_with_poses_alone_gives_the_results_of_one_with_joints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    camera = "width: 400\nheight: 300\nK: [640, 0, 200, 0, 640, 150, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"
+    Path("camera.yaml").write_text(camera)
+    made = "synth made --motion video --level easy --frames 4 --seed 5 --camera camera.yaml --mp4"
+    assert run_command(capsys, *made.split()).code == 0
+    with open("made/joints.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    lines = ["time,x,y,z,qx,qy,qz,qw,jaw"]
+    for row in rows:
+        own = [float(row[name]) for name in NAMES]
+        pose = RigidTransform.from_matrix(base_from_root(np.array(own[:4])) @ root_from_tip(*own[4:]))
+        numbers = [row["time"], *pose.translation, *pose.rotation.as_quat(), row["jaw"]]
+        lines.append(",".join(repr(float(number)) for number in numbers))
+    Path("poses.csv").write_text("\n".join(lines) + "\n")
+    poses = ("poses.csv", "--pose-of", "tip", "--pose-base", "local")
+    for name, joints in (("joints", ("made/joints.csv",)), ("poses", poses)):
+        source = ("import", "made/video.mp4", "--camera", "made/camera.yaml", "--joints", *joints, "--out", name)
+        assert run_command(capsys, *source).code == 0
+        Path(name, "masks").mkdir()
+        images, masks = sorted(Path(name, "images").iterdir()), sorted(Path("made/masks").iterdir())
+        for image, mask in zip(images, masks, strict=True):
+            shutil.copy(mask, Path(name, "masks", image.stem + ".png"))
+        assert run_command(capsys, "batch", name, "--out", f"{name}-results").code in (0, 3)
+    results = [read_results(f"{name}-results").frames for name in ("joints", "poses")]
+    assert [result.frame for result in results[0]] == [result.frame for result in results[1]]
+    for one, other in zip(*results, strict=True):
+        assert one.status == other.status
+        assert one.readings == pytest.approx(other.readings, abs=1e-6)
+        assert one.tips is not None
+        assert other.tips is not None
+        assert np.asarray(list(one.tips.values())) == pytest.approx(np.asarray(list(other.tips.values())), abs=1e-5)
+        assert one.camera_from_root is not None
+        assert other.camera_from_root is not None
+        assert one.camera_from_root[:3, 3] == pytest.approx(other.camera_from_root[:3, 3], abs=1e-5)  # 0.01 mm
