@@ -89,9 +89,7 @@ def fit_all(
     run: Run[Any, Any],
 ) -> list[FittedFrame | None]:
     """Fit every frame with the prediction as its prior."""
-    jacobian = predicted.jacobian
-    spread = predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2)
-    information = np.linalg.inv(spread)
+    information = np.linalg.inv(spread_of(predicted, session))
     frames = [
         PredictedFrame(own.name, partial(_read, own, recorded, session), Expected(predicted.at[i], information[i]))
         for i, own in enumerate(recorded.files)
@@ -99,6 +97,14 @@ def fit_all(
     margin = 0.0 if session.masks is None else session.masks.taken_off
     tasks = [BlockTask(tuple(frames[k : k + BLOCK]), margin) for k in range(0, len(frames), BLOCK)]
     return [fitted for block in run(fit_block, tasks) for fitted in block]
+
+
+def spread_of(predicted: Prediction, session: SessionCalibration) -> Float64:
+    """Return the covariances (N, D, D) of the frames about their predictions, with that of the calibration."""
+    jacobian = predicted.jacobian
+    return np.asarray(
+        predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2), np.float64
+    )
 
 
 def _read(files: FrameFiles, recorded: RecordedFrames, session: SessionCalibration) -> FrameData | None:

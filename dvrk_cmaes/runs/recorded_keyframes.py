@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
@@ -28,6 +28,8 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.track_clock import series_of
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.image_masks import colours_document, read_colours
 from dvrk_cmaes.track.keyframes import (
     LEAST_KEYFRAMES,
     MOST_KEYFRAMES,
@@ -74,11 +76,23 @@ class RecordedFrames:
             if mask is not None and mask.any():
                 rows, columns = np.nonzero(mask)
                 centres[i] = columns.mean(), rows.mean()
+        return cls.of_readings(files, rig, series, times).measured(shapes, centres)
+
+    @classmethod
+    def of_readings(
+        cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
+    ) -> RecordedFrames:
+        """Return frames of whose masks nothing is known."""
         names = tuple(dict.fromkeys(name for own in files for name in own.readings))
         readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in files])
-        outer = outer_readings([own.readings for own in files])
-        frozen = frozen_frames(outer, centres, rig.views[0].camera.width)
-        return cls(files, rig, series, times, shapes, names, readings, frozen)
+        shapes, still = [MaskShape(0.0, 1.0)] * len(files), np.zeros(len(files), np.bool_)
+        return cls(files, rig, series, times, shapes, names, readings, still)
+
+    def measured(self, shapes: list[MaskShape], centres: Float64) -> RecordedFrames:
+        """Return the frames with the shapes of their masks, and the centres (N, 2) px of these, NaN without one."""
+        outer = outer_readings([own.readings for own in self.files])
+        frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
+        return replace(self, shapes=shapes, frozen=frozen)
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
@@ -128,17 +142,16 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 @dataclass(frozen=True, eq=False)
 class AloneTask:
-    """Arguments of `alone_task`."""
+    """Arguments of `alone_task`: a keyframe, and the function that reads its data, without images."""
 
     files: FrameFiles
-    rig: Rig
+    read: Callable[[], FrameData]
     arm: Arm
 
 
 def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
     """Estimate a keyframe by itself, as `batch` does."""
-    data = read_frame(task.files.changed(image=None), task.rig)
-    return estimate_frame(task.files, data, body, arm=task.arm, config=config)
+    return estimate_frame(task.files, task.read(), body, arm=task.arm, config=config)
 
 
 def solve_keyframes(
@@ -150,23 +163,45 @@ def solve_keyframes(
     progress: Callable[[str, int], None],
 ) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
-    chosen = recorded.keyframes()
-    if len(chosen) < LEAST_KEYFRAMES:
+    files = [recorded.files[i] for i in recorded.keyframes()]
+    keyframes = [Keyframe(own, partial(read_frame, own.changed(image=None), recorded.rig)) for own in files]
+    solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
+    return solved if isinstance(solved, str) else solved.calibration
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A keyframe: its files, and the function that reads its data, without images; picklable."""
+
+    files: FrameFiles
+    read: Callable[[], FrameData]
+
+
+def solve_together(
+    recorded: RecordedFrames,
+    keyframes: Sequence[Keyframe],
+    body: Body,
+    arm: Arm,
+    config: EstimateConfig,
+    run: Run[Any, Any],
+    progress: Callable[[str, int], None],
+) -> SolvedSession | str:
+    """Estimate keyframes alone and solve them together; a text says why that is not possible, or the result doubtful."""
+    if len(keyframes) < LEAST_KEYFRAMES:
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
-        return f"{len(chosen)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
-    files = [recorded.files[i] for i in chosen]
-    progress("estimating keyframes", len(files))
-    alone: Sequence[Result] = run(alone_task, [AloneTask(own, recorded.rig, arm) for own in files])
+        return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
+    progress("estimating keyframes", len(keyframes))
+    alone: Sequence[Result] = run(alone_task, [AloneTask(own.files, own.read, arm) for own in keyframes])
     frames = [
         SessionFrame(
-            own.name,
-            partial(read_frame, own.changed(image=None), recorded.rig),
+            own.files.name,
+            own.read,
             result,
-            own.keypoints,
-            None if recorded.series is None else recorded.series.frames.get(own.name),
+            own.files.keypoints,
+            None if recorded.series is None else recorded.series.frames.get(own.files.name),
         )
-        for own, result in zip(files, alone, strict=True)
+        for own, result in zip(keyframes, alone, strict=True)
     ]
     try:
         solved = calibrate_session(
@@ -176,7 +211,7 @@ def solve_keyframes(
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged
         return str(error).removeprefix(_REFUSED)
-    return solved.calibration.doubt or solved.calibration
+    return solved.calibration.doubt or solved
 
 
 def read_keyframes(out: Path) -> SessionCalibration | str | None:
@@ -192,11 +227,25 @@ def read_keyframes(out: Path) -> SessionCalibration | str | None:
     return SessionCalibration.from_dict(calibration, where=str(path))
 
 
-def write_keyframes(out: Path, found: SessionCalibration | str) -> SessionCalibration | str:
-    """Write what was found, and return it as it is read again."""
+def write_keyframes(
+    out: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
+) -> SessionCalibration | str:
+    """Write what was found, with the colours of a recording's images by view, and return it as it is read again."""
     if isinstance(found, str):
         write_json(out / KEYFRAMES, {"refused": found, "calibration": None})
         return found
     document = found.to_dict()
-    write_json(out / KEYFRAMES, {"refused": None, "calibration": document})
+    more = {} if colours is None else {"colours": colours_document(colours)}
+    write_json(out / KEYFRAMES, {"refused": None, "calibration": document, **more})
     return SessionCalibration.from_dict(document)
+
+
+def read_kept_colours(out: Path) -> dict[str, ColourModel]:
+    """Read the colours that an interrupted run has written; InputError if there are none."""
+    path = out / KEYFRAMES
+    document = read_json_object(path, expected="the solution of a recording's keyframes (keyframes.json)")
+    try:
+        colours = read_colours(document["colours"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError(f"{path}: colours: expected those of a recording's views: begin with --overwrite") from None
+    return colours

@@ -101,6 +101,8 @@ def results_of(
     results = []
     for i, one in enumerate(judged):
         status, reasons = status_of(one, smoothed.misfit[i], session, config)
+        if (of_image := fits[i]) is not None:
+            reasons += of_image.doubts
         if not predicted.told[i]:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
         if (text := frozen[i]) is not None:

@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.joints.lag import Lag
@@ -20,10 +23,12 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
-from dvrk_cmaes.runs.recorded import fit_all, predict
+from dvrk_cmaes.runs.recorded import Prediction, fit_all, predict
+from dvrk_cmaes.runs.recorded_images import ImageSolution, fit_images, solve_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     RecordedFrames,
+    read_kept_colours,
     read_keyframes,
     solve_keyframes,
     write_keyframes,
@@ -31,7 +36,9 @@ from dvrk_cmaes.runs.recorded_keyframes import (
 from dvrk_cmaes.runs.recorded_results import judge_all, results_of, smooth_frames
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.recorded_frames import FittedFrame
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
 
@@ -50,8 +57,8 @@ class RecordedTracks:
 
 def why_causal(settings: TrackSettings) -> str | None:
     """Say why a recording cannot be solved by its keyframes at all; None if it can be tried."""
-    if settings.evidence != "masks":
-        return "without masks of all frames"
+    if settings.evidence == "both":
+        return "by masks and images at once"
     if not settings.use_joints:
         return "without readings"
     return None
@@ -99,19 +106,20 @@ def follow_recorded(
     if settings.lag is not None:
         frames, series = _less_lag(frames, series, clock, settings.lag)
     times = np.array([clock.times[files.name] for files in frames])
-    recorded = RecordedFrames.of(frames, session.rig, series, times)
     workers = settings.workers or usable_cores()
     config = replace(settings.config, threads=1)
     with instrument_processes(body.instrument, workers, frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         run = partial(_in_groups, by_body, stop)
+        of = _Recording(frames, session.rig, series, times, body, settings, out, run, notice)
         try:
-            calibration = _calibration(recorded, body, settings, out, run, notice)
-            if isinstance(calibration, str):
-                return calibration
+            solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
+            if isinstance(solved, str):
+                return solved
+            recorded, calibration, fit = solved
             notice(f"fitting {len(frames)} frames")
             predicted = predict(recorded, calibration, body.instrument.joint_names)
-            fits = fit_all(recorded, calibration, predicted, run)
+            fits = fit(predicted)
             smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument)
             judged = judge_all(smoothed, fits, predicted, run)
         except _StoppedError:
@@ -120,34 +128,83 @@ def follow_recorded(
     return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
 
 
-def _calibration(
-    recorded: RecordedFrames,
-    body: Body,
-    settings: TrackSettings,
-    out: Path,
-    run: Callable[..., list[Any]],
-    notice: Callable[[str], None],
-) -> SessionCalibration | str:
-    """Return the calibration that was given, that an interrupted run has found, or that of the keyframes."""
-    if settings.calibration is not None:
-        given = settings.calibration
+Solved = tuple[RecordedFrames, SessionCalibration, Callable[[Prediction], list[FittedFrame | None]]]
+"""The frames, their calibration, and the function that fits them to what that predicts."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """A recording that is followed: its frames, their readings and times (N,) s, and how that is done."""
+
+    frames: tuple[FrameFiles, ...]
+    rig: Rig
+    series: ReadingSeries | None
+    times: NDArray[np.float64]
+    body: Body
+    settings: TrackSettings
+    out: Path
+    run: Callable[..., list[Any]]
+    notice: Callable[[str], None]
+
+    @property
+    def config(self) -> EstimateConfig:
+        """The settings of a process."""
+        return replace(self.settings.config, threads=1)
+
+    def by_masks(self) -> Solved | str:
+        """Return the calibration that was given, that an interrupted run has found, or that of the keyframes."""
+        recorded = RecordedFrames.of(self.frames, self.rig, self.series, self.times)
+        found = self._given(recorded) or self._kept()
+        if found is None:
+            found = solve_keyframes(recorded, self.body, self.settings.arm, self.config, self.run, self._progress)
+            found = write_keyframes(self.out, found)
+        if isinstance(found, str):
+            return found
+        calibration = found
+        return recorded, calibration, lambda predicted: fit_all(recorded, calibration, predicted, self.run)
+
+    def by_images(self) -> Solved | str:
+        """Return the same of a recording without masks, with the colours of its keyframes."""
+        recorded = RecordedFrames.of_readings(self.frames, self.rig, self.series, self.times)
+        given, kept = self._given(recorded), None
+        if isinstance(given, str):
+            return given
+        found: ImageSolution | str
+        if (kept := self._kept()) is not None:
+            found = kept if isinstance(kept, str) else ImageSolution(kept, read_kept_colours(self.out))
+        else:
+            hints = self.settings.hints or Hints()
+            recorded, found = solve_images(
+                recorded, given, hints, self.body, self.settings.arm, self.config, self.run, self._progress
+            )
+            if isinstance(found, str):
+                write_keyframes(self.out, found)
+            else:
+                write_keyframes(self.out, found.calibration, found.colours)
+                found = ImageSolution(found.calibration, read_kept_colours(self.out))
+        if isinstance(found, str):
+            return found
+        solution = found if given is None else replace(found, calibration=given)
+        return recorded, solution.calibration, lambda predicted: fit_images(recorded, solution, predicted, self.run)
+
+    def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
+        """Return the calibration that was given; a text says why it cannot be used."""
+        given = self.settings.calibration
+        if given is None:
+            return None
         if not recorded.trusted.any():
             return "no frame has readings of the outer joints that are not frozen"
-        return given if settings.lag is None else replace(given, lag=None)
-    found = read_keyframes(out)
-    if found is None:
-        found = solve_keyframes(
-            recorded,
-            body,
-            settings.arm,
-            replace(settings.config, threads=1),
-            run,
-            lambda stage, count: notice(f"{stage}: {count} frames"),
-        )
-        found = write_keyframes(out, found)
-    else:
-        notice(f"keyframes: solved by an interrupted run ({out / KEYFRAMES})")
-    return found
+        return given if self.settings.lag is None else replace(given, lag=None)
+
+    def _kept(self) -> SessionCalibration | str | None:
+        """Return what an interrupted run has found."""
+        kept = read_keyframes(self.out)
+        if kept is not None:
+            self.notice(f"keyframes: solved by an interrupted run ({self.out / KEYFRAMES})")
+        return kept
+
+    def _progress(self, stage: str, count: int) -> None:
+        self.notice(f"{stage}: {count} frames")
 
 
 def _in_groups(

@@ -55,12 +55,16 @@ class BlockTask:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance."""
+    """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance.
+
+    ``doubts`` are reasons to doubt the masks that were found in its images.
+    """
 
     stored: StoredFrame
     fit: FrameFit
     inflation: float
     seconds: float
+    doubts: tuple[str, ...] = ()
 
 
 def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:

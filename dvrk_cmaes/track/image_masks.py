@@ -1,0 +1,165 @@
+"""Masks of an instrument in a recording's images, found around the silhouettes that its calibration expects.
+
+The colours of instrument and surroundings are those of the recording's keyframes, learned at their fitted poses. What
+an image shows is told by these colours, by the edge between the local colours on both sides of the outline, and by the
+silhouette, whose outline may be off by as much as the prediction is uncertain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.evidence.gather import window_around
+from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.segment.edge_colours import edge_log_odds
+from dvrk_cmaes.segment.graph_cut import cut
+from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.regions import fill_holes, instrument_region
+from dvrk_cmaes.track.colour_model import ColourModel, bins_of
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+Image = NDArray[np.uint8]
+
+_BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides
+_AROUND = 40.0  # px from the outline, within which colours are learned
+_LEAST_PIXELS = 200  # on each side of an outline, from which its colours are learned
+
+_FINEST = 1000  # px, longer side above which masks are found in a reduced image
+_FREE_BAND = 3.0  # px on either side of the expected outline, in which the silhouette has no say
+_STEEPNESS = 0.5  # log-odds per px beyond that band
+_LARGEST_PRIOR = 3.0  # log-odds by the silhouette
+_FAR = 12.0  # px beyond the band, from which on nothing is instrument
+_COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are alike
+_NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
+_PASSES = 2  # in each of which the local colours are those about the outline of the one before
+_GAP = 0.03  # of the longer side, between pieces of an instrument
+_MARGIN = 16  # px about the pixels that may be instrument
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMask:
+    """A mask (H, W) found around a silhouette, and the share of the silhouette's pixels whose colours contradict it."""
+
+    mask: Bool
+    contradicted: float
+
+
+def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> ColourModel | None:
+    """Learn the colours on both sides of a silhouette's outline; None where one side shows too little.
+
+    ``image`` is (H, W, 3) uint8 BGR, ``silhouette`` and ``ignore`` are (H, W).
+    """
+    if not silhouette.any() or silhouette.all():
+        return None
+    distance, bins = signed_distance(silhouette), bins_of(image)
+    counts = np.ones_like(silhouette) if ignore is None else ~ignore
+    inside, outside = (counts & (side > _BLURRED) & (side < _AROUND) for side in (-distance, distance))
+    if min(int(inside.sum()), int(outside.sum())) < _LEAST_PIXELS:
+        return None
+    return ColourModel.learned([bins[inside]], bins[outside])
+
+
+def pooled_colours(models: Sequence[ColourModel]) -> ColourModel:
+    """Return the model of the mean histograms of at least one model."""
+    inside = np.mean([model.inside for model in models], axis=0, dtype=np.float64)
+    outside = np.mean([model.outside for model in models], axis=0, dtype=np.float64)
+    return ColourModel.of(inside.astype(np.float32), outside.astype(np.float32))
+
+
+def mask_around(
+    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None = None, spread: float = 0.0
+) -> FoundMask | None:
+    """Find the mask of the instrument in an image around the silhouette that is expected.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8 BGR.
+    silhouette
+        (H, W), the expected one.
+    colours
+        Colours of the instrument, of one part, and of its surroundings.
+    outside
+        (H, W), pixels that are not instrument, such as those outside the field of view.
+    spread
+        Standard deviation of the expected outline, px.
+
+    Returns
+    -------
+    FoundMask or None
+        None where the silhouette is empty or full, or no pixel is taken for the instrument.
+    """
+    if not silhouette.any() or silhouette.all():
+        return None
+    longer = max(silhouette.shape)
+    if longer > _FINEST:
+        return _in_reduced(image, silhouette, colours, outside, spread, _FINEST / longer)
+    band = _FREE_BAND + spread
+    left, top, width, height = window_around(silhouette, round(band + _FAR) + _MARGIN)
+    window = np.s_[top : top + height, left : left + width]
+    part, expected = np.ascontiguousarray(image[window]), silhouette[window]
+    if expected.all():
+        return None
+    distance = signed_distance(expected)
+    beyond = np.sign(distance) * np.maximum(np.abs(distance) - band, 0)
+    prior = np.clip(-_STEEPNESS * beyond, -_LARGEST_PRIOR, _LARGEST_PRIOR)
+    never = distance > band + _FAR
+    if outside is not None:
+        never |= outside[window]
+    of_pixels = colours.log_odds[0].take(bins_of(part))
+    by_colour = _COLOURS_WEIGHT * cv2.GaussianBlur(of_pixels, (0, 0), _NOISE)
+    guide = _guide(part)
+    mask = expected
+    for _ in range(_PASSES):
+        total = by_colour + prior + edge_log_odds(part, mask)
+        mask = cut(np.asarray(total, np.float32), guide, background=never)
+        if not mask.any() or mask.all():
+            return None
+    whole = np.zeros_like(silhouette)
+    whole[window] = mask
+    whole = fill_holes(instrument_region(whole, _GAP * longer, Prompts()))
+    sure = expected & (distance < -band) & ~never
+    contradicted = float((by_colour[sure] < 0).mean()) if sure.any() else 0.0
+    return FoundMask(whole, contradicted) if whole.any() else None
+
+
+def _in_reduced(
+    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None, spread: float, scale: float
+) -> FoundMask | None:
+    """Find a mask in an image reduced by a scale, and return it at the original size."""
+    height, width = silhouette.shape
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+
+    def small(flags: Bool) -> Bool:
+        return np.asarray(cv2.resize(flags.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5)
+
+    reduced = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    beside = None if outside is None else small(outside)
+    found = mask_around(reduced, small(silhouette), colours, beside, spread * scale)
+    if found is None:
+        return None
+    mask = cv2.resize(found.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+    return FoundMask(np.asarray(mask), found.contradicted)
+
+
+def _guide(image: Image) -> Float32:
+    """Return the features of an image (H, W, 2) whose edges an outline follows: brightness and colourfulness."""
+    smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
+    colourful = np.log(smooth[..., 2] / smooth[..., 1])
+    return np.stack([np.log(smooth.max(axis=2)), colourful], axis=-1)
+
+
+def colours_document(colours: Mapping[str, ColourModel]) -> dict[str, dict[str, str]]:
+    """Return the colours of views, by name, as plain values."""
+    return {name: model.checkpoint() for name, model in colours.items()}
+
+
+def read_colours(document: Mapping[str, Mapping[str, str]]) -> dict[str, ColourModel]:
+    """Return the colours of the values of `colours_document`; KeyError, TypeError or ValueError if they are others."""
+    return {name: ColourModel.restored(saved) for name, saved in document.items()}
