@@ -27,7 +27,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.runs.recorded import BLOCK, Prediction, spread_of
+from dvrk_cmaes.runs.recorded import BLOCK, Prediction, predict, spread_of
 from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -42,6 +42,7 @@ from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
 Float64 = NDArray[np.float64]
 
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
+_NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _KEYFRAMES: Final = 40  # of these, at most, that are solved together
 
 
@@ -141,7 +142,7 @@ def solve_images(
 ) -> tuple[RecordedFrames, ImageSolution | str]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
-    With a calibration that is ``given``, the keyframes only tell the colours. ``hints`` hold for the first frame. Also
+    With a calibration that is ``given``, the masks only tell the colours. ``hints`` hold for the first frame. Also
     returns the frames with what was measured of the masks. Raises InputError for a file that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
@@ -151,6 +152,10 @@ def solve_images(
     tasks = [SegmentTask(files[i], recorded.rig, hints if i == 0 else Hints()) for i in chosen]
     found: dict[int, FoundFrame | None] = dict(zip(chosen, run(segment_task, tasks), strict=True))
     recorded = _measured(recorded, found)
+    if given is not None:
+        tasks_of_colours = _predicted_colours(recorded, given, found, body)
+        colours = _pooled(recorded.rig, run(learn_task, tasks_of_colours))
+        return recorded, ImageSolution(given, colours) if colours else _NO_COLOURS
     keyframes = [
         Keyframe(files[i].changed(image=None), one.restored)
         for i in recorded.keyframes(_KEYFRAMES)
@@ -159,10 +164,8 @@ def solve_images(
     solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
     if isinstance(solved, str):
         return recorded, solved
-    colours = learn_colours(recorded, solved, body, run)
-    if not colours:
-        return recorded, "no keyframe shows enough of the instrument's colours"
-    return recorded, ImageSolution(solved.calibration if given is None else given, colours)
+    colours = _pooled(recorded.rig, run(learn_task, _keyframes_colours(recorded, solved, body)))
+    return recorded, ImageSolution(solved.calibration, colours) if colours else _NO_COLOURS
 
 
 def _measured(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) -> RecordedFrames:
@@ -178,25 +181,36 @@ def _measured(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) 
     return recorded.measured(shapes, centres)
 
 
-def learn_colours(
-    recorded: RecordedFrames, solved: SolvedSession, body: Body, run: Run[Any, Any]
-) -> dict[str, ColourModel]:
-    """Learn the colours of the views from the keyframes that agree, at their poses."""
-    session, used, tasks = solved.calibration, set(solved.calibration.frames), []
+def _keyframes_colours(recorded: RecordedFrames, solved: SolvedSession, body: Body) -> list[LearnTask]:
+    """Return the tasks that learn colours from the keyframes that agree, at their poses."""
+    used, tasks = set(solved.calibration.frames), []
     for own in recorded.files:
         if own.name in used and own.has_image:
             result = solved.results[own.name]
             assert result.camera_from_root is not None
             joints = np.array([result.joints[name] for name in body.instrument.joint_names])
-            reader = partial(_read_images, own, recorded.rig, session)
+            reader = partial(_read_images, own, recorded.rig, solved.calibration)
             tasks.append(LearnTask(reader, Posed(result.camera_from_root, joints)))
-    found = run(learn_task, tasks)
-    pooled = {}
-    for view in recorded.rig.names:
-        models = [of_frame[view] for of_frame in found if view in of_frame]
-        if models:
-            pooled[view] = pooled_colours(models)
-    return pooled
+    return tasks
+
+
+def _predicted_colours(
+    recorded: RecordedFrames, given: SessionCalibration, found: Mapping[int, FoundFrame | None], body: Body
+) -> list[LearnTask]:
+    """Return the tasks that learn colours from masks where a calibration predicts the instrument."""
+    predicted, tasks = predict(recorded, given, body.instrument.joint_names), []
+    for i, one in found.items():
+        own = recorded.files[i]
+        if one is not None and own.has_image:
+            masks = {view.name: mask for view, mask in zip(one.views, one.masks, strict=True) if view.given}
+            tasks.append(LearnTask(partial(_read_images, own, recorded.rig, given), predicted.at[i], masks))
+    return tasks
+
+
+def _pooled(rig: Rig, found: Sequence[Mapping[str, ColourModel]]) -> dict[str, ColourModel]:
+    """Return the colours of each view that was learned in any frame."""
+    of_views = {view: [of_frame[view] for of_frame in found if view in of_frame] for view in rig.names}
+    return {view: pooled_colours(models) for view, models in of_views.items() if models}
 
 
 def _read_images(files: FrameFiles, rig: Rig, session: SessionCalibration) -> FrameData:

@@ -43,6 +43,10 @@ from dvrk_cmaes.track.still_readings import frozen_frames
 Float64 = NDArray[np.float64]
 
 KEYFRAMES: Final = "keyframes.json"
+"""Solution of keyframes with masks."""
+KEYFRAMES_BY_IMAGES: Final = "keyframes_images.json"
+"""Solution of keyframes whose masks were found in their images, and the colours that they tell."""
+_EXPECTED: Final = "the solution of a recording's keyframes"
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
 
 
@@ -186,7 +190,7 @@ def solve_together(
     run: Run[Any, Any],
     progress: Callable[[str, int], None],
 ) -> SolvedSession | str:
-    """Estimate keyframes alone and solve them together; a text says why that is not possible, or the result doubtful."""
+    """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used."""
     if len(keyframes) < LEAST_KEYFRAMES:
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
@@ -214,12 +218,11 @@ def solve_together(
     return solved.calibration.doubt or solved
 
 
-def read_keyframes(out: Path) -> SessionCalibration | str | None:
-    """Read what an interrupted run has found in a folder; None if there is nothing."""
-    path = out / KEYFRAMES
+def read_keyframes(path: Path) -> SessionCalibration | str | None:
+    """Read what an interrupted run has found, from its file; None if there is nothing."""
     if not path.exists():
         return None
-    document = read_json_object(path, expected="the solution of a recording's keyframes (keyframes.json)")
+    document = read_json_object(path, expected=_EXPECTED)
     if isinstance(refused := document.get("refused"), str):
         return refused
     if not isinstance(calibration := document.get("calibration"), dict):
@@ -228,22 +231,21 @@ def read_keyframes(out: Path) -> SessionCalibration | str | None:
 
 
 def write_keyframes(
-    out: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
+    path: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
 ) -> SessionCalibration | str:
     """Write what was found, with the colours of a recording's images by view, and return it as it is read again."""
     if isinstance(found, str):
-        write_json(out / KEYFRAMES, {"refused": found, "calibration": None})
+        write_json(path, {"refused": found, "calibration": None})
         return found
     document = found.to_dict()
     more = {} if colours is None else {"colours": colours_document(colours)}
-    write_json(out / KEYFRAMES, {"refused": None, "calibration": document, **more})
+    write_json(path, {"refused": None, "calibration": document, **more})
     return SessionCalibration.from_dict(document)
 
 
-def read_kept_colours(out: Path) -> dict[str, ColourModel]:
-    """Read the colours that an interrupted run has written; InputError if there are none."""
-    path = out / KEYFRAMES
-    document = read_json_object(path, expected="the solution of a recording's keyframes (keyframes.json)")
+def read_kept_colours(path: Path) -> dict[str, ColourModel]:
+    """Read the colours that were written with a solution; InputError if there are none."""
+    document = read_json_object(path, expected=_EXPECTED)
     try:
         colours = read_colours(document["colours"])
     except (KeyError, TypeError, ValueError, AttributeError):

@@ -45,14 +45,26 @@ class SmoothedFrames:
     misfit: Float64
 
 
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Fits of N frames by other evidence, and its weight beside the first one, at most 1."""
+
+    fits: Sequence[FittedFrame | None]
+    weight: float
+
+
 def smooth_frames(
     recorded: RecordedFrames,
     predicted: Prediction,
     fits: Sequence[FittedFrame | None],
     session: SessionCalibration,
     instrument: Instrument,
+    beside: Beside | None = None,
 ) -> SmoothedFrames:
-    """Smooth the deviations of N frames from their predictions; a fit that disagrees counts less, or not at all."""
+    """Smooth the deviations of N frames from their predictions; a fit that disagrees counts less, or not at all.
+
+    ``beside`` are fits of the same frames by other evidence.
+    """
     count, size = predicted.prior.shape[:2]
     information, optimum, misfit = np.zeros((count, size, size)), np.zeros((count, size)), np.zeros(count)
     calibrated = calibration_covariance(session)
@@ -60,6 +72,10 @@ def smooth_frames(
     for i, fitted in enumerate(fits):
         told = Told.of(fitted, predicted.at[i], spread[i])
         information[i], optimum[i], misfit[i] = told.information, told.optimum, told.misfit
+        if beside is not None:
+            other = Told.of(beside.fits[i], predicted.at[i], spread[i])
+            information[i] += beside.weight * other.information
+            optimum[i] += beside.weight * other.optimum
     smoothed = smooth(recorded.times, predicted.prior, information, optimum, predicted.jacobian)
     response = smoothed.response
     covariance = smoothed.covariance + response @ calibrated @ np.swapaxes(response, 1, 2)

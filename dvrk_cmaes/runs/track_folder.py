@@ -40,7 +40,7 @@ from dvrk_cmaes.runs.manifest import (
 )
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.ownership import check_owned
-from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES
+from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
@@ -168,7 +168,8 @@ def track_folder(
         run = _Run(session, out, body, settings, frames, clock, stop, progress)
         kept = old is not None and resume
         if not kept:
-            (out / KEYFRAMES).unlink(missing_ok=True)
+            for name in (KEYFRAMES, KEYFRAMES_BY_IMAGES):
+                (out / name).unlink(missing_ok=True)
         followed = _finished(run) if kept else None
         tracker = settings.tracker(session.rig, body)
         rows = _restored(out, tracker, body.instrument.joint_names) if kept and followed is None else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,17 +27,19 @@ from dvrk_cmaes.runs.recorded import Prediction, fit_all, predict
 from dvrk_cmaes.runs.recorded_images import ImageSolution, fit_images, solve_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
+    KEYFRAMES_BY_IMAGES,
     RecordedFrames,
     read_kept_colours,
     read_keyframes,
     solve_keyframes,
     write_keyframes,
 )
-from dvrk_cmaes.runs.recorded_results import judge_all, results_of, smooth_frames
+from dvrk_cmaes.runs.recorded_results import Beside, judge_all, results_of, smooth_frames
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.colour_model import ColourModel
 from dvrk_cmaes.track.recorded_frames import FittedFrame
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
@@ -57,8 +59,6 @@ class RecordedTracks:
 
 def why_causal(settings: TrackSettings) -> str | None:
     """Say why a recording cannot be solved by its keyframes at all; None if it can be tried."""
-    if settings.evidence == "both":
-        return "by masks and images at once"
     if not settings.use_joints:
         return "without readings"
     return None
@@ -113,14 +113,14 @@ def follow_recorded(
         run = partial(_in_groups, by_body, stop)
         of = _Recording(frames, session.rig, series, times, body, settings, out, run, notice)
         try:
-            solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
+            solved = of.solved()
             if isinstance(solved, str):
                 return solved
-            recorded, calibration, fit = solved
+            recorded, calibration = solved.recorded, solved.calibration
             notice(f"fitting {len(frames)} frames")
             predicted = predict(recorded, calibration, body.instrument.joint_names)
-            fits = fit(predicted)
-            smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument)
+            fits, beside = solved.fits(predicted, run)
+            smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument, beside)
             judged = judge_all(smoothed, fits, predicted, run)
         except _StoppedError:
             return None
@@ -128,8 +128,42 @@ def follow_recorded(
     return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
 
 
-Solved = tuple[RecordedFrames, SessionCalibration, Callable[[Prediction], list[FittedFrame | None]]]
-"""The frames, their calibration, and the function that fits them to what that predicts."""
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A recording's frames and their calibration; with ``colours``, masks are found in the images.
+
+    ``beside`` is the same recording by its other evidence, with a weight beside this one.
+    """
+
+    recorded: RecordedFrames
+    calibration: SessionCalibration
+    colours: Mapping[str, ColourModel] | None = None
+    beside: _Solved | None = None
+    weight: float = 0.0
+
+    def fits(
+        self, predicted: Prediction, run: Callable[..., list[Any]]
+    ) -> tuple[list[FittedFrame | None], Beside | None]:
+        """Fit all frames to what the calibration predicts, by each evidence; of the first, a missing fit is filled."""
+        own = self._own_fits(predicted, self.calibration, run)
+        if self.beside is None:
+            return own, None
+        other = self.beside._own_fits(predicted, self.calibration, run)
+        filled = [second if first is None else first for first, second in zip(own, other, strict=True)]
+        others = [None if first is None else second for first, second in zip(own, other, strict=True)]
+        return filled, Beside(others, self.weight)
+
+    def _own_fits(
+        self, predicted: Prediction, calibration: SessionCalibration, run: Callable[..., list[Any]]
+    ) -> list[FittedFrame | None]:
+        if self.colours is None:
+            return fit_all(self.recorded, calibration, predicted, run)
+        return fit_images(self.recorded, ImageSolution(calibration, self.colours), predicted, run)
+
+    @property
+    def contour(self) -> float:
+        """Median distance, px, of the contours of keyframes from the silhouettes that the others predict."""
+        return float(np.median([px for _, px in self.calibration.leave_one_out.values()]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,46 +180,71 @@ class _Recording:
     run: Callable[..., list[Any]]
     notice: Callable[[str], None]
 
+    def solved(self) -> _Solved | str:
+        """Solve the keyframes by the evidence that is used; a text says why that is not possible."""
+        if self.settings.evidence == "masks":
+            return self.by_masks()
+        return self.by_both() if self.settings.evidence == "both" else self.by_images(self.frames)
+
+    def by_both(self) -> _Solved | str:
+        """Solve the keyframes by masks and by images: that which predicts them better is used, the other one beside it.
+
+        The other one's weight is the square of the ratio of the distances of their contours from those predicted.
+        """
+        without = tuple(own.changed(mask=None) for own in self.frames)
+        masks, images = self.by_masks(), self.by_images(without)
+        if isinstance(masks, str):
+            return images
+        if isinstance(images, str):
+            self.notice(f"by masks alone: {images}")
+            return masks
+        first, second = (masks, images) if masks.contour <= images.contour else (images, masks)
+        weight = (first.contour / max(second.contour, 1e-9)) ** 2
+        names = ("masks", "images") if first is masks else ("images", "masks")
+        self.notice(f"{names[0]} predict keyframes better: weight of {names[1]} beside them {weight:.2f}")
+        return replace(first, beside=second, weight=weight)
+
     @property
     def config(self) -> EstimateConfig:
         """The settings of a process."""
         return replace(self.settings.config, threads=1)
 
-    def by_masks(self) -> Solved | str:
+    def by_masks(self) -> _Solved | str:
         """Return the calibration that was given, that an interrupted run has found, or that of the keyframes."""
         recorded = RecordedFrames.of(self.frames, self.rig, self.series, self.times)
-        found = self._given(recorded) or self._kept()
+        path = self.out / KEYFRAMES
+        found = self._given(recorded) or self._kept(path)
         if found is None:
             found = solve_keyframes(recorded, self.body, self.settings.arm, self.config, self.run, self._progress)
-            found = write_keyframes(self.out, found)
-        if isinstance(found, str):
-            return found
-        calibration = found
-        return recorded, calibration, lambda predicted: fit_all(recorded, calibration, predicted, self.run)
+            found = write_keyframes(path, found)
+        return found if isinstance(found, str) else _Solved(recorded, found)
 
-    def by_images(self) -> Solved | str:
-        """Return the same of a recording without masks, with the colours of its keyframes."""
-        recorded = RecordedFrames.of_readings(self.frames, self.rig, self.series, self.times)
-        given, kept = self._given(recorded), None
+    def by_images(self, frames: tuple[FrameFiles, ...]) -> _Solved | str:
+        """Return the same of frames without masks, with the colours of instrument and surroundings."""
+        recorded = RecordedFrames.of_readings(frames, self.rig, self.series, self.times)
+        path = self.out / KEYFRAMES_BY_IMAGES
+        given = self._given(recorded)
         if isinstance(given, str):
             return given
-        found: ImageSolution | str
-        if (kept := self._kept()) is not None:
-            found = kept if isinstance(kept, str) else ImageSolution(kept, read_kept_colours(self.out))
-        else:
-            hints = self.settings.hints or Hints()
+        kept = self._kept(path)
+        if kept is None:
             recorded, found = solve_images(
-                recorded, given, hints, self.body, self.settings.arm, self.config, self.run, self._progress
+                recorded,
+                given,
+                self.settings.hints or Hints(),
+                self.body,
+                self.settings.arm,
+                self.config,
+                self.run,
+                self._progress,
             )
             if isinstance(found, str):
-                write_keyframes(self.out, found)
+                kept = write_keyframes(path, found)
             else:
-                write_keyframes(self.out, found.calibration, found.colours)
-                found = ImageSolution(found.calibration, read_kept_colours(self.out))
-        if isinstance(found, str):
-            return found
-        solution = found if given is None else replace(found, calibration=given)
-        return recorded, solution.calibration, lambda predicted: fit_images(recorded, solution, predicted, self.run)
+                kept = write_keyframes(path, found.calibration, found.colours)
+        if isinstance(kept, str):
+            return kept
+        return _Solved(recorded, kept if given is None else given, read_kept_colours(path))
 
     def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
         """Return the calibration that was given; a text says why it cannot be used."""
@@ -196,11 +255,11 @@ class _Recording:
             return "no frame has readings of the outer joints that are not frozen"
         return given if self.settings.lag is None else replace(given, lag=None)
 
-    def _kept(self) -> SessionCalibration | str | None:
-        """Return what an interrupted run has found."""
-        kept = read_keyframes(self.out)
+    def _kept(self, path: Path) -> SessionCalibration | str | None:
+        """Return what an interrupted run has found, from its file."""
+        kept = read_keyframes(path)
         if kept is not None:
-            self.notice(f"keyframes: solved by an interrupted run ({self.out / KEYFRAMES})")
+            self.notice(f"keyframes: solved by an interrupted run ({path})")
         return kept
 
     def _progress(self, stage: str, count: int) -> None:

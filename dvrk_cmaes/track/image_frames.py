@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
@@ -31,25 +32,40 @@ _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
 _LARGEST_SPREAD, _SPREAD_OF_FIT = 12.0, 2.0  # px, of an outline that is expected, and of a fitted one
 _REACH = 0.015  # m from the root, of the outline whose place depends on angles
+_PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette, from which on colours are learned
 _CONTRADICTED = 0.3  # share of the silhouette with colours of the surroundings, from which on a pose is doubtful
 
 
 @dataclass(frozen=True, eq=False)
 class LearnTask:
-    """Arguments of `learn_task`: the function that reads a frame's images, and where the instrument is in it."""
+    """Arguments of `learn_task`: the function that reads a frame's images, and where the instrument is in them.
+
+    Where that is only predicted, ``masks`` (H, W), by view, are those that were found in them.
+    """
 
     read: Callable[[], FrameData]
     at: Posed
+    masks: Mapping[str, PackedMask] | None = None
 
 
 def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str, ColourModel]:
-    """Learn the colours about the silhouette of a known pose, by name of the view."""
+    """Learn the colours about the silhouette of a known pose, by name of the view.
+
+    Of a pose that is predicted, they are learned about the mask, if that overlaps the silhouette well enough.
+    """
     found = {}
     for view in with_outside(task.read()).views:
-        if view.image is not None:
-            model = learned_colours(view.image, silhouette_of(task.at, view, body), view.ignore)
-            if model is not None:
-                found[view.name] = model
+        if view.image is None:
+            continue
+        shown = silhouette_of(task.at, view, body)
+        if task.masks is not None:
+            mask = task.masks[view.name].restored() if view.name in task.masks else np.zeros_like(shown)
+            if overlap(shown, mask) < _PREDICTED:
+                continue
+            shown = mask
+        model = learned_colours(view.image, shown, view.ignore)
+        if model is not None:
+            found[view.name] = model
     return found
 
 
