@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event, Timer, current_thread, main_thread
 from typing import Annotated, Any, Literal
@@ -74,6 +74,7 @@ def live(
     doubtful_session: DoubtfulSessionOption = False,
     lag: Annotated[float | None, Parameter(group=METHOD)] = None,
     method: MethodOptions = DEFAULT_METHOD,
+    out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     overlay: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     seconds: Annotated[float, Parameter(group=OUTPUT)] = math.inf,
 ) -> int:
@@ -118,6 +119,9 @@ def live(
         Lag of the images behind the readings, s; by default the calibration's, or found while following.
     method
         The method.
+    out
+        Folder for session.json, the calibration that is found from keyframes while following by masks. The next start
+        with the same folder takes it up, and no pose is ok before images agree with it: the camera may have been moved.
     overlay
         Publish each image with the silhouette of the pose, as JPEG.
     seconds
@@ -135,11 +139,17 @@ def live(
     from dvrk_cmaes.live.rclpy_node import RclpyConnection
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.live.rosbridge import RosbridgeConnection
+    from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
+    from dvrk_cmaes.runs.solver_process import SolverProcess
 
     image = topics.image_topic
     namespace = image.removesuffix("/compressed").rpartition("/")[0]
     names = FrameNames(psm, camera_frame, f"{psm}_base")
     names.check_tf()
+    body = instrument.load()
+    keeps = topics.mask_topic is not None and lag is None
+    if out is not None and not keeps:
+        raise InputError("--out: expected masks (--mask-topic) and no --lag, from which a calibration is found")
     setup = LiveSetup(
         InputTopics(
             image,
@@ -148,7 +158,7 @@ def live(
             topics.mask_topic,
         ),
         names,
-        instrument.load(),
+        body,
         instrument.kinematics,
         read_calibration_of(calibration, doubtful=doubtful_session),
         method.resolve(),
@@ -156,10 +166,16 @@ def live(
         None if camera is None else read_camera(camera, rectified=rectified),
         rectified,
         overlay,
+        earlier=None if out is None else earlier_calibration(out, body.instrument, instrument.kinematics),
+        save=lambda found: None if out is None else save_calibration(out, found),
     )
     report = RepeatedLines(note)  # of the connection; follow has its own
     connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
-    with _stopped(seconds) as stop:
+    with ExitStack() as stack:
+        stop = stack.enter_context(_stopped(seconds))
+        if keeps:
+            solver = stack.enter_context(SolverProcess(body.instrument, background=True))
+            setup = replace(setup, solver=solver)
         connection.open(timeout=2.0)
         try:
             counts = follow(setup, connection, note, stop)

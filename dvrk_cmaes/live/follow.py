@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 
@@ -16,7 +17,9 @@ from dvrk_cmaes.live.loop import LiveCounts, LiveLoop, PresentState
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.overlay import LiveOverlay
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
+from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.solution_schedule import Solver
 from dvrk_cmaes.track.tracker import Tracker
 
 _WAIT = 0.2  # s
@@ -27,7 +30,9 @@ class LiveSetup:
     """What is followed, and how.
 
     ``camera`` is used instead of the topic's if given; ``rectified`` says which of the topic's matrices is used.
-    ``overlay`` publishes an overlay of each image.
+    ``overlay`` publishes an overlay of each image. With a ``solver``, masks, and no given lag, the arm's base is found
+    from keyframes, which are solved beside the loop; ``earlier`` is the calibration of an earlier run, and ``save``
+    keeps what is found.
     """
 
     topics: InputTopics
@@ -40,6 +45,9 @@ class LiveSetup:
     camera: Camera | None = None
     rectified: bool = False
     overlay: bool = False
+    solver: Solver | None = None
+    earlier: SessionCalibration | None = None
+    save: Callable[[SessionCalibration], None] = lambda calibration: None
 
 
 def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event) -> LiveCounts:
@@ -59,15 +67,36 @@ def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event
         return LiveCounts()
     report(f"camera: {camera.width} x {camera.height} px, focal length {camera.fx:.1f} px")
 
+    solutions = None
+    if setup.solver is not None and setup.topics.mask is not None and setup.lag is None:
+        solutions = LiveSolutions(setup.solver, say, setup.save, setup.earlier)
+
     def make_tracker() -> Tracker:
-        return Tracker(camera, setup.body, setup.calibration, setup.config, arm=setup.arm, lag=setup.lag)
+        taken_up = solutions is not None and setup.calibration is None and solutions.earlier is not None
+        tracker = Tracker(
+            camera,
+            setup.body,
+            solutions.earlier if solutions is not None and taken_up else setup.calibration,
+            setup.config,
+            arm=setup.arm,
+            lag=setup.lag,
+            keyframes=solutions is not None,
+            earlier=taken_up,
+        )
+        if solutions is not None:
+            solutions.tracker = tracker
+        return tracker
+
+    def state() -> str:
+        return "" if solutions is None else solutions.state
 
     loop = LiveLoop(
         make_tracker,
         inputs,
         outputs,
         say,
-        draw=LiveOverlay(setup.body, camera) if setup.overlay else None,
+        draw=LiveOverlay(setup.body, camera, state) if setup.overlay else None,
+        beside=solutions,
     )
     return loop.run(stop)
 

@@ -43,6 +43,20 @@ class LiveTracker(Protocol):
         """Follow the instrument to the image of a later time."""
 
 
+class Beside(Protocol):
+    """Work that goes on beside the steps."""
+
+    @property
+    def state(self) -> str:
+        """How far it is, in words."""
+
+    def before_step(self) -> None:
+        """Give the tracker what was found."""
+
+    def after_step(self) -> None:
+        """Begin what is due."""
+
+
 @dataclass
 class LiveCounts:
     """Frames followed, results published, frames and readings left out, and how often following began anew."""
@@ -66,6 +80,8 @@ class LiveLoop:
         Takes lines for the user.
     draw
         Draws a result over its image; None to publish no overlay.
+    beside
+        Is called before and after each step; its state is published.
     longest_silence
         Time without a message after which a topic is reported, s.
     """
@@ -78,6 +94,7 @@ class LiveLoop:
         report: Report,
         *,
         draw: DrawOverlay | None = None,
+        beside: Beside | None = None,
         longest_silence: float = 1.0,
     ) -> None:
         self.counts = LiveCounts()
@@ -88,6 +105,7 @@ class LiveLoop:
         self._outputs = outputs
         self._report = report
         self._draw = draw
+        self._beside = beside
         self._longest_silence = longest_silence
         self._times = ImageTimes()
         self._failures = 0
@@ -161,14 +179,19 @@ class LiveLoop:
                 self._report(str(error))
         mask = frame.mask()
         pixels = frame.pixels(grey=mask is not None and self._draw is None)  # its colours are needed by nobody then
+        if self._beside is not None:
+            self._beside.before_step()
         result = self._tracker.step(frame.time / NANOSECONDS, mask=mask, image=pixels)
         self.counts.followed += 1
         overlay = None if self._draw is None or pixels is None else self._draw(pixels, result)
         age = clock.perf_counter() - received
+        state = "" if self._beside is None else self._beside.state
         self.counts.published += self._outputs.publish(
-            frame.time, result, ros1=frame.ros1, age=age, silent=silent, overlay=overlay
+            frame.time, result, ros1=frame.ros1, age=age, silent=silent, overlay=overlay, calibration=state
         )
         self._state.has_result(ros1=frame.ros1)
+        if self._beside is not None:
+            self._beside.after_step()
 
 
 class PresentState:

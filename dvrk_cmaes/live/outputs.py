@@ -71,13 +71,14 @@ class Outputs:
         age: float = 0.0,
         silent: Sequence[str] = (),
         overlay: NDArray[np.uint8] | None = None,
+        calibration: str = "",
     ) -> bool:
         """Publish the result of the image of a time, ns; returns whether everything was sent.
 
         ``ros1`` writes times as in ROS 1. ``age`` is the time since the image was received, s. ``silent`` are topics
-        that have stopped; ``overlay`` is (H, W, 3), BGR.
+        that have stopped; ``overlay`` is (H, W, 3), BGR. ``calibration`` says how far the arm's base is known.
         """
-        messages = [*self._found(time, result), self._status(time, result, age, silent)]
+        messages = [*self._found(time, result), self._status(time, result, age, silent, calibration)]
         if overlay is not None:
             messages.append(self._overlay(time, overlay))
         fields = [_as_ros1(message.fields) if ros1 else message.fields for message in messages]
@@ -111,7 +112,7 @@ class Outputs:
         if result.joints:
             yield joint_message(f"{self._namespace}/measured_js", time, result.joints)
 
-    def _status(self, time: int, result: StepResult, age: float, silent: Sequence[str]) -> RosMessage:
+    def _status(self, time: int, result: StepResult, age: float, silent: Sequence[str], calibration: str) -> RosMessage:
         """Return the message of the status."""
         level = max(_LEVELS.get(result.status, 2), 1 if silent else 0)
         values = {
@@ -119,6 +120,8 @@ class Outputs:
             "age_ms": f"{1e3 * age:.1f}",
             "silent_topics": " ".join(silent),
         }
+        if calibration:
+            values["calibration"] = calibration
         return self._status_message(time, level, result.status, values)
 
     def _status_message(self, time: int, level: int, text: str, values: Mapping[str, str]) -> RosMessage:

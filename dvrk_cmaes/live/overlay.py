@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,10 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 
 class LiveOverlay:
-    """Draws results over images of one camera."""
+    """Draws results over images of one camera; ``state`` says how far the arm's base is known."""
 
-    def __init__(self, body: Body, camera: Camera) -> None:
+    def __init__(self, body: Body, camera: Camera, state: Callable[[], str] = str) -> None:
+        self._state = state
         self._names = body.instrument.joint_names
         self._renderer = Renderer(body, camera, threads=1)
 
@@ -27,4 +30,6 @@ class LiveOverlay:
             canvas.outline(self._renderer.masks(result.camera_from_root[None], joints[None])[0], SILHOUETTE)
         text = ": ".join([result.status, *result.reasons[:1]])
         canvas.text(text, (8.0, 14.0), rim=True)
+        if state := self._state():
+            canvas.text(state, (8.0, 30.0), rim=True)
         return canvas.image

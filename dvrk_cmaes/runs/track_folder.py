@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -40,7 +40,9 @@ from dvrk_cmaes.runs.manifest import (
 )
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.ownership import check_owned
+from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
+from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
@@ -48,6 +50,7 @@ from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
+from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
 CHECKPOINT: Final = "checkpoint.json"
 UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
@@ -93,10 +96,20 @@ class _Run:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)
 
-    def followed(self, tracker: Tracker, *, done: int = 0) -> Iterator[tuple[FrameFiles, TrackResult]]:
+    def followed(
+        self, tracker: Tracker, schedule: SolutionSchedule | None, *, done: int = 0
+    ) -> Iterator[tuple[FrameFiles, TrackResult]]:
         """Follow the frames after the first ``done`` ones."""
         with_images = self.settings.evidence != "masks"
-        return followed(tracker, self.frames, self.clock, self.session.rig, done=done, with_images=with_images)
+        return followed(
+            tracker,
+            self.frames,
+            self.clock,
+            self.session.rig,
+            done=done,
+            with_images=with_images,
+            schedule=schedule,
+        )
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it is not ok."""
@@ -200,16 +213,30 @@ def track_folder(
 
 
 def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
-    """Follow the frames after those that have rows; add each row to them, and write it, when it is there."""
+    """Follow the frames after those that have rows; add each row to them, and write it, when it is there.
+
+    The state is saved only where no keyframes are being solved: an interrupted run solves them again.
+    """
     kept, total = len(rows), len(run.frames)
     run.progress(kept, total, None)
-    with _lines(run.out, rows) as append:
-        for files, result in run.followed(tracker, done=kept):
+    with ExitStack() as stack:
+        schedule = None
+        if run.settings.keeps_keyframes:
+            threads = run.settings.workers or usable_cores()
+            solver = stack.enter_context(SolverProcess(run.body.instrument, threads=threads))
+            schedule = SolutionSchedule(tracker, solver)
+        append = stack.enter_context(_lines(run.out, rows))
+        saved = kept
+        for files, result in run.followed(tracker, schedule, done=kept):
             rows.append(run.row(files, result))
             append(rows[-1])
             run.progress(len(rows), total, result)
-            if run.stopped or len(rows) % _SAVED_EVERY == 0 or len(rows) == total:
+            if len(rows) == total and schedule is not None and not run.stopped:
+                schedule.finish()
+            due = run.stopped or len(rows) - saved >= _SAVED_EVERY or len(rows) == total
+            if due and (schedule is None or not schedule.waiting):
                 write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
+                saved = len(rows)
             if run.stopped:
                 break
 

@@ -24,6 +24,7 @@ from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.sight import EvidenceKind
+from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
 Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -50,6 +51,11 @@ class TrackSettings:
     hints: Hints | None = None
     workers: int | None = None
 
+    @property
+    def keeps_keyframes(self) -> bool:
+        """Whether a tracker solves keyframes beside its steps: by masks and readings whose lag is not given."""
+        return self.causal and self.evidence == "masks" and self.use_joints and self.lag is None
+
     def tracker(self, rig: Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""
         return Tracker(
@@ -61,6 +67,7 @@ class TrackSettings:
             lag=self.lag,
             evidence=self.evidence,
             hints=self.hints,
+            keyframes=self.keeps_keyframes,
         )
 
 
@@ -123,11 +130,12 @@ def followed(
     *,
     done: int = 0,
     with_images: bool = False,
+    schedule: SolutionSchedule | None = None,
 ) -> Iterator[tuple[FrameFiles, TrackResult]]:
     """Follow the frames after the first ``done`` ones; readings are given to the tracker when their time has come.
 
     ``rig`` has the views of the frames; ``with_images`` tells to give the tracker the images of frames that have a
-    mask, too.
+    mask, too. ``schedule`` has the tracker's keyframes solved beside the steps.
 
     Raises
     ------
@@ -148,7 +156,12 @@ def followed(
         for name, of_view in files_of_views(files, rig).items():
             image, masks[name], ignored[name] = read_arrays(of_view, rig.view(name).camera)
             images[name] = image if with_images or of_view.mask is None else None
-        yield files, tracker.step(time, masks, images, ignored)
+        if schedule is not None:
+            schedule.before_step(time)
+        result = tracker.step(time, masks, images, ignored)
+        if schedule is not None:
+            schedule.after_step(time)
+        yield files, result
 
 
 def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Mask | None, Mask | None]:

@@ -55,6 +55,8 @@ BASE_MOVED: Final = (
 
 _WINDOW = 15  # images whose deviations are estimated together
 _MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
+_DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
+_LAG_STEP = 1e-3  # s, of the difference by which the change of the pose by the lag is found
 _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
@@ -78,10 +80,16 @@ class CalibratedFollowing:
         The views, the instrument, all settings.
     calibration
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
+    lag_std
+        Standard deviation of that lag, s.
     """
 
-    def __init__(self, rig: Rig, body: Body, config: EstimateConfig, calibration: SessionCalibration) -> None:
+    def __init__(
+        self, rig: Rig, body: Body, config: EstimateConfig, calibration: SessionCalibration, lag_std: float = 0.0
+    ) -> None:
         self.calibration = calibration
+        self.misfit = 0.0
+        self._lag_std = lag_std
         self._rig, self._body = rig, body
         self._config = replace(config, threads=1)
         self._images: deque[_Image] = deque(maxlen=_WINDOW)
@@ -94,6 +102,11 @@ class CalibratedFollowing:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
         return self._astray >= _MOST_ASTRAY
 
+    @property
+    def disagrees(self) -> bool:
+        """Whether the last images disagree with the calibration."""
+        return self._astray >= _DISAGREES
+
     def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> TrackResult:
         """Fit the image of a later time, s, whose readings, less the lag, are ``reading``."""
         started = clock.perf_counter()
@@ -103,16 +116,17 @@ class CalibratedFollowing:
         if self._outer is None:
             return without_pose(time, "no readings of the outer joints so far")
         model, calibration = self.calibration.model(self._outer[None], reading.joints[None], self._names)
-        at, prior, jacobian = (
-            model.predict(calibration)[0],
-            model.covariance(calibration)[0],
-            model.jacobian(calibration)[0],
-        )
+        at, prior = model.predict(calibration)[0], model.covariance(calibration)[0]
         if not told:
             prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(self._names)))
+        if self._lag_std > 0:
+            late = self._lag_std * self._by_lag(reading, at)
+            prior = prior + np.outer(late, late)
+        jacobian = model.jacobian(calibration)[0]
         spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
         fitted = self._fitted(at, spread, seen, sight)
         told_by_fit = Told.of(fitted, at, spread)
+        self.misfit = told_by_fit.misfit
         self._images.append(_Image(time, at, prior, jacobian, told_by_fit))
         followed, covariance = self._filtered()
         judged: JudgedFrame | None = None
@@ -189,6 +203,15 @@ class CalibratedFollowing:
     @property
     def _names(self) -> tuple[str, ...]:
         return self._body.instrument.joint_names
+
+    def _by_lag(self, reading: ReadingAt, at: Posed) -> Float64:
+        """Return the change (D,) of the predicted pose ``at`` and joints by the lag, per s: minus their velocity."""
+        assert self._outer is not None
+        read = np.where(np.isnan(reading.joints), 0.0, 1.0)
+        outer = self._outer - _LAG_STEP * np.nan_to_num(reading.outer_rate)
+        joints = reading.joints - _LAG_STEP * read * np.nan_to_num(reading.joint_rate)
+        model, calibration = self.calibration.model(outer[None], joints[None], self._names)
+        return np.asarray(model.predict(calibration)[0].minus(at) / _LAG_STEP)
 
     def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> FittedFrame | None:
         """Fit an image's masks; None if they show nothing, or there is none."""

@@ -107,6 +107,11 @@ class Following:
         self._search = Searching()
         self.readings.forget_poses()
 
+    def forget_calibration(self) -> None:
+        """Follow without the calibration that was given, which does not hold any more."""
+        self.calibration, self.solve = None, replace(self.solve, calibration=None)
+        self.readings.forget_lag()
+
     def _begin_anew(self, seen: Seen, result: Result, starts: list[Hypothesis], *, changed: bool = False) -> None:
         """Start from the result of images in the place of what was followed until then; arguments as of `begin`."""
         self.begin(result, starts, changed=changed)

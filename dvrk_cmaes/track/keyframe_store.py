@@ -10,7 +10,7 @@ import zlib
 from base64 import b64decode, b64encode
 from bisect import insort
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -34,7 +34,7 @@ from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 
-SOLVED_AT: Final = (8, 16, 32, MOST_KEYFRAMES)
+SOLVED_AT: Final = (4, 8, 16, 32, MOST_KEYFRAMES)
 """Numbers of keyframes at which they are solved together."""
 
 _LEAST_APART = 0.15  # of `distance_units`, between two keyframes
@@ -69,20 +69,22 @@ class Keyframe:
 class Solution:
     """What keyframes tell together: the calibration, or why there is none.
 
-    ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice.
+    ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice. ``base`` counts
+    the bases of the tracker before the one that the keyframes are of.
     """
 
     calibration: SessionCalibration | None
     reason: str
     keyframes: int
     alone: Mapping[str, Result]
+    base: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframeProblem:
     """Keyframes and all that is needed to solve them together, in this or in another process.
 
-    ``alone`` are results of keyframes that were solved by themselves before, by name.
+    ``alone`` are results of keyframes that were solved by themselves before, by name; ``base`` is as in `Solution`.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -91,9 +93,14 @@ class KeyframeProblem:
     arm: Arm
     config: EstimateConfig
     alone: Mapping[str, Result] = field(default_factory=dict)
+    base: int = 0
 
-    def solve(self, body: Body) -> Solution:
-        """Estimate the keyframes by themselves, and find base, lag and offsets from all of them."""
+    def solve(self, body: Body, threads: int = 1) -> Solution:
+        """Estimate the keyframes by themselves, and find base, lag and offsets from all of them.
+
+        The solution does not depend on the number of threads.
+        """
+        config = replace(self.config, threads=threads)
         alone: dict[str, Result] = {}
         frames = []
         for keyframe in self.keyframes:
@@ -102,15 +109,15 @@ class KeyframeProblem:
             if result is None:
                 masks = {view.name: view.mask for view in data.views if view.given}
                 ignored = {view.name: view.ignore for view in data.views if view.ignore is not None}
-                result = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=self.config)
+                result = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=config)
                 result = Result.from_dict(result.to_dict())  # in the digits that an interrupted run goes on with
             alone[keyframe.name] = result
             frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time))
         try:
-            solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=self.config)
+            solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=config)
         except InputError as error:
-            return Solution(None, str(error), len(frames), alone)
-        return Solution(solved.calibration, solved.calibration.doubt, len(frames), alone)
+            return Solution(None, str(error), len(frames), alone, self.base)
+        return Solution(solved.calibration, solved.calibration.doubt, len(frames), alone, self.base)
 
 
 class KeyframeStore:
@@ -124,6 +131,7 @@ class KeyframeStore:
         self._shapes: list[MaskShape] = []
         self._rows: list[tuple[float, int, Mapping[str, float]]] = []
         self._added = 0
+        self._known_until = -np.inf  # s, of the readings that were there when the store was restored
         self._last: float | None = None
         self._interval: list[float] = []
 
@@ -135,7 +143,9 @@ class KeyframeStore:
         self._kept, self._places = [], self._places[:0]
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        """Keep the readings of one time, s."""
+        """Keep the readings of one time, s; after `restore`, those that were known then may be given again."""
+        if time <= self._known_until:
+            return
         insort(self._rows, (time, self._added, dict(joints)))
         self._added += 1
         if len(self._rows) % _PRUNED_EVERY == 0:
@@ -143,27 +153,28 @@ class KeyframeStore:
 
     def offer(
         self, time: float, masks: Mapping[str, Bool], ignored: Mapping[str, Bool], readings: Mapping[str, float]
-    ) -> None:
-        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept."""
+    ) -> bool:
+        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept; whether it is."""
         if self._last is not None:
             self._interval = [*self._interval[-50:], time - self._last]
         self._last = time
         mask = next((masks[name] for name in self._rig.names if name in masks), None)
         if mask is None or not mask.any() or not set(OUTER_JOINTS) <= set(readings):
-            return
+            return False
         self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
         if not well_in_view(self._shapes)[-1] or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
-            return
+            return False
         units = distance_units(self._names)
         values = np.array([readings.get(name, 0.0) for name in self._names])
         place = np.array([*(values / units), time / _SECONDS])
         nearest = float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
         if nearest < _LEAST_APART:
-            return
+            return False
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
-            return
+            return False
         self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings)))
         self._places = np.vstack([self._places, place])
+        return True
 
     def _drops_one(self, nearest: float) -> bool:
         """Drop one of the two keyframes that are nearest to each other, if they are nearer than ``nearest``."""
@@ -175,7 +186,7 @@ class KeyframeStore:
         self._places = np.delete(self._places, closest, axis=0)
         return True
 
-    def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result]) -> KeyframeProblem:
+    def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result], base: int = 0) -> KeyframeProblem:
         """Return what the keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
         names = [keyframe.name for keyframe in self._kept]
         rows: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in self._names}
@@ -196,7 +207,7 @@ class KeyframeStore:
             float(np.median(self._interval)) if self._interval else 1 / 30,
         )
         known_alone = {name: alone[name] for name in names if name in alone}
-        return KeyframeProblem(tuple(self._kept), series, self._rig, arm, config, known_alone)
+        return KeyframeProblem(tuple(self._kept), series, self._rig, arm, config, known_alone, base)
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the state as plain values."""
@@ -221,6 +232,7 @@ class KeyframeStore:
         self._shapes = [MaskShape(float(area), float(share)) for area, share in saved["shapes"]]
         self._rows = [(float(time), number, dict(joints)) for number, (time, joints) in enumerate(saved["rows"])]
         self._added = len(self._rows)
+        self._known_until = self._rows[-1][0] if self._rows else -np.inf
         self._last = None if saved["last"] is None else float(saved["last"])
         self._interval = [float(value) for value in saved["interval"]]
 

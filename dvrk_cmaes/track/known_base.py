@@ -11,28 +11,50 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
+from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.keyframe_store import SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight
 
+_CONFIRMING = 5
+"""Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
+_AGREES = 4.0  # largest squared misfit per parameter of such an image
+_OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
+_SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
+
 
 class KnownBase:
-    """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`."""
+    """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`.
+
+    ``earlier`` tells that the calibration is of an earlier run, since which the camera may have been moved: no pose by
+    it is ok before images confirm it.
+    """
 
     def __init__(
-        self, rig: Rig, body: Body, arm: Arm, config: EstimateConfig, calibration: SessionCalibration | None
+        self,
+        rig: Rig,
+        body: Body,
+        arm: Arm,
+        config: EstimateConfig,
+        calibration: SessionCalibration | None,
+        *,
+        earlier: bool = False,
     ) -> None:
         self.store = KeyframeStore(rig, body.instrument.joint_names)
         self._rig, self._body, self._arm, self._config = rig, body, arm, config
         self._alone: dict[str, Result] = {}
         self._solved = 0  # keyframes when they were last solved
         self._reason = ""
+        self._bases = 0  # that were given up
+        self._own = False  # whether the calibration is that of the keyframes
+        self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
         self._following: CalibratedFollowing | None = None
         if calibration is not None:
             self._begin(calibration)
@@ -44,58 +66,119 @@ class KnownBase:
 
     @property
     def lag(self) -> FoundLag | None:
-        """The lag of the calibration; None if it has none."""
-        found = None if self.calibration is None else self.calibration.lag
-        if found is None or found.seconds is None:
+        """The lag of the calibration; None if it does not tell one."""
+        return None if self.calibration is None else _lag_of(self.calibration)
+
+    @property
+    def base_std_mm(self) -> float | None:
+        """Standard deviation of the base's position, the norm over three axes, mm; None while it is not known."""
+        if self.calibration is None:
             return None
-        interval = found.seconds / found.frames if found.frames else 0.0
-        return FoundLag(found.seconds, 0.0 if found.std_frames is None else found.std_frames * interval)
+        return float(1e3 * np.sqrt(np.trace(calibration_covariance(self.calibration)[:3, :3])))
+
+    @property
+    def state(self) -> str:
+        """How far the base is known, in words."""
+        count = f"{len(self.store)} keyframe{'' if len(self.store) == 1 else 's'}"
+        if self.base_std_mm is None:
+            return f"calibrating: {count}, base not known yet"
+        known = f"base +- {self.base_std_mm:.2g} mm"
+        if self._agreeing is not None:
+            return f"checking an earlier calibration: {self._agreeing} of {_CONFIRMING} images agree, {known}"
+        if not self._own:
+            return f"calibration given: {known}"
+        return f"{'calibrated' if self._solved >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
 
     @property
     def due(self) -> bool:
-        """Whether there are more keyframes than when they were last solved, by enough that it pays."""
+        """Whether there are more keyframes than when they were last solved, by enough that it pays.
+
+        Where the last images disagree with the calibration, one more is enough.
+        """
+        if self._following is not None and self._following.disagrees and len(self.store) > max(self._solved, 2):
+            return True
         return any(self._solved < count <= len(self.store) for count in SOLVED_AT)
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved."""
-        return self.store.problem(self._arm, self._config, self._alone)
+        return self.store.problem(self._arm, self._config, self._alone, self._bases)
 
     def use(self, solution: Solution) -> bool:
-        """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has."""
+        """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has.
+
+        One of keyframes of a base that was given up since is not used.
+        """
+        if solution.base != self._bases:
+            return False
         self._alone.update(solution.alone)
         self._solved = max(self._solved, solution.keyframes)
         self._reason = solution.reason
-        if solution.calibration is None or solution.reason:
+        if solution.calibration is None or solution.reason or not self._is_better(solution):
             return False
         self._begin(solution.calibration)
+        self._own, self._agreeing = True, None
         return True
+
+    def _is_better(self, solution: Solution) -> bool:
+        """Whether a solution is to replace the calibration: one of an earlier run only if that is another or worse."""
+        now, new = self.calibration, solution.calibration
+        if now is None or new is None or self._own or solution.keyframes >= _OWN_IS_ENOUGH:
+            return True
+        before, after = calibration_covariance(now)[:6, :6], calibration_covariance(new)[:6, :6]
+        apart = change_between(now.camera_from_base, new.camera_from_base)
+        same = float(apart @ np.linalg.solve(before + after, apart)) <= _SAME_BASE**2 * len(apart)
+        return not same or float(np.trace(after[:3, :3])) < float(np.trace(before[:3, :3]))
 
     def _begin(self, calibration: SessionCalibration) -> None:
         """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
         written = SessionCalibration.from_dict(calibration.to_dict())
-        self._following = CalibratedFollowing(self._rig, self._body, self._config, written)
+        lag = _lag_of(written)
+        std = self._config.track.lag_std if lag is None else lag.std
+        self._following = CalibratedFollowing(self._rig, self._body, self._config, written, std)
 
     def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more."""
-        assert self._following is not None
-        lag = 0.0 if self.lag is None else self.lag.seconds
-        result = self._following.follow(time, readings.at(time - lag), seen, sight)
-        if self._following.contradicted:
-            self._following, self._solved = None, 0
-            self._alone.clear()
-            self.store.clear()
-        else:
-            self.offer(time, readings.at(time), seen, sight)
+        following, lag = self._following, self.lag
+        assert following is not None
+        result = following.follow(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, sight)
+        if following.contradicted or (self._agreeing is not None and following.disagrees):
+            self._give_up()
+            return replace(result, status="doubtful" if result.status == "ok" else result.status)
+        kept = self.offer(time, readings.at(time), seen, sight)
+        if result.status == "ok" and self._agreeing is not None:
+            self._agreeing += kept and following.misfit < _AGREES
+            if self._agreeing >= _CONFIRMING:
+                self._agreeing = None
+            else:
+                result = replace(result, status="doubtful", reasons=(self.state,))
+        uncertain = result.tip_std_mm is not None and result.tip_std_mm > self._config.trust.tip_mm
+        if result.status == "doubtful" and uncertain and self._own:
+            known = f"base known to {self.base_std_mm:.2g} mm, {self._solved} keyframes"
+            result = replace(result, reasons=(*result.reasons, known))
         return result
 
-    def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> None:
-        """Keep an image as a keyframe, if it is worth that."""
+    def _give_up(self) -> None:
+        """Follow by the calibration no longer: images contradict it.
+
+        The base may have moved: the keyframes are forgotten. Those that are later than a calibration of an earlier run
+        are not, nor those that are to be solved once more, since a solution of few may have been wrong itself.
+        """
+        few = self._own and self._solved < _OWN_IS_ENOUGH and len(self.store) > self._solved
+        self._following, self._solved, self._reason = None, 0, ""
+        if self._agreeing is None and not few:
+            self._bases += 1
+            self._alone.clear()
+            self.store.clear()
+        self._own, self._agreeing = False, None
+
+    def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> bool:
+        """Keep an image as a keyframe, if it is worth that; returns whether it is."""
         names = (*OUTER_JOINTS, *self._body.instrument.joint_names)
         masks = {self._rig.names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
         if not masks or reading.still:
-            return
+            return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
-        self.store.offer(
+        return self.store.offer(
             time, masks, sight.ignored(seen), {name: value for name, value in values if not np.isnan(value)}
         )
 
@@ -115,6 +198,9 @@ class KnownBase:
             "alone": {name: result.to_dict() for name, result in self._alone.items()},
             "solved": self._solved,
             "reason": self._reason,
+            "bases": self._bases,
+            "own": self._own,
+            "agreeing": self._agreeing,
             "following": None if self._following is None else self._following.checkpoint(),
         }
 
@@ -123,8 +209,20 @@ class KnownBase:
         self.store.restore(saved["store"])
         self._alone = {name: Result.from_dict(document) for name, document in saved["alone"].items()}
         self._solved, self._reason = int(saved["solved"]), str(saved["reason"])
+        self._bases, self._own = int(saved["bases"]), bool(saved["own"])
+        self._agreeing = None if saved["agreeing"] is None else int(saved["agreeing"])
         self._following = None
         if saved["following"] is not None:
             self._begin(SessionCalibration.from_dict(saved["following"]["calibration"]))
             assert self._following is not None
             self._following.restore(saved["following"])
+
+
+def _lag_of(calibration: SessionCalibration) -> FoundLag | None:
+    """Return the lag that is taken out of the readings, and its standard deviation; None if it is not determined."""
+    found = calibration.lag
+    if found is None or found.seconds is None:
+        return None
+    interval = found.seconds / found.frames if found.frames else 0.0
+    std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
+    return FoundLag(found.seconds if found.applied else 0.0, std if found.applied else max(std, abs(found.seconds)))

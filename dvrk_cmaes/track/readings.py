@@ -35,10 +35,12 @@ class LaggedReadings:
         self._joints = len(instrument.joint_names)
         self._cables = CableMemory.of(calibration)
         self._lags = LagSearch(lambda outer: base_from_root(outer, arm, roll_offset=instrument.roll_offset))
+        given_by_hand = lag is not None
         if lag is None and calibration is not None and calibration.lag is not None:
             lag = calibration.lag.seconds
         self._given = lag is not None
         self._unknown_std = config.lag_std
+        self._by_hand = given_by_hand
         self.lag = FoundLag(0.0, config.lag_std) if lag is None else FoundLag(float(lag), 0.0)
 
     @property
@@ -65,6 +67,11 @@ class LaggedReadings:
         self._lags.add(located.at.pose, located.covariance, self.buffer.outer_at(time - LAGS))
         if self._lags.due:
             self.lag = self._lags.search(one.state.camera_from_base) or self.lag
+
+    def forget_lag(self) -> None:
+        """Find the lag anew, if it was that of the calibration."""
+        if self._given and not self._by_hand:
+            self._given, self.lag = False, FoundLag(0.0, self._unknown_std)
 
     def forget_poses(self) -> None:
         """Forget the poses from which the lag is found: those that follow are of another base or mode."""

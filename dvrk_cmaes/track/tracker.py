@@ -74,6 +74,9 @@ class Tracker:
         Keep images with masks and readings that differ, at most 60. `solve` finds base, lag and offsets from them, and
         after `use` every image is fitted with these, as by `dvrk-cmaes track`; until then no pose is ok. A
         ``calibration`` is used in the same way.
+    earlier
+        The calibration is of an earlier run, since which the camera may have been moved: with ``keyframes``, no pose by
+        it is ok before five images that differ agree with it, and it is given up if images contradict it.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class Tracker:
         hints: Hints | None = None,
         record: bool = False,
         keyframes: bool = False,
+        earlier: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
@@ -115,7 +119,8 @@ class Tracker:
         self._sight = Sight(rig, track, evidence, hints)
         solve = GlobalSearch(follower, self._sight, body, settings, calibration)
         self._following = Following(follower, rig, self._sight, solve, self._readings, settings, calibration)
-        self._known = KnownBase(rig, body, self._arm, settings, calibration) if keyframes else None
+        known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
+        self._known = known
         self._time: float | None = None
         self._recorder = Recorder() if record else None
 
@@ -197,8 +202,13 @@ class Tracker:
             self._known.store.add_readings(time, joints)
 
     @property
+    def base_state(self) -> str:
+        """How far the arm's base is known, in words; empty for a tracker that keeps no keyframes."""
+        return "" if self._known is None else self._known.state
+
+    @property
     def solution_due(self) -> bool:
-        """Whether enough keyframes are there that solving them anew pays: at 8, 16, 32 and 60 of them."""
+        """Whether solving the keyframes anew pays: at 4, 8, 16, 32 and 60 of them, and where images disagree."""
         return self._known is not None and self._known.due
 
     def problem(self) -> KeyframeProblem:
@@ -306,6 +316,7 @@ class Tracker:
             result = known.follow(time, self._readings.buffer, seen, self._sight)
             if known.calibration is None:  # contradicted
                 following.forget()
+                following.forget_calibration()
             return result
         if following.best is None or self._time is None:
             result = following.first(time, seen)
