@@ -29,6 +29,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.runs.recorded import BLOCK, Prediction, predict, spread_of
 from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
+from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_first
@@ -149,7 +150,7 @@ def solve_images(
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
     chosen = choose_keyframes(there, times, names, readings, _SEGMENTED)
     progress("finding masks", len(chosen))
-    tasks = [SegmentTask(files[i], recorded.rig, hints if i == 0 else Hints()) for i in chosen]
+    tasks = [SegmentTask(files[i], recorded.rig, _hints(files[i], hints if i == 0 else Hints())) for i in chosen]
     found: dict[int, FoundFrame | None] = dict(zip(chosen, run(segment_task, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
@@ -166,6 +167,11 @@ def solve_images(
         return recorded, solved
     colours = _pooled(recorded.rig, run(learn_task, _keyframes_colours(recorded, solved, body)))
     return recorded, ImageSolution(solved.calibration, colours) if colours else _NO_COLOURS
+
+
+def _hints(files: FrameFiles, first: Hints) -> Hints:
+    """Return the prompts of a frame; those of the first one are given."""
+    return first if first != Hints() else hints_of(files) or Hints()
 
 
 def _measured(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) -> RecordedFrames:

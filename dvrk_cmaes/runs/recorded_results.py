@@ -110,13 +110,14 @@ def results_of(
     judged: Sequence[JudgedFrame | None],
     body: Body,
     config: EstimateConfig,
+    source: str = "mask",
 ) -> list[TrackResult]:
-    """Describe the frames as results, in order."""
+    """Describe the frames as results, in order; ``source`` is what the evidence is taken from, for reasons."""
     frozen = describe_frozen(recorded.frozen, [own.name for own in recorded.files])
     base_from_root = predicted.model.base_from_root(predicted.calibration.offsets)
     results = []
     for i, one in enumerate(judged):
-        status, reasons = status_of(one, smoothed.misfit[i], session, config)
+        status, reasons = status_of(one, smoothed.misfit[i], session, config, source)
         if (of_image := fits[i]) is not None:
             reasons += of_image.doubts
         if not predicted.told[i]:

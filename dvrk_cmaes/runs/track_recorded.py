@@ -124,7 +124,7 @@ def follow_recorded(
             judged = judge_all(smoothed, fits, predicted, run)
         except _StoppedError:
             return None
-    results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config)
+    results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config, solved.source)
     return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
 
 
@@ -159,6 +159,11 @@ class _Solved:
         if self.colours is None:
             return fit_all(self.recorded, calibration, predicted, run)
         return fit_images(self.recorded, ImageSolution(calibration, self.colours), predicted, run)
+
+    @property
+    def source(self) -> str:
+        """What the evidence is taken from, for reasons."""
+        return "mask" if self.colours is None and self.beside is None else "image"
 
     @property
     def contour(self) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +114,7 @@ def _fit_by_images(
         masked, contradicted = _masked(data, drawn, task.colours, spread)
         if masked is None:
             return None
-        reader = replace(frame, read=lambda masked=masked: masked)
-        fitted = fit_followed(body, config, reader, before, task.margin)
+        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, task.margin)
         if fitted is None:
             return None
         seconds += fitted.seconds
@@ -126,6 +126,10 @@ def _fit_by_images(
     assert fitted is not None
     doubts = (f"{100 * contradicted:.0f} % of the silhouette have colours of the surroundings",)
     return replace(fitted, seconds=seconds, doubts=doubts if contradicted > _CONTRADICTED else ())
+
+
+def _given(data: FrameData) -> FrameData:
+    return data
 
 
 def _masked(

@@ -18,8 +18,7 @@ from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
-from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.regions import fill_holes, instrument_region
+from dvrk_cmaes.segment.regions import fill_holes
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 
 Bool = NDArray[np.bool_]
@@ -38,7 +37,8 @@ _FAR = 12.0  # px beyond the band, from which on nothing is instrument
 _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are alike
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
 _PASSES = 2  # in each of which the local colours are those about the outline of the one before
-_GAP = 0.03  # of the longer side, between pieces of an instrument
+_LEAST_WITHIN = 0.5  # share of a piece of the mask that lies within the expected silhouette, with its band
+_LEAST_PIECE = 20  # px
 _MARGIN = 16  # px about the pixels that may be instrument
 
 
@@ -67,9 +67,9 @@ def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> Colo
 
 def pooled_colours(models: Sequence[ColourModel]) -> ColourModel:
     """Return the model of the mean histograms of at least one model."""
-    inside = np.mean([model.inside for model in models], axis=0, dtype=np.float64)
-    outside = np.mean([model.outside for model in models], axis=0, dtype=np.float64)
-    return ColourModel.of(inside.astype(np.float32), outside.astype(np.float32))
+    inside = np.stack([model.inside for model in models]).mean(axis=0)
+    outside = np.stack([model.outside for model in models]).mean(axis=0)
+    return ColourModel.of(np.asarray(inside, np.float32), np.asarray(outside, np.float32))
 
 
 def mask_around(
@@ -122,11 +122,21 @@ def mask_around(
         if not mask.any() or mask.all():
             return None
     whole = np.zeros_like(silhouette)
-    whole[window] = mask
-    whole = fill_holes(instrument_region(whole, _GAP * longer, Prompts()))
+    whole[window] = _within(mask, distance < band + _BLURRED)
+    whole = fill_holes(whole)
     sure = expected & (distance < -band) & ~never
     contradicted = float((by_colour[sure] < 0).mean()) if sure.any() else 0.0
     return FoundMask(whole, contradicted) if whole.any() else None
+
+
+def _within(mask: Bool, near: Bool) -> Bool:
+    """Keep the pieces of a mask that lie mostly ``near`` the silhouette; what hides a part of it divides it."""
+    count, labels, measures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    area = measures[:, cv2.CC_STAT_AREA]
+    share = np.bincount(labels[near], minlength=count) / np.maximum(area, 1)
+    kept = (share >= _LEAST_WITHIN) & (area >= _LEAST_PIECE)
+    kept[0] = False
+    return np.asarray(kept[labels])
 
 
 def _in_reduced(

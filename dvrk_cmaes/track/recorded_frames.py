@@ -31,7 +31,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
 
-EMPTY = "lost: the mask shows nothing of the instrument"
+EMPTY = "lost: the {source} shows nothing of the instrument"
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
 

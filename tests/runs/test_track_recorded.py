@@ -24,6 +24,7 @@ from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.runs.track_recorded import why_causal
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.truth import Truth
+from dvrk_cmaes.track.sight import EvidenceKind
 
 FRAMES = 14
 EMPTY = "0005"
@@ -144,13 +145,11 @@ def test_given_calibration_is_used_instead_of_keyframes(
     assert all(np.allclose(own["tips"], other["tips"], atol=2e-4) for own, other in pairs)
 
 
-@pytest.mark.parametrize(
-    ("changes", "why"),
-    [({"use_joints": False}, "without readings"), ({"evidence": "images"}, "without masks of all frames")],
-)
-def test_what_keyframes_cannot_solve_is_followed_from_image_to_image(changes: dict[str, object], why: str) -> None:
-    assert why_causal(replace(SETTINGS, **changes)) == why
-    assert why_causal(SETTINGS) is None
+@pytest.mark.parametrize("evidence", ["masks", "images", "both", None])
+def test_recording_without_readings_is_followed_from_image_to_image(evidence: EvidenceKind | None) -> None:
+    settings = replace(SETTINGS, evidence=evidence)
+    assert why_causal(replace(settings, use_joints=False)) == "without readings"
+    assert why_causal(settings) is None
 
 
 def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[str, Truth]]) -> None:
