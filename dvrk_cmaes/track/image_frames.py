@@ -34,7 +34,7 @@ _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from w
 _LARGEST_SPREAD, _SPREAD_OF_FIT = 12.0, 2.0  # px, of an outline that is expected, and of a fitted one
 _REACH = 0.015  # m from the root, of the outline whose place depends on angles
 _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette, from which on colours are learned
-_CONTRADICTED = 0.3  # share of the silhouette with colours of the surroundings, from which on a pose is doubtful
+_UNSUPPORTED = 0.3  # share of the silhouette without the instrument's colours, from which on a pose is doubtful
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def _fit_by_images(
     fitted: FittedFrame | None = None
     seconds, drawn = 0.0, [silhouette_of(at, view, body) for view in data.views]
     for _ in range(_ROUNDS):
-        masked, contradicted = _masked(data, drawn, task.colours, spread)
+        masked, unsupported = _masked(data, drawn, task.colours, spread)
         if masked is None:
             return None
         fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, task.margin)
@@ -124,8 +124,8 @@ def _fit_by_images(
         if settled:
             break
     assert fitted is not None
-    doubts = (f"{100 * contradicted:.0f} % of the silhouette have colours of the surroundings",)
-    return replace(fitted, seconds=seconds, doubts=doubts if contradicted > _CONTRADICTED else ())
+    doubts = (f"{100 * unsupported:.0f} % of the silhouette are without the instrument's colours",)
+    return replace(fitted, seconds=seconds, doubts=doubts if unsupported > _UNSUPPORTED else ())
 
 
 def _given(data: FrameData) -> FrameData:
@@ -135,7 +135,7 @@ def _given(data: FrameData) -> FrameData:
 def _masked(
     data: FrameData, drawn: list[Bool], colours: Mapping[str, ColourModel], spread: float
 ) -> tuple[FrameData | None, float]:
-    """Return a frame with masks found around silhouettes, None without any, and the share that is contradicted."""
+    """Return a frame with masks found around silhouettes, if there are any, and the largest share that is unsupported."""
     views, shares = [], [0.0]
     for view, silhouette in zip(data.views, drawn, strict=True):
         model = colours.get(view.name)
@@ -145,7 +145,7 @@ def _masked(
         found = mask_around(view.image, silhouette, model, view.ignore, spread)
         mask = np.zeros_like(silhouette) if found is None else found.mask
         views.append(replace(view, mask=mask, given=True, image=None))
-        shares.append(0.0 if found is None else found.contradicted)
+        shares.append(0.0 if found is None else found.unsupported)
     shown = any(view.given and view.shows for view in views)
     return (replace(data, views=tuple(views)) if shown else None), max(shares)
 

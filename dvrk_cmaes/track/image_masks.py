@@ -35,6 +35,8 @@ _STEEPNESS = 0.5  # log-odds per px beyond that band
 _LARGEST_PRIOR = 3.0  # log-odds by the silhouette
 _FAR = 12.0  # px beyond the band, from which on nothing is instrument
 _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are alike
+_LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrument's colours
+_NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
 _PASSES = 2  # in each of which the local colours are those about the outline of the one before
 _LEAST_WITHIN = 0.5  # share of a piece of the mask that lies within the expected silhouette, with its band
@@ -44,10 +46,10 @@ _MARGIN = 16  # px about the pixels that may be instrument
 
 @dataclass(frozen=True, eq=False)
 class FoundMask:
-    """A mask (H, W) found around a silhouette, and the share of the silhouette's pixels whose colours contradict it."""
+    """A mask (H, W) found around a silhouette, and the share of that, ``unsupported``, without the tool's colours."""
 
     mask: Bool
-    contradicted: float
+    unsupported: float
 
 
 def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> ColourModel | None:
@@ -93,7 +95,8 @@ def mask_around(
     Returns
     -------
     FoundMask or None
-        None where the silhouette is empty or full, or no pixel is taken for the instrument.
+        None where the silhouette is empty or full, no pixel is taken for the instrument, or nearly the whole
+        silhouette is without its colours.
     """
     if not silhouette.any() or silhouette.all():
         return None
@@ -125,8 +128,8 @@ def mask_around(
     whole[window] = _within(mask, distance < band + _BLURRED)
     whole = fill_holes(whole)
     sure = expected & (distance < -band) & ~never
-    contradicted = float((by_colour[sure] < 0).mean()) if sure.any() else 0.0
-    return FoundMask(whole, contradicted) if whole.any() else None
+    unsupported = float((by_colour[sure] < _LEAST_ODDS).mean()) if sure.any() else 0.0
+    return FoundMask(whole, unsupported) if whole.any() and unsupported < _NOWHERE else None
 
 
 def _within(mask: Bool, near: Bool) -> Bool:
@@ -155,7 +158,7 @@ def _in_reduced(
     if found is None:
         return None
     mask = cv2.resize(found.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    return FoundMask(np.asarray(mask), found.contradicted)
+    return FoundMask(np.asarray(mask), found.unsupported)
 
 
 def _guide(image: Image) -> Float32:

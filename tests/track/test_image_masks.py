@@ -57,7 +57,7 @@ def test_mask_is_found_where_the_silhouette_is_some_pixels_beside_it(
     found = mask_around(images[0], beside, colours, spread=8.0)
     assert found is not None
     assert iou(found.mask, world.masks[0]) > 0.96
-    assert found.contradicted < 0.1
+    assert found.unsupported < 0.1
 
 
 def test_tissue_before_the_instrument_is_not_in_the_mask(
@@ -83,7 +83,7 @@ def test_image_without_the_instrument_has_no_mask(
     rng = np.random.default_rng(0)
     alone = tissue[rng.integers(0, len(tissue), images[0].shape[:2])]
     found = mask_around(alone, world.masks[0], colours)
-    assert found is None or found.mask.sum() < 0.1 * world.masks[0].sum() or found.contradicted > 0.3
+    assert found is None or found.mask.sum() < 0.1 * world.masks[0].sum() or found.unsupported > 0.3
 
 
 def test_pixels_outside_the_view_are_not_in_the_mask(
