@@ -135,7 +135,7 @@ def _given(data: FrameData) -> FrameData:
 def _masked(
     data: FrameData, drawn: list[Bool], colours: Mapping[str, ColourModel], spread: float
 ) -> tuple[FrameData | None, float]:
-    """Return a frame with masks found around silhouettes, if there are any, and the largest share that is unsupported."""
+    """Return a frame with masks found around silhouettes, if any, and the largest share that is unsupported."""
     views, shares = [], [0.0]
     for view, silhouette in zip(data.views, drawn, strict=True):
         model = colours.get(view.name)

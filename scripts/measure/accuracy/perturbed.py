@@ -126,7 +126,7 @@ def _fitted(
     assert start.covariance is not None
     view = replace(one.case.data.views[0], mask=np.zeros_like(one.case.mask), given=False)
     data = FrameData((view,))
-    expected = Expected(_posed(start, body), np.linalg.inv(start.covariance))
+    expected = Expected(_posed(start, body), np.asarray(np.linalg.inv(start.covariance), np.float64))
     frame = PredictedFrame(one.case.frame, lambda: data, expected)
     (found,) = fit_image_block(body, config, ImageBlockTask((frame,), 0.0, {view.name: colours}))
     if found is None:
