@@ -35,7 +35,15 @@ from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_model import ColourModel
-from dvrk_cmaes.track.image_frames import ImageBlockTask, LearnTask, fit_image_block, learn_task, with_outside
+from dvrk_cmaes.track.image_frames import (
+    AroundTask,
+    ImageBlockTask,
+    LearnTask,
+    around_task,
+    fit_image_block,
+    learn_task,
+    with_outside,
+)
 from dvrk_cmaes.track.image_masks import pooled_colours
 from dvrk_cmaes.track.keyframes import MaskShape, choose_keyframes
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
@@ -43,6 +51,8 @@ from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
 Float64 = NDArray[np.float64]
 
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
+_FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
+_ENOUGH: Final = 20  # that agree; of fewer, masks are found again in the other images, and solved again
 _NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _KEYFRAMES: Final = 40  # of these, at most, that are solved together
 
@@ -143,8 +153,9 @@ def solve_images(
 ) -> tuple[RecordedFrames, ImageSolution | str]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
-    With a calibration that is ``given``, the masks only tell the colours. ``hints`` hold for the first frame. Also
-    returns the frames with what was measured of the masks. Raises InputError for a file that is wrong.
+    With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
+    the other images around what they expect, and all are solved again. ``hints`` hold for the first frame. Also returns
+    the frames with what was measured of the masks. Raises InputError for a file that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
@@ -157,16 +168,63 @@ def solve_images(
         tasks_of_colours = _predicted_colours(recorded, given, found, body)
         colours = _pooled(recorded.rig, run(learn_task, tasks_of_colours))
         return recorded, ImageSolution(given, colours) if colours else _NO_COLOURS
-    keyframes = [
-        Keyframe(files[i].changed(image=None), one.restored)
+    solved = solve_together(recorded, _keyframes(recorded, found), body, arm, config, run, progress, _FEWEST)
+    if isinstance(solved, str):
+        return recorded, solved
+    solution = _solution(recorded, solved, body, run)
+    few = len(solved.calibration.frames) < _ENOUGH and len(recorded.rig.views) == 1
+    if isinstance(solution, ImageSolution) and few:
+        more = _found_around(recorded, solution, found, body, run)
+        more_measured = _measured(recorded, more)
+        keyframes = _keyframes(more_measured, more)
+        if len(keyframes) > len(solved.calibration.frames):
+            again = solve_together(more_measured, keyframes, body, arm, config, run, progress, _FEWEST)
+            if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
+                return more_measured, _solution(more_measured, again, body, run)
+    return recorded, solution
+
+
+def _keyframes(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) -> list[Keyframe]:
+    """Choose keyframes among the frames in which masks were found."""
+    return [
+        Keyframe(recorded.files[i].changed(image=None), one.restored)
         for i in recorded.keyframes(_KEYFRAMES)
         if (one := found[i]) is not None
     ]
-    solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
-    if isinstance(solved, str):
-        return recorded, solved
+
+
+def _solution(recorded: RecordedFrames, solved: SolvedSession, body: Body, run: Run[Any, Any]) -> ImageSolution | str:
+    """Return the calibration of keyframes with the colours that they tell; a text where they tell none."""
     colours = _pooled(recorded.rig, run(learn_task, _keyframes_colours(recorded, solved, body)))
-    return recorded, ImageSolution(solved.calibration, colours) if colours else _NO_COLOURS
+    return ImageSolution(solved.calibration, colours) if colours else _NO_COLOURS
+
+
+def _found_around(
+    recorded: RecordedFrames,
+    solution: ImageSolution,
+    found: Mapping[int, FoundFrame | None],
+    body: Body,
+    run: Run[Any, Any],
+) -> dict[int, FoundFrame | None]:
+    """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
+    session = solution.calibration
+    predicted, used = predict(recorded, session, body.instrument.joint_names), set(session.frames)
+    information = np.linalg.inv(spread_of(predicted, session))
+    others = [i for i in found if recorded.files[i].name not in used]
+    tasks = [
+        AroundTask(
+            PredictedFrame(
+                recorded.files[i].name,
+                partial(_read_images, recorded.files[i], recorded.rig, session),
+                Expected(predicted.at[i], information[i]),
+            ),
+            solution.colours,
+        )
+        for i in others
+    ]
+    around: Sequence[FrameData | None] = run(around_task, tasks)
+    again = {i: None if data is None else FoundFrame.of(data) for i, data in zip(others, around, strict=True)}
+    return {i: again.get(i, one) for i, one in found.items()}
 
 
 def _hints(files: FrameFiles, first: Hints) -> Hints:

@@ -189,12 +189,16 @@ def solve_together(
     config: EstimateConfig,
     run: Run[Any, Any],
     progress: Callable[[str, int], None],
+    least: int = LEAST_KEYFRAMES,
 ) -> SolvedSession | str:
-    """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used."""
-    if len(keyframes) < LEAST_KEYFRAMES:
+    """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
+
+    ``least`` is the number of keyframes that are needed.
+    """
+    if len(keyframes) < least:
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
-        return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
+        return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     progress("estimating keyframes", len(keyframes))
     alone: Sequence[Result] = run(alone_task, [AloneTask(own.files, own.read, arm) for own in keyframes])
     frames = [

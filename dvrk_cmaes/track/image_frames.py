@@ -98,6 +98,25 @@ def fit_image_block(body: Body, config: EstimateConfig, task: ImageBlockTask) ->
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class AroundTask:
+    """Arguments of `around_task`: a frame, with what is expected of it, and the views' colours, by name."""
+
+    frame: PredictedFrame
+    colours: Mapping[str, ColourModel]
+
+
+def around_task(body: Body, config: EstimateConfig, task: AroundTask) -> FrameData | None:
+    """Find the masks of a frame around the silhouettes that are expected; None where they are not supported."""
+    data, expected = task.frame.read(), task.frame.expected
+    if data is None:
+        return None
+    data = with_outside(data)
+    drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
+    found, unsupported = _masked(data, drawn, task.colours, _spread(expected, data.camera))
+    return found if unsupported < _UNSUPPORTED else None
+
+
 def _fit_by_images(
     body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, task: ImageBlockTask
 ) -> FittedFrame | None:
