@@ -1,6 +1,6 @@
 """A recording without masks: masks found in some of its images, its keyframes among them, and the fits of all images.
 
-The masks of the keyframes are found in each image by itself. Those that show something else than the instrument do not
+The masks of the keyframes are found in each image by the colours of what moves in the recording. Those that show something else than the instrument do not
 agree with the others, and are left out as the keyframes are solved together. From the keyframes' poses the colours of
 instrument and surroundings are learned, by which the masks of all images are found around what is expected of them.
 """
@@ -31,6 +31,9 @@ from dvrk_cmaes.runs.recorded import BLOCK, Prediction, predict, spread_of
 from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.field_of_view import outside_view
+from dvrk_cmaes.segment.moving_colours import MOST, reduced
+from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
@@ -44,7 +47,7 @@ from dvrk_cmaes.track.image_frames import (
     learn_task,
     with_outside,
 )
-from dvrk_cmaes.track.image_masks import pooled_colours
+from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
 from dvrk_cmaes.track.keyframes import MaskShape, choose_keyframes
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
 
@@ -89,11 +92,12 @@ class FoundFrame:
 
 @dataclass(frozen=True, eq=False)
 class SegmentTask:
-    """Arguments of `segment_task`."""
+    """Arguments of `segment_task`; ``colours``, by view, are those of what moves in the recording."""
 
     files: FrameFiles
     rig: Rig
     hints: Hints
+    colours: Mapping[str, ColourModel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,15 +120,23 @@ def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> Found
         if view.image is None or (view.given and view.mask.any()):
             views.append(replace(view, image=None))
             continue
-        mask = _first_mask(view, hints)
+        mask = _first_mask(view, hints, task.colours.get(view.name))
         views.append(view if mask is None else replace(view, mask=mask, given=True))
     found = replace(data, views=tuple(views))
     return FoundFrame.of(found) if any(view.given and view.shows for view in found.views) else None
 
 
-def _first_mask(view: SeenView, hints: Hints) -> NDArray[np.bool_] | None:
-    """Find the mask of a view in its image; None where nothing is found, or only a guess."""
+def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> NDArray[np.bool_] | None:
+    """Find the mask of a view in its image; None where nothing is found, or only a guess.
+
+    It is found by the colours of what moves in the recording; by those of this image alone where that gives a guess,
+    nothing moves, or there are prompts.
+    """
     assert view.image is not None
+    if colours is not None and hints == Hints():
+        found = mask_by_colours(view.image, colours, Prompts().with_outside(outside_view(view.image)))
+        if found.confidence >= GUESS:
+            return found.mask
     try:
         found = segment_first(
             view.image, view.ignore, settings=SegmentSettings(), hints=hints, threads=1, view=view.name
@@ -134,6 +146,19 @@ def _first_mask(view: SeenView, hints: Hints) -> NDArray[np.bool_] | None:
     except DvrkCmaesError:
         return None
     return found.mask if found.confidence >= GUESS else None
+
+
+def _moving_colours(recorded: RecordedFrames, chosen: Sequence[int]) -> dict[str, ColourModel]:
+    """Return the colours of what moves in the images of each view, where anything does."""
+    step = max(len(chosen) // MOST, 1)
+    images: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in recorded.rig.names}
+    for i in chosen[::step][:MOST]:
+        if recorded.files[i].has_image and not recorded.files[i].has_mask:
+            for view in read_frame_image(recorded.files[i], recorded.rig).views:
+                if view.image is not None:
+                    images[view.name].append(reduced(view.image))
+    found = {name: moving_colours(of_view) for name, of_view in images.items()}
+    return {name: colours for name, colours in found.items() if colours is not None}
 
 
 def read_seen(files: FrameFiles, rig: Rig) -> FrameData:
@@ -161,7 +186,10 @@ def solve_images(
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
     chosen = choose_keyframes(there, times, names, readings, _SEGMENTED)
     progress("finding masks", len(chosen))
-    tasks = [SegmentTask(files[i], recorded.rig, _hints(files[i], hints if i == 0 else Hints())) for i in chosen]
+    moving = _moving_colours(recorded, chosen)
+    tasks = [
+        SegmentTask(files[i], recorded.rig, _hints(files[i], hints if i == 0 else Hints()), moving) for i in chosen
+    ]
     found: dict[int, FoundFrame | None] = dict(zip(chosen, run(segment_task, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:

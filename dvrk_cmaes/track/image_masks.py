@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
-from dvrk_cmaes.segment.regions import fill_holes
+from dvrk_cmaes.segment.moving_colours import moving_pixels
+from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.regions import fill_holes, instrument_region
+from dvrk_cmaes.segment.segmentation import Segmentation
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 
 Bool = NDArray[np.bool_]
@@ -39,6 +43,8 @@ _LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrumen
 _NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
 _PASSES = 2  # in each of which the local colours are those about the outline of the one before
+_REDUCED = 320  # px, longer side at which an image is segmented without a silhouette
+_GAP = 0.06  # of that side, between pieces of an instrument
 _LEAST_WITHIN = 0.5  # share of a piece of the mask that lies within the expected silhouette, with its band
 _LEAST_PIECE = 20  # px
 _MARGIN = 16  # px about the pixels that may be instrument
@@ -130,6 +136,30 @@ def mask_around(
     sure = expected & (distance < -band) & ~never
     unsupported = float((by_colour[sure] < _LEAST_ODDS).mean()) if sure.any() else 0.0
     return FoundMask(whole, unsupported) if whole.any() and unsupported < _NOWHERE else None
+
+
+def moving_colours(images: Sequence[Image]) -> ColourModel | None:
+    """Return the colours of what moves in images spread over a recording, against the rest; None if nothing does."""
+    found = moving_pixels(images)
+    if found is None:
+        return None
+    bins = np.stack([bins_of(image) for image, _ in found])
+    moving = np.stack([flags for _, flags in found])
+    return ColourModel.learned([bins[moving]], bins[~moving])
+
+
+def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Segmentation:
+    """Segment the instrument in an image (H, W, 3) uint8 BGR by colours that other images of the recording tell."""
+    height, width = image.shape[:2]
+    scale = min(_REDUCED / max(height, width), 1.0)
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    fixed = prompts.resized(*size, scale)
+    odds = _COLOURS_WEIGHT * cv2.GaussianBlur(colours.log_odds[0].take(bins_of(small)), (0, 0), _NOISE)
+    rough = cut(np.asarray(odds, np.float32), _guide(small), background=fixed.background, tool=fixed.tool)
+    rough = fill_holes(instrument_region(rough, _GAP * max(size), fixed))
+    enlarged = cv2.resize(rough.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+    return refine_outline(image, np.asarray(enlarged), prompts)
 
 
 def _within(mask: Bool, near: Bool) -> Bool:

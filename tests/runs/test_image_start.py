@@ -37,9 +37,9 @@ def session(world: MovingWorld, tmp_path_factory: pytest.TempPathFactory) -> Pat
     folder = tmp_path_factory.mktemp("start") / "session"
     (folder / "images").mkdir(parents=True)
     write_camera_info(folder / "camera.yaml", world.camera, "synth")
-    (folder / "joints.csv").write_text(
-        "".join(f"{row}\n" for row in ("frame,jaw", *(f"{k:04d},0" for k in range(FRAMES))))
-    )
+    names = list(world.readings[0])
+    rows = [",".join((f"{k:04d}", *(f"{world.readings[k][name]:.9f}" for name in names))) for k in range(FRAMES)]
+    (folder / "joints.csv").write_text("\n".join((",".join(("frame", *names)), *rows)) + "\n", encoding="utf-8")
     for k in range(FRAMES):
         image = draw_image(world.camera, world.truths[k], np.random.default_rng(5))
         (folder / "images" / f"{k:04d}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
