@@ -1,8 +1,9 @@
 """A recording without masks: masks found in some of its images, its keyframes among them, and the fits of all images.
 
-The masks of the keyframes are found in each image by the colours of what moves in the recording. Those that show something else than the instrument do not
-agree with the others, and are left out as the keyframes are solved together. From the keyframes' poses the colours of
-instrument and surroundings are learned, by which the masks of all images are found around what is expected of them.
+The masks of the keyframes are found in each image by the colours of what moves in the recording. Those that show
+something else than the instrument do not agree with the others, and are left out as the keyframes are solved together.
+From the keyframes' poses the colours of instrument and surroundings are learned, by which the masks of all images are
+found around what is expected of them.
 """
 
 from __future__ import annotations
