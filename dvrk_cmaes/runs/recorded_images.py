@@ -216,7 +216,7 @@ def solve_images(
 def _keyframes(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) -> list[Keyframe]:
     """Choose keyframes among the frames in which masks were found."""
     return [
-        Keyframe(recorded.files[i].changed(image=None), one.restored)
+        Keyframe(i, recorded.files[i].changed(image=None), one.restored)
         for i in recorded.keyframes(_KEYFRAMES)
         if (one := found[i]) is not None
     ]

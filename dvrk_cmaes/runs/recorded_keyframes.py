@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.camera import Rig
@@ -20,6 +21,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
@@ -47,6 +49,8 @@ KEYFRAMES: Final = "keyframes.json"
 KEYFRAMES_BY_IMAGES: Final = "keyframes_images.json"
 """Solution of keyframes whose masks were found in their images, and the colours that they tell."""
 _EXPECTED: Final = "the solution of a recording's keyframes"
+_SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
+_OVERLAP_LOSS: Final = 0.06  # below the overlap of the frames that were searched for, from which on one is as well
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
 
 
@@ -145,17 +149,54 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 
 @dataclass(frozen=True, eq=False)
-class AloneTask:
-    """Arguments of `alone_task`: a keyframe, and the function that reads its data, without images."""
+class Keyframe:
+    """A keyframe: its number in the recording, its files, and the function that reads its data without images.
 
+    That function is picklable.
+    """
+
+    number: int
     files: FrameFiles
     read: Callable[[], FrameData]
+
+
+@dataclass(frozen=True, eq=False)
+class AloneTask:
+    """Arguments of `alone_task`; ``start`` is where the instrument of a keyframe is expected, if that is known.
+
+    A pose found from there counts if its overlap with the mask is at least ``least_iou``.
+    """
+
+    keyframe: Keyframe
     arm: Arm
+    start: Posed | None = None
+    least_iou: float = 0.0
 
 
 def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
-    """Estimate a keyframe by itself, as `batch` does."""
-    return estimate_frame(task.files, task.read(), body, arm=task.arm, config=config)
+    """Estimate a keyframe by itself, as `batch` does: from where it is expected, or else by a search."""
+    files, data = task.keyframe.files, task.keyframe.read()
+    if task.start is not None:
+        started = replace(files, start=_as_result(task.start, body, files.name))
+        result = estimate_frame(started, data, body, arm=task.arm, config=config)
+        if result.quality is not None and result.quality.iou >= task.least_iou:
+            return result
+    return estimate_frame(files, data, body, arm=task.arm, config=config)
+
+
+def _as_result(at: Posed, body: Body, name: str) -> Result:
+    """Return an expected pose as a result that an estimate may start from."""
+    instrument = body.instrument
+    return Result(
+        frame=name,
+        status="doubtful",
+        reasons=("expected",),
+        instrument=instrument.name,
+        root_link=instrument.root_link,
+        camera_from_root=at.pose,
+        joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
+        readings={},
+    )
 
 
 def solve_keyframes(
@@ -167,18 +208,12 @@ def solve_keyframes(
     progress: Callable[[str, int], None],
 ) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
-    files = [recorded.files[i] for i in recorded.keyframes()]
-    keyframes = [Keyframe(own, partial(read_frame, own.changed(image=None), recorded.rig)) for own in files]
+    keyframes = [
+        Keyframe(i, own, partial(read_frame, own.changed(image=None), recorded.rig))
+        for i, own in ((i, recorded.files[i]) for i in recorded.keyframes())
+    ]
     solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
     return solved if isinstance(solved, str) else solved.calibration
-
-
-@dataclass(frozen=True, eq=False)
-class Keyframe:
-    """A keyframe: its files, and the function that reads its data, without images; picklable."""
-
-    files: FrameFiles
-    read: Callable[[], FrameData]
 
 
 def solve_together(
@@ -200,17 +235,7 @@ def solve_together(
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     progress("estimating keyframes", len(keyframes))
-    alone: Sequence[Result] = run(alone_task, [AloneTask(own.files, own.read, arm) for own in keyframes])
-    frames = [
-        SessionFrame(
-            own.files.name,
-            own.read,
-            result,
-            own.files.keypoints,
-            None if recorded.series is None else recorded.series.frames.get(own.files.name),
-        )
-        for own, result in zip(keyframes, alone, strict=True)
-    ]
+    frames = _estimated(recorded, keyframes, body, arm, config, run)
     try:
         solved = calibrate_session(
             frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress
@@ -220,6 +245,35 @@ def solve_together(
             raise  # a file that is missing or damaged
         return str(error).removeprefix(_REFUSED)
     return solved.calibration.doubt or solved
+
+
+def _estimated(
+    recorded: RecordedFrames,
+    keyframes: Sequence[Keyframe],
+    body: Body,
+    arm: Arm,
+    config: EstimateConfig,
+    run: Run[Any, Any],
+) -> list[SessionFrame]:
+    """Estimate keyframes alone: some by a search, the others from where these expect them."""
+
+    def in_session(one: Keyframe, result: Result) -> SessionFrame:
+        time = None if recorded.series is None else recorded.series.frames.get(one.files.name)
+        return SessionFrame(one.files.name, one.read, result, one.files.keypoints, time)
+
+    searched = set(recorded.keyframes(_SEARCHED))
+    some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))
+    results = run(alone_task, [AloneTask(one, arm) for one in some])
+    first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}
+    readings = {one.files.name: one.files.readings for one in rest}
+    expected = predict_from_first(
+        list(first.values()), readings, body.instrument, series=recorded.series, arm=arm, config=config
+    )
+    overlaps = [result.quality.iou for result in results if result.quality is not None]
+    least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
+    tasks = [AloneTask(one, arm, expected.get(one.files.name), least) for one in rest]
+    others = {one.number: in_session(one, result) for one, result in zip(rest, run(alone_task, tasks), strict=True)}
+    return [frame for _, frame in sorted((first | others).items())]
 
 
 def read_keyframes(path: Path) -> SessionCalibration | str | None:

@@ -121,7 +121,7 @@ def follow_recorded(
             predicted = predict(recorded, calibration, body.instrument.joint_names)
             fits, beside = solved.fits(predicted, run)
             smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument, beside)
-            judged = judge_all(smoothed, fits, predicted, run)
+            judged = judge_all(smoothed, fits, run)
         except _StoppedError:
             return None
     results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config, solved.source)

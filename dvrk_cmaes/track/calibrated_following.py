@@ -21,7 +21,6 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Posed, inverse
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
@@ -136,8 +135,7 @@ class CalibratedFollowing:
             status, reasons = ("lost", [EMPTY.format(source="mask")]) if problem is None else ("doubtful", [problem])
             self._before = None
         else:
-            readings = self._by_name(reading)
-            judged = judge_frame(self._body, self._config, JudgeTask(fitted.stored, followed, covariance, readings))
+            judged = judge_frame(self._body, self._config, JudgeTask(fitted.stored, followed, covariance))
             status, reasons = status_of(judged, told_by_fit.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
             disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
@@ -243,11 +241,6 @@ class CalibratedFollowing:
         camera = self.calibration.corrected(self._rig.views[0].camera)
         covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
         return at, np.asarray(covariance)
-
-    def _by_name(self, reading: ReadingAt) -> dict[str, float]:
-        """Return the readings that are there, by name."""
-        values = zip((*OUTER_JOINTS, *self._names), [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
-        return {name: value for name, value in values if not np.isnan(value)}
 
     def _offsets(
         self, at: Posed, predicted: Posed, offsets: Float64, of_cables: float, reading: ReadingAt

@@ -22,6 +22,7 @@ from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
 from measure.accuracy.figures import base_errors
+from measure.accuracy.fleet_calibrations import calibrated, pooled
 from measure.cases import Measurement
 
 Float64 = NDArray[np.float64]
@@ -96,8 +97,26 @@ def _share(which: Bool) -> float:
     return float(which.mean()) if len(which) else float("nan")
 
 
-def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None = None) -> dict[str, Any]:
-    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given."""
+def fleet_report(
+    given: Measurement, *, causal: bool = False, keep: Path | None = None, every: int | None = None
+) -> dict[str, Any]:
+    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
+
+    With ``every``, every N-th frame of each is calibrated as well, which makes two more tables.
+    """
+    calibrations: dict[str, Any] = {}
+    if every is not None:
+        each = []
+        for folder in recordings_in(given.folders):
+            golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))
+            session = read_session(folder)
+            each.append(calibrated(folder.name, session, golden, given.body, given.config, given.workers, every))
+        calibrations = {"calibrated": [one.row for one in each], "all calibrated": [pooled(each)]}
+    return calibrations | _followed(given, causal=causal, keep=keep)
+
+
+def _followed(given: Measurement, *, causal: bool, keep: Path | None) -> dict[str, Any]:
+    """Follow all recordings, and return a row of figures for each and one for all."""
     rows: list[dict[str, Any]] = []
     found: list[TipErrors] = []
     with tempfile.TemporaryDirectory() as temporary:
@@ -116,9 +135,9 @@ def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None 
             if done.calibration is not None and done.calibration.lag is not None:
                 row["lag"] = done.calibration.lag.frames
             rows.append(row)
-    pooled = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
-    pooled["worst median"] = max(row["tips, mm"] for row in rows)
-    return {"recordings": rows, "all": [pooled]}
+    total = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
+    total["worst median"] = max(row["tips, mm"] for row in rows)
+    return {"recordings": rows, "all": [total]}
 
 
 def recordings_in(folders: Sequence[str | Path]) -> Iterator[Path]:
