@@ -195,7 +195,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:
         assert task.start is not None
-        truth = made[1][task.files.name]
+        truth = made[1][task.keyframe.files.name]
         assert np.linalg.norm(task.start.pose[:3, 3] - truth.camera_from_root[:3, 3]) < 5e-3
     of_searches = read_calibration(tracks / "session.json").camera_from_base
     assert np.linalg.norm(change_between(solved.camera_from_base, of_searches)[3:]) < np.deg2rad(0.5)
