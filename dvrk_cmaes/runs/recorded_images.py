@@ -57,6 +57,7 @@ Float64 = NDArray[np.float64]
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
 _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
 _ENOUGH: Final = 20  # that agree; of fewer, masks are found again in the other images, and solved again
+_MORE: Final = 1.3  # times as many keyframes as agreed, from which on they are solved again
 _NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _KEYFRAMES: Final = 40  # of these, at most, that are solved together
 
@@ -206,7 +207,7 @@ def solve_images(
         more = _found_around(recorded, solution, found, body, run)
         more_measured = _measured(recorded, more)
         keyframes = _keyframes(more_measured, more)
-        if len(keyframes) > len(solved.calibration.frames):
+        if len(keyframes) > _MORE * len(solved.calibration.frames):
             again = solve_together(more_measured, keyframes, body, arm, config, run, progress, _FEWEST)
             if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
                 return more_measured, _solution(more_measured, again, body, run)
