@@ -132,7 +132,7 @@ class CalibratedFollowing:
         status: TrackStatus
         if fitted is None:
             problem = seen.problem if seen.masks[seen.main] is None else None
-            status, reasons = ("lost", [EMPTY]) if problem is None else ("doubtful", [problem])
+            status, reasons = ("lost", [EMPTY.format(source="mask")]) if problem is None else ("doubtful", [problem])
             self._before = None
         else:
             judged = judge_frame(self._body, self._config, JudgeTask(fitted.stored, followed, covariance))

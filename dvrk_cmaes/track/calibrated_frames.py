@@ -87,11 +87,15 @@ def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, 
 
 
 def status_of(
-    judged: JudgedFrame | None, misfit: float, session: SessionCalibration, config: EstimateConfig
+    judged: JudgedFrame | None,
+    misfit: float,
+    session: SessionCalibration,
+    config: EstimateConfig,
+    source: str = "mask",
 ) -> tuple[TrackStatus, list[str]]:
-    """Return the status of a frame by its mask alone, and the reasons."""
+    """Return the status of a frame by its mask alone, and the reasons; ``source`` names the evidence."""
     if judged is None:
-        return "lost", [EMPTY]
+        return "lost", [EMPTY.format(source=source)]
     quality = judged.quality
     if quality.iou < _LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]

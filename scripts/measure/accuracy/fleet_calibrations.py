@@ -25,7 +25,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
-from dvrk_cmaes.runs.recorded_keyframes import AloneTask, alone_task, read_shown
+from dvrk_cmaes.runs.recorded_keyframes import AloneTask, Keyframe, alone_task, read_shown
 from dvrk_cmaes.silhouette import Body
 from measure.accuracy.figures import base_errors
 
@@ -82,10 +82,14 @@ def calibrate_share(session: Session, body: Body, config: EstimateConfig, worker
     files = [own for own in session.frames[::every] if read_shown(own, session.rig) is not None]
     with instrument_processes(body.instrument, workers, files) as processes:
         run = partial(run_with_body, processes, instrument_digest(body.instrument), config)
-        results = run(alone_task, [AloneTask(own, session.rig, "classic") for own in files])
+        keyframes = [
+            Keyframe(number, own, partial(read_frame, own.changed(image=None), session.rig))
+            for number, own in enumerate(files)
+        ]
+        results = run(alone_task, [AloneTask(one, "classic") for one in keyframes])
         frames = [
-            SessionFrame(own.name, partial(read_frame, own.changed(image=None), session.rig), result, own.keypoints)
-            for own, result in zip(files, results, strict=True)
+            SessionFrame(one.files.name, one.read, result, one.files.keypoints)
+            for one, result in zip(keyframes, results, strict=True)
         ]
         return calibrate_session(frames, body, series=series, config=config, run=run)
 
