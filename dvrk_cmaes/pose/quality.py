@@ -15,10 +15,11 @@ from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
 from dvrk_cmaes.pose.search.objective import pose_terms
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
@@ -82,24 +83,40 @@ def measure_quality(
             readings=deviations[i : i + 1],
         )
         both, either = (drawn * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
-        # infinite for a silhouette outside the image: limited to the diagonal of the image
-        diagonal = float(np.hypot(*evidence.mask.shape))
-        signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -diagonal, diagonal)
-        distances = np.abs(signed) if len(signed) else np.array([diagonal])
-        shaft = shaft_width(renderer.body.instrument, evidence.camera, seen.pose[i])
+        signed = _contour_distances(silhouette, evidence.contour.pixels - [left, top])
         qualities.append(
             Quality(
                 iou=float(both / max(either, 1)),
                 loss=float(terms.total(weights)[0]),
                 terms={name: float(value[0]) for name, value in asdict(terms).items()},
-                contour_px_median=float(np.median(distances)),
-                contour_px_95=float(np.percentile(distances, 95)),
-                bend_px=0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
-                steady_share=float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
-                distal_px=_distal_error(evidence, seen.pose[i], signed),
+                **_of_contour(evidence, renderer.body.instrument, seen.pose[i], signed),
             )
         )
     return qualities, rays
+
+
+def outline_quality(view: FrameView, at: Posed) -> Quality:
+    """Measure overlap and contour distances of one pose in one view; the losses of the search are left out."""
+    silhouette, seen = view.silhouette(at), at.seen_from(view.view_from_camera)
+    signed = _contour_distances(silhouette, view.evidence.contour.pixels)
+    measured = _of_contour(view.evidence, view.renderer.body.instrument, seen.pose, signed)
+    return Quality(iou=overlap([view], [silhouette]), loss=0.0, terms={}, **measured)
+
+
+def _of_contour(evidence: Evidence, instrument: Instrument, pose: Float64, signed: Float64) -> dict[str, float]:
+    """Return the fields of `Quality` about the contour, whose distances (N,), px, to a pose's silhouette are given."""
+    # infinite for a silhouette outside the image: limited to the diagonal of the image
+    diagonal = float(np.hypot(*evidence.mask.shape))
+    signed = np.clip(signed, -diagonal, diagonal)
+    distances = np.abs(signed) if len(signed) else np.array([diagonal])
+    shaft = shaft_width(instrument, evidence.camera, pose)
+    return {
+        "contour_px_median": float(np.median(distances)),
+        "contour_px_95": float(np.percentile(distances, 95)),
+        "bend_px": 0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
+        "steady_share": float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
+        "distal_px": _distal_error(evidence, pose, signed),
+    }
 
 
 def measure_views(

@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Posed, inverse
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
@@ -33,18 +31,12 @@ from dvrk_cmaes.track.calibrated_frames import (
     describe,
     status_of,
 )
+from dvrk_cmaes.track.calibration_lag import predicted_with_lag
 from dvrk_cmaes.track.describe import without_pose
 from dvrk_cmaes.track.offset_smoother import smooth
+from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import (
-    EMPTY,
-    FittedFrame,
-    JudgedFrame,
-    JudgeTask,
-    PredictedFrame,
-    fit_followed,
-    judge_frame,
-)
+from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
 from dvrk_cmaes.track.sight import Seen, Sight
 
 Float64 = NDArray[np.float64]
@@ -56,7 +48,6 @@ BASE_MOVED: Final = (
 _WINDOW = 15  # images whose deviations are estimated together
 _MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
 _DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
-_LAG_STEP = 1e-3  # s, of the difference by which the change of the pose by the lag is found
 _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
@@ -95,6 +86,7 @@ class CalibratedFollowing:
         self._images: deque[_Image] = deque(maxlen=_WINDOW)
         self._before: Float64 | None = None
         self._outer: Float64 | None = None
+        self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
         self._astray = 0
 
     @property
@@ -120,7 +112,11 @@ class CalibratedFollowing:
         if not told:
             prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(self._names)))
         if self._lag_std > 0:
-            late = self._lag_std * self._by_lag(reading, at)
+            rates = np.concatenate([reading.outer_rate, reading.joint_rate])
+            instrument = self._body.instrument
+            late = (
+                self._lag_std * predicted_with_lag(self.calibration, self._outer, reading.joints, rates, instrument)[1]
+            )
             prior = prior + np.outer(late, late)
         jacobian = model.jacobian(calibration)[0]
         spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
@@ -129,16 +125,15 @@ class CalibratedFollowing:
         self.misfit = told_by_fit.misfit
         self._images.append(_Image(time, at, prior, jacobian, told_by_fit))
         followed, covariance = self._filtered()
-        judged: JudgedFrame | None = None
+        quality: JudgedFrame | None = None
         status: TrackStatus
         if fitted is None:
             problem = seen.problem if seen.masks[seen.main] is None else None
             status, reasons = ("lost", [EMPTY]) if problem is None else ("doubtful", [problem])
             self._before = None
         else:
-            readings = self._by_name(reading)
-            judged = judge_frame(self._body, self._config, JudgeTask(fitted.stored, followed, covariance, readings))
-            status, reasons = status_of(judged, told_by_fit.misfit, self.calibration, self._config)
+            quality = judged(fitted.views, followed, covariance, self._body, self._config)
+            status, reasons = status_of(quality, told_by_fit.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
             disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
             self._astray = self._astray + 1 if disagrees and told else 0
@@ -163,7 +158,7 @@ class CalibratedFollowing:
             self._body.instrument,
             self._rig.views[0].camera,
             seconds=clock.perf_counter() - started,
-            residual=None if judged is None else MEDIAN_TO_STD * judged.quality.contour_px_median,
+            residual=None if quality is None else MEDIAN_TO_STD * quality.quality.contour_px_median,
         )
 
     def checkpoint(self) -> dict[str, Any]:
@@ -185,6 +180,7 @@ class CalibratedFollowing:
             "images": images,
             "before": None if self._before is None else self._before.tolist(),
             "outer": None if self._outer is None else self._outer.tolist(),
+            "lengths": dict(self._lengths),
             "astray": self._astray,
         }
 
@@ -198,33 +194,26 @@ class CalibratedFollowing:
             )
         self._before = None if saved["before"] is None else np.array(saved["before"], dtype=np.float64)
         self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
+        self._lengths = {name: float(length) for name, length in saved["lengths"].items()}
         self._astray = int(saved["astray"])
 
     @property
     def _names(self) -> tuple[str, ...]:
         return self._body.instrument.joint_names
 
-    def _by_lag(self, reading: ReadingAt, at: Posed) -> Float64:
-        """Return the change (D,) of the predicted pose ``at`` and joints by the lag, per s: minus their velocity."""
-        assert self._outer is not None
-        read = np.where(np.isnan(reading.joints), 0.0, 1.0)
-        outer = self._outer - _LAG_STEP * np.nan_to_num(reading.outer_rate)
-        joints = reading.joints - _LAG_STEP * read * np.nan_to_num(reading.joint_rate)
-        model, calibration = self.calibration.model(outer[None], joints[None], self._names)
-        return np.asarray(model.predict(calibration)[0].minus(at) / _LAG_STEP)
-
-    def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> FittedFrame | None:
+    def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> QuickFit | None:
         """Fit an image's masks; None if they show nothing, or there is none."""
         names = self._rig.names
         masks = {names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
         if not masks:
             return None
         views = self.calibration.corrected_views(seen_views(masks, self._rig, sight.ignored(seen)))
-        frame = PredictedFrame(
-            "", lambda: FrameData(views), Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
-        )
+        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
         margin = 0.0 if self.calibration.masks is None else self.calibration.masks.taken_off
-        return fit_followed(self._body, self._config, frame, self._before, margin)
+        fitted = quick_fit(self._body, self._config, views, expected, self._before, self._lengths, margin)
+        if fitted is not None and fitted.fit.explains_mask:
+            self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
+        return fitted
 
     def _filtered(self) -> tuple[Posed, Float64]:
         """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""
@@ -243,11 +232,6 @@ class CalibratedFollowing:
         camera = self.calibration.corrected(self._rig.views[0].camera)
         covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
         return at, np.asarray(covariance)
-
-    def _by_name(self, reading: ReadingAt) -> dict[str, float]:
-        """Return the readings that are there, by name."""
-        values = zip((*OUTER_JOINTS, *self._names), [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
-        return {name: value for name, value in values if not np.isnan(value)}
 
     def _offsets(
         self, at: Posed, predicted: Posed, offsets: Float64, of_cables: float, reading: ReadingAt

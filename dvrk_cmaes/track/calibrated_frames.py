@@ -17,6 +17,7 @@ from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.track.quick_fit import QuickFit
 from dvrk_cmaes.track.recorded_frames import EMPTY, FittedFrame, JudgedFrame
 
 Float64 = NDArray[np.float64]
@@ -45,7 +46,7 @@ class Told:
     misfit: float
 
     @classmethod
-    def of(cls, fitted: FittedFrame | None, predicted: Posed, spread: Float64) -> Told:
+    def of(cls, fitted: FittedFrame | QuickFit | None, predicted: Posed, spread: Float64) -> Told:
         """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D)."""
         size = len(spread)
         if fitted is None:

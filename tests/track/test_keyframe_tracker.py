@@ -40,7 +40,7 @@ def step(tracker: Tracker, world: MovingWorld, k: int) -> TrackResult:
 def test_no_pose_is_ok_before_a_solution(before: tuple[Tracker, list[TrackResult]]) -> None:
     _, results = before
     assert all(result.status != "ok" for result in results)
-    assert "base not known yet: 8 keyframes" in results[-1].reasons[0]
+    assert "base not known yet: 4 keyframes" in results[-1].reasons[0]
 
 
 def test_solution_is_followed_within_the_error_that_it_states(
@@ -49,7 +49,7 @@ def test_solution_is_followed_within_the_error_that_it_states(
     tracker, results = before
     problem = pickle.loads(pickle.dumps(tracker.problem()))
     solution = problem.solve(world.body)
-    assert solution.keyframes == 8
+    assert solution.keyframes == 4
     assert tracker.use(solution)
     assert not tracker.solution_due
     saved = json.loads(json.dumps(tracker.checkpoint()))

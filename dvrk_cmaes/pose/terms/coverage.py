@@ -173,8 +173,12 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             )
         return Profiles.of_views(of_views, self._shares)
 
-    def near_without_shared(self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None) -> Quadratic:
+    def near_without_shared(
+        self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None, *, stride: int = 1
+    ) -> Quadratic:
         """Return the approximation near one pose, with what the errors of the masks share eliminated.
+
+        Only every ``stride``-th point of the outlines is used, which stands for those beside it.
 
         ``noises`` are those of the views' contours. ``kept`` gives E further unknowns, if any, which stay beside the
         pose: (1, D + E), in standard deviations.
@@ -182,8 +186,9 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
         of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
-        for view, noise, image, outline, share in of_views:
-            assert outline is not None
+        for view, noise, image, drawn_outline, share in of_views:
+            assert drawn_outline is not None
+            outline = drawn_outline.every(stride)
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
             errors = view.shared_errors(outline, at, noise)
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
