@@ -20,9 +20,18 @@ from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_suppo
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.readings import LaggedReadings
-from dvrk_cmaes.track.recovery import GlobalSearch, explains, has_jumped, is_certain, same_base, search_around
+from dvrk_cmaes.track.recovery import (
+    GlobalSearch,
+    explains,
+    has_jumped,
+    is_certain,
+    nearest_of_same_base,
+    same_base,
+    search_around,
+)
 from dvrk_cmaes.track.searching import WORSE, Searching, is_better
 from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.sliced_search import Purpose, SlicedSearch
 from dvrk_cmaes.track.smoother import FilterStep
 from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -33,7 +42,8 @@ class Following:
     """The modes that are followed, and how far they are believed.
 
     ``hypotheses`` are the modes, the one that is believed first; none before the first pose. ``last_step`` is the
-    prediction and correction of the last image, None where the pose was found otherwise.
+    prediction and correction of the last image, None where the pose was found otherwise. ``sliced`` tells to search
+    images in slices, in the steps after them.
     """
 
     follower: Follower
@@ -43,10 +53,17 @@ class Following:
     readings: LaggedReadings
     config: EstimateConfig
     calibration: SessionCalibration | None
+    sliced: bool = False
     hypotheses: list[Hypothesis] = field(default_factory=list)
     last_step: FilterStep | None = None
     _search: Searching = field(default_factory=Searching)
     _confirmation: Confirmation = field(default_factory=Confirmation)
+    _running: SlicedSearch | None = None
+
+    @property
+    def searching(self) -> bool:
+        """Whether the search of an image goes on in the next steps."""
+        return self._running is not None
 
     @property
     def best(self) -> Hypothesis | None:
@@ -67,6 +84,7 @@ class Following:
         unsupported, wait, usual, astray = saved["search"]
         usual = None if usual is None else float(usual)
         self._search = Searching(float(unsupported), float(wait), usual, int(astray))
+        self._running = None
         credit, left, wait = saved["confirmation"]
         self._confirmation = Confirmation(float(credit), int(left), int(wait))
 
@@ -77,6 +95,8 @@ class Following:
     def first(self, time: float, seen: Seen) -> TrackResult:
         """Solve the first image by itself."""
         anchor = self.anchor(time)
+        if self._running is not None or (self.sliced and seen.problem is None):
+            return self._first_in_slices(time, anchor, seen)
         if seen.problem is not None:
             return without_pose(time, seen.problem)
         result = self.solve(seen, anchor, first=True)
@@ -85,6 +105,23 @@ class Following:
         self.begin(result, self.starts(anchor, result))
         self._expect(seen)
         self.learn(seen)
+        status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
+        return replace(self._result(time, status, result.reasons), searched=True)
+
+    def _first_in_slices(self, time: float, anchor: Anchor, seen: Seen) -> TrackResult:
+        """Go on with the search of a first image; from what it finds, follow to the present one."""
+        search = self._running or SlicedSearch.of(self.solve, "first", time, anchor, seen, [])
+        self._running = search
+        if not search.advance():
+            return without_pose(time, search.reason, searched=True)
+        self._running, result = None, search.call.value()
+        if result is None or result.camera_from_root is None or search.is_late(time):
+            return without_pose(time, "not found: the first image could not be solved", searched=True)
+        self.begin(result, self.starts(search.anchor, result))
+        self._expect(search.seen)
+        self.learn(search.seen)
+        if time > search.time:
+            return replace(self.follow(time, time - search.time, seen), searched=True)
         status: TrackStatus = "ok" if result.status == "ok" else "doubtful"
         return replace(self._result(time, status, result.reasons), searched=True)
 
@@ -103,7 +140,7 @@ class Following:
 
     def forget(self) -> None:
         """Forget what was followed; the next image is solved by itself."""
-        self.hypotheses, self.last_step = [], None
+        self.hypotheses, self.last_step, self._running = [], None, None
         self._search = Searching()
         self.readings.forget_poses()
 
@@ -151,6 +188,11 @@ class Following:
         if evidence is None:
             return self._unsupported(time, "lost: no instrument was found in the image")
         fits = [self.follower.corrected(mode, evidence) for mode in self.hypotheses]
+        ended = self._ended(time)
+        if ended is not None:
+            found = self._carried(time, anchor, seen, evidence, fits[0], ended)
+            if found is not None:
+                return found
         fits[0], away = self._found_around(before[0], fits[0], anchor, evidence, seen.source)
         main, track = fits[0], self.config.track
         fit = None if main is None else main[1]
@@ -159,6 +201,9 @@ class Following:
             in_view = main is not None or self.follower.outline(self.hypotheses[0], seen.clear) is not None
             gone = seen.source == "image" and not in_view
             searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
+            if searched and self.sliced:
+                self._begin_search("lost", time, anchor, seen)
+                searched = False
             result = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
             if result is not None:
                 return result
@@ -168,7 +213,68 @@ class Following:
                 result = self._confirmed(time, anchor, seen, result)
         else:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
-        return replace(result, searched=searched or result.searched)
+        return replace(result, searched=searched or result.searched or self.searching)
+
+    def _begin_search(self, purpose: Purpose, time: float, anchor: Anchor, seen: Seen) -> None:
+        """Begin to search an image in slices, unless another one is being searched."""
+        if self._running is None:
+            self._running = SlicedSearch.of(self.solve, purpose, time, anchor, seen, self.hypotheses)
+
+    def _ended(self, time: float) -> SlicedSearch | None:
+        """Go on with the search of an image; return it if it has ended, and is not too old."""
+        search = self._running
+        if search is None or not search.advance():
+            return None
+        self._running = None
+        return None if search.is_late(time) else search
+
+    def _carried(
+        self,
+        time: float,
+        anchor: Anchor,
+        seen: Seen,
+        evidence: Evidence,
+        main: tuple[Hypothesis, Fit] | None,
+        search: SlicedSearch,
+    ) -> TrackResult | None:
+        """Follow what was found in an earlier image to this one, and go on from there; None to go on as before.
+
+        ``main`` is what this image has corrected the prediction to, None if it does not support that.
+        """
+        result, before = search.call.value(), search.hypotheses[0]
+        confirms = search.purpose == "confirm"
+        if result is None or result.camera_from_root is None:
+            return None
+        if confirms:
+            if not self._confirmation.needed or self._confirmation.add(self.follower, before, result):
+                return None
+            if result.status != "ok":
+                return None
+        elif not explains(result, self.config.trust):
+            return None
+        same = None if confirms else nearest_of_same_base(self.follower, before, result)
+        starts = self.starts(search.anchor, result) if same is None else [same]
+        std, elapsed = self.readings.lag.std, time - search.time
+        now = [self.follower.predicted(mode, anchor, elapsed, std)[0] for mode in starts]
+        corrected = self.follower.corrected(now[0], evidence)
+        around = search_around(self.follower, starts[0], now[0], corrected and corrected[0], evidence)
+        if around is not None and (corrected is None or is_better(around[1], corrected[1])):
+            corrected = around
+        if corrected is None or not is_supported(corrected[1], self.config.track):
+            return None
+        supported = main is not None and is_supported(main[1], self.config.track)
+        better = main is None or not supported or (is_better(corrected[1], main[1]) and self._is_known(result))
+        if not confirms and main is not None and not better:
+            self._search.settle(main[1])
+            return None
+        reason = CHANGED if confirms else "found again by a global search"
+        if same is None:
+            self._begin_anew(seen, result, [corrected[0], *now[1:]], changed=confirms)
+            if not confirms:
+                reason += ", away from where the readings say: readings jumped, or the base moved"
+        else:
+            self.hypotheses, self.last_step = [corrected[0]], None
+        return replace(self._result(time, "doubtful", (reason,)), searched=True)
 
     def _found_around(
         self,
@@ -201,6 +307,9 @@ class Following:
         """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
         doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
         if not self._confirmation.due():
+            return doubtful
+        if self.sliced:
+            self._begin_search("confirm", time, anchor, seen)
             return doubtful
         solved = self.solve(seen, anchor)
         if solved is not None:

@@ -78,8 +78,8 @@ class Solution:
     """What keyframes tell together: the calibration, or why there is none.
 
     ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice. ``base`` counts
-    the bases of the tracker before the one that the keyframes are of. ``tip_mm`` is the expected error of the tips, mm, that
-    the calibration and its lag leave where the keyframes are, in the median: how far the base is known.
+    the bases of the tracker before the one that the keyframes are of. ``tip_mm`` is the expected error of the tips, mm,
+    that the calibration and its lag leave where the keyframes are, in the median: how far the base is known.
     """
 
     calibration: SessionCalibration | None

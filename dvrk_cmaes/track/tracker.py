@@ -44,8 +44,8 @@ Float64 = NDArray[np.float64]
 class Tracker:
     """Follows one instrument by masks, images and joint readings.
 
-    It reads no files, starts no threads, and forgets the past. The same images, readings and settings give the same
-    results.
+    It reads no files, does nothing between its steps, and forgets the past. The same images, readings and settings give
+    the same results.
 
     Parameters
     ----------
@@ -77,6 +77,10 @@ class Tracker:
     earlier
         The calibration is of an earlier run, since which the camera may have been moved: with ``keyframes``, no pose by
         it is ok before five images that differ agree with it, and it is given up if images contradict it.
+    sliced
+        No step waits for the search of an image: it goes on in the steps after it, a slice in each, and what it finds
+        is followed to the image that is present then. Until the first pose, steps say ``searching``. The search is done
+        in a thread, but only while a step waits for it.
 
     Raises
     ------
@@ -98,6 +102,7 @@ class Tracker:
         record: bool = False,
         keyframes: bool = False,
         earlier: bool = False,
+        sliced: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
@@ -117,8 +122,11 @@ class Tracker:
         motion = MotionModel(track, len(self._names), self._arm, roll_offset, cables)
         follower = Follower(track, motion, OutlineModel(body, rig, track.points))
         self._sight = Sight(rig, track, evidence, hints)
-        solve = GlobalSearch(follower, self._sight, body, settings, calibration)
-        self._following = Following(follower, rig, self._sight, solve, self._readings, settings, calibration)
+        searched = replace(settings, threads=1) if sliced else settings
+        solve = GlobalSearch(follower, self._sight, body, searched, calibration)
+        self._following = Following(
+            follower, rig, self._sight, solve, self._readings, settings, calibration, sliced=sliced
+        )
         known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
         self._known = known
         self._time: float | None = None
@@ -161,8 +169,17 @@ class Tracker:
         lag = self.lag
         return calibration_of(best.state, lag, instrument, self._arm, self._config, interval=interval, unit=unit)
 
+    @property
+    def searching(self) -> bool:
+        """Whether the search of an image goes on in the next steps."""
+        return self._following.searching
+
     def checkpoint(self) -> dict[str, Any]:
-        """Return the state as plain values; readings are not in it, and must be added again before `restore`."""
+        """Return the state as plain values; readings are not in it, and must be added again before `restore`.
+
+        Nor is a search that is going on (`searching`): after `restore`, it is not gone on with, and a first image is
+        searched anew.
+        """
         return {
             "time": self._time,
             **self._following.checkpoint(),
