@@ -134,7 +134,7 @@ class KeyframeProblem:
     def _tip_error(self, calibration: SessionCalibration, instrument: Instrument) -> float:
         """Return the expected error of the tips, mm, in the median of the keyframes by the calibration alone."""
         names, errors = (*OUTER_JOINTS, *instrument.joint_names), []
-        lag = lag_of(calibration)
+        lag = lag_of(calibration, self.config.track.lag_std)
         std = self.config.track.lag_std if lag is None else lag.std
         for keyframe in self.keyframes:
             values = np.array([keyframe.readings.get(name, np.nan) for name in names])

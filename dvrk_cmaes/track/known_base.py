@@ -52,7 +52,8 @@ class KnownBase:
         self.store = KeyframeStore(rig, body.instrument.joint_names)
         self._rig, self._body, self._arm, self._config = rig, body, arm, config
         self._alone: dict[str, Result] = {}
-        self._solved = 0  # keyframes when they were last solved
+        self._solved = 0  # keyframes of the last solution
+        self._asked = 0  # keyframes when they were last given to be solved
         self._reason = ""
         self._known_mm = np.inf  # as `Solution.tip_mm`, of the last solution
         self._bases = 0  # that were given up
@@ -70,7 +71,7 @@ class KnownBase:
     @property
     def lag(self) -> FoundLag | None:
         """The lag of the calibration; None if it does not tell one."""
-        return None if self.calibration is None else lag_of(self.calibration)
+        return None if self.calibration is None else lag_of(self.calibration, self._config.track.lag_std)
 
     @property
     def state(self) -> str:
@@ -91,12 +92,14 @@ class KnownBase:
 
         Where the last images disagree with the calibration, one more is enough.
         """
-        if self._following is not None and self._following.disagrees and len(self.store) > max(self._solved, 2):
+        given = max(self._solved, self._asked)
+        if self._following is not None and self._following.disagrees and len(self.store) > max(given, SOLVED_AT[0]):
             return True
-        return any(self._solved < count <= len(self.store) for count in SOLVED_AT)
+        return any(given < count <= len(self.store) for count in SOLVED_AT)
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved."""
+        self._asked = len(self.store)
         return self.store.problem(self._arm, self._config, self._alone, self._bases)
 
     def use(self, solution: Solution) -> bool:
@@ -104,7 +107,7 @@ class KnownBase:
 
         One of keyframes of a base that was given up since is not used.
         """
-        if solution.base != self._bases:
+        if solution.base != self._bases or solution.keyframes < self._solved:
             return False
         self._alone.update(solution.alone)
         self._solved = max(self._solved, solution.keyframes)
@@ -131,7 +134,7 @@ class KnownBase:
     def _begin(self, calibration: SessionCalibration) -> None:
         """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
         written = SessionCalibration.from_dict(calibration.to_dict())
-        lag = lag_of(written)
+        lag = lag_of(written, self._config.track.lag_std)
         std = self._config.track.lag_std if lag is None else lag.std
         self._following = CalibratedFollowing(self._rig, self._body, self._config, written, std)
 
@@ -166,7 +169,8 @@ class KnownBase:
         are not, nor those that are to be solved once more, since a solution of few may have been wrong itself.
         """
         few = self._own and self._solved < _OWN_IS_ENOUGH and len(self.store) > self._solved
-        self._following, self._solved, self._reason, self._known_mm = None, 0, "", np.inf
+        self._following, self._reason, self._known_mm = None, "", np.inf
+        self._solved = self._asked = 0
         if self._agreeing is None and not few:
             self._bases += 1
             self._alone.clear()
@@ -200,6 +204,7 @@ class KnownBase:
             "store": self.store.checkpoint(),
             "alone": {name: result.to_dict() for name, result in self._alone.items()},
             "solved": self._solved,
+            "asked": self._asked,
             "reason": self._reason,
             "known_mm": self._known_mm if np.isfinite(self._known_mm) else None,
             "bases": self._bases,
@@ -213,6 +218,7 @@ class KnownBase:
         self.store.restore(saved["store"])
         self._alone = {name: Result.from_dict(document) for name, document in saved["alone"].items()}
         self._solved, self._reason = int(saved["solved"]), str(saved["reason"])
+        self._asked = int(saved["asked"])
         self._known_mm = np.inf if saved["known_mm"] is None else float(saved["known_mm"])
         self._bases, self._own = int(saved["bases"]), bool(saved["own"])
         self._agreeing = None if saved["agreeing"] is None else int(saved["agreeing"])
