@@ -7,60 +7,22 @@ import re
 import shlex
 import shutil
 import subprocess
-import textwrap
 import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from helpers.made_recordings import good, write_bag
 from helpers.places import ROOT
-
-from dvrk_cmaes.cli import main
+from helpers.printed_blocks import PROGRAM, Block, Output, blocks, run, words
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PROGRAM = re.compile(r"^(?:\.venv/bin/)?dvrk-cmaes ")
-
-
-class Block(NamedTuple):
-    """A block of code under a heading."""
-
-    section: str
-    text: str
-
-    @property
-    def lines(self) -> list[str]:
-        """The lines, those that are continued joined, without comments."""
-        return [shlex.join(shlex.split(line, comments=True)) for line in self.text.replace("\\\n", " ").splitlines()]
-
-
-def blocks() -> list[Block]:
-    """Give the indented blocks of the README; those of a shell end at an empty line."""
-    found: list[Block] = []
-    for section in README.split("\n## "):
-        for match in re.finditer(r"(?:^    .*\n(?:\n(?=    ))?)+", section, flags=re.MULTILINE):
-            text = textwrap.dedent(match[0])
-            parts = [text] if text.startswith("import ") else text.split("\n\n")
-            found += [Block(section.split("\n")[0], part) for part in parts]
-    return found
-
-
-BLOCKS = blocks()
+BLOCKS = list(blocks(README))
 PYTHON = [block for block in BLOCKS if block.text.startswith("import ")]
 SHELL = [block for block in BLOCKS if block not in PYTHON and PROGRAM.match(block.text)]
 MAKE = [block for block in BLOCKS if block.text.startswith("make ")]
 INSTALL = [block for block in BLOCKS if block.text.startswith("pip install ")]
 PRINTED = [block for block in BLOCKS if block not in [*PYTHON, *SHELL, *MAKE, *INSTALL]]
-
-
-class Output(NamedTuple):
-    """What a command printed, and its exit code."""
-
-    code: int
-    out: str
-    err: str
 
 
 @pytest.fixture(scope="module")
@@ -74,22 +36,8 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Output]]
         assert run("synth session --motion video --level easy --frames 3 --seed 1").code == 0
         (home / "session" / "golden.json").unlink()
         commands = [line for block in [*SHELL, *INSTALL] for line in block.lines if PROGRAM.match(line)]
-        yield {line: run(PROGRAM.sub("", line)) for line in sorted(commands, key=lambda line: "calibrated" in line)}
+        yield {line: run(line) for line in sorted(commands, key=lambda line: "calibrated" in line)}
     shutil.rmtree(home)
-
-
-def run(command: str) -> Output:
-    """Run a command line of the program."""
-    out, err = StringIO(), StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = main(shlex.split(command))
-    return Output(code, out.getvalue(), err.getvalue())
-
-
-def words(text: str) -> list[str]:
-    """Give the lines without their numbers, which may change in the last digit, and without the files written."""
-    lines = [re.sub(r"[-+]?\d+(\.\d+)?", "#", line).split() for line in text.splitlines() if line.strip()]
-    return [" ".join(line) for line in lines if line[0] != "written:"]
 
 
 def test_every_block_is_known() -> None:

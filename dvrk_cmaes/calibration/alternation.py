@@ -9,7 +9,7 @@ prediction.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +31,7 @@ from dvrk_cmaes.calibration.frame_task import (
     gather_task,
     report_task,
     with_changed_cameras,
+    with_changed_views,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
@@ -47,7 +48,9 @@ from dvrk_cmaes.calibration.masks_again import (
 )
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
+from dvrk_cmaes.calibration.rig_estimate import RigOutlines, estimate_rig
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
+from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -76,7 +79,8 @@ class Alternation:
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``undetermined`` about what
     it does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change
-    of the camera that the frames fit, None where it is not determined, ``masks`` the errors that all masks share.
+    of the camera that the frames fit, None where it is not determined, ``masks`` the errors that all masks share, and
+    ``rig`` what the further views differ in from the file.
     ``again`` is what changed as masks were found again, None where they were not; ``masks_found_again`` are those that
     are used, by frame and view.
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
@@ -93,6 +97,9 @@ class Alternation:
         Applies a function to many tasks.
     progress
         Called before each stage with its name and the number of frames.
+    rig
+        The rotations of the further views against the file that the frames' own results tell; those that are clear are
+        taken out of the frames.
     refine_camera
         Whether the change of the camera that the frames fit is used.
     """
@@ -107,6 +114,7 @@ class Alternation:
         run: Run[Any, Any],
         progress: Callable[[str, int], None],
         *,
+        rig: tuple[ViewRotation, ...] = (),
         refine_camera: bool = False,
     ) -> None:
         self.frames = frames
@@ -115,6 +123,7 @@ class Alternation:
         self._config = config
         self._run = run
         self._progress = progress
+        self.rig = rig
         self._change = np.zeros(3) if refine_camera else None  # of the camera
         self.of_camera: Float64
         self.fits: list[FrameFit] = []
@@ -212,10 +221,16 @@ class Alternation:
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             fits = self._solve_round(calibration, keep_all=scale != 1.0)
             calibration = self.solution.calibration
+            at, moved = fits.at, None
             if self._change is not None and not last:
-                calibration, moved = self._change_camera(calibration, fits.at, self._change)
-            elif iteration + 2 == len(scales):
-                calibration, moved = self._take_off_margin(calibration, fits.at)
+                calibration, moved = self._change_camera(calibration, at, self._change)
+            if iteration + 2 == len(scales):
+                at = at if moved is None else moved
+                calibration, changed = self._change_rig(calibration, at)
+                moved = moved if changed is None else changed
+                if self._change is None:
+                    calibration, changed = self._take_off_margin(calibration, at if moved is None else moved)
+                    moved = moved if changed is None else changed
         self._finish(fits)
 
     def _solve_round(self, calibration: Calibration, *, keep_all: bool) -> FrameFits:
@@ -352,6 +367,44 @@ class Alternation:
         self._change = estimate.change
         return estimate.calibration, estimate.at
 
+    def _change_rig(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
+        """Estimate what the further views differ in from the file beside rotations, and use what is clear.
+
+        Returns the calibration, and the frames' poses with the changed views; None if none is changed.
+        """
+        if not self.rig:
+            return calibration, None
+        used = np.array([fit.explains_mask and frame.in_reference for fit, frame in self._fitted()])
+        turned = {name: change.rotation for name, change in changes_of(self.rig).items()}
+        outlines = RigOutlines(self._stored, used, self._run, turned)
+        if not outlines.names:
+            return calibration, None
+        self._progress("checking the rig", len(self.frames))
+        session = self._config.session
+        try:
+            estimate = estimate_rig(
+                self.model, calibration, self._prior, session, at, outlines, self.rig, self._change, self._margin
+            )
+        except InputError as error:
+            self.undetermined.append(f"rig: {error}")
+            return calibration, None
+        self.rig = estimate.views
+        self.undetermined += estimate.untold
+        if not estimate.moved:
+            return calibration, None
+        changes = outlines.further(estimate.changes)
+        self.frames = [
+            with_changed_views(frame, changes, {view.name: view.view_from_camera for view in stored.views})
+            for frame, stored in zip(self.frames, self._stored, strict=True)
+        ]
+        self._progress("gathering evidence", len(self.frames))
+        self._stored = self._run(gather_task, self.frames)
+        return estimate.calibration, estimate.at
+
+    def _fitted(self) -> Iterator[tuple[FrameFit, StoredFrame]]:
+        """Return the fit and the stored evidence of each frame."""
+        return zip(self.fits, self._stored, strict=True)
+
     def _take_off_margin(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
         """Estimate the margin of the masks from the current fits, and take it off if it is clear.
 
@@ -369,8 +422,7 @@ class Alternation:
 
     def _outlines(self) -> SessionOutlines:
         """Return the outlines of all frames, as functions of poses, joints and camera."""
-        pairs = zip(self.fits, self._stored, strict=True)
-        used = np.array([fit.explains_mask and stored.in_reference for fit, stored in pairs])
+        used = np.array([fit.explains_mask and stored.in_reference for fit, stored in self._fitted()])
         return SessionOutlines(self._stored, used, self._run, self._margin)
 
     def check_constants(self) -> None:

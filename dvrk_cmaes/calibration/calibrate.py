@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_turned_views
+from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
-from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
+from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -139,10 +139,10 @@ def calibrate_with_evidence(
     commanded = commanded_in([frame.result.readings for frame in usable], names)
     settings = with_commanded(settings, commanded, names)
     rotations = rotations_of_session(frame.result for frame in usable)
-    if turns := turns_of(rotations):
-        usable = [with_turned_views(frame, turns) for frame in usable]
+    if turned := changes_of(rotations):
+        usable = [with_changed_views(frame, turned, {}) for frame in usable]
     alternation = Alternation(
-        usable, series, body.instrument, arm, settings, run, progress, refine_camera=refine_camera
+        usable, series, body.instrument, arm, settings, run, progress, rig=rotations, refine_camera=refine_camera
     )
     alternation.initialise()
     alternation.iterate()
@@ -183,10 +183,10 @@ def calibrate_with_evidence(
         camera=alternation.camera,
         masks=alternation.masks,
         masks_again=alternation.again,
-        rig=rotations,
+        rig=alternation.rig,
         commanded=_only_readings(usable, commanded),
         warnings=(
-            *(each.describe() for each in rotations if each.applied),
+            *(text for each in alternation.rig for text in each.warnings()),
             *([describe_commanded(commanded)] if commanded else []),
             *alternation.warnings,
         ),

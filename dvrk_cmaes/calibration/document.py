@@ -24,10 +24,11 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
-from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
+from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.rig import V, turned_views
+from dvrk_cmaes.camera.rig import V, changed_views
+from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
@@ -107,7 +108,8 @@ class SessionCalibration:
     camera : change of the camera that the frames fit; None if it was not tested.
     masks : the margin that all masks share; None if it was not estimated.
     masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
-    rig : rotations of the further views against the rig's file, of those that were tested.
+    rig : what the further views differ in from the rig's file, of those that were tested.
+    views : the cameras and their places with which the session was solved; empty of frames in memory.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
     untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
     """
@@ -131,6 +133,7 @@ class SessionCalibration:
     masks: SessionMasks | None = None
     masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
+    views: tuple[ViewDocument, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
     warnings: Texts = ()
@@ -151,12 +154,12 @@ class SessionCalibration:
         return camera if self.camera is None else self.camera.corrected(camera)
 
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
-        """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some turned.
+        """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.
 
         The views keep what they hold beside their camera.
         """
         own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
-        return turned_views(own, turns_of(self.rig))
+        return changed_views(own, changes_of(self.rig))
 
     @property
     def applied_lag(self) -> Lag | None:
@@ -208,7 +211,7 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "commanded", "arm"),
+            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "views", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

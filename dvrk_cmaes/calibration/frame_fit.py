@@ -12,7 +12,7 @@ from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Posed, adjoint, inverse
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
@@ -29,6 +29,26 @@ _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
+
+
+PER_VIEW = 6
+"""Unknowns of a further view in `terms_of_rig`: rotation, baseline, focal length and margin."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBy:
+    """How a view of a frame is taken to see it: ``camera``, ``place`` (4, 4), m, and ``margin`` of its mask, px.
+
+    ``number`` is that of the view among the ``further`` ones of the rig, None of the first one; ``size`` is the width
+    of its images in that of the first one's.
+    """
+
+    camera: Camera
+    place: Float64
+    margin: float
+    number: int | None
+    further: int
+    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,10 +264,54 @@ def terms_of_constants(
     noise = _noise(_coverage([view], config, own), own, None) if noise is None else noise  # that of this view alone
     coverage = _coverage([view], config, own, margin=margin).with_cameras([camera]).with_noise(noise)
 
-    def constants(sized: SizedView, outline: OutlinePoints) -> Float64:
-        return np.column_stack([of_camera(sized, outline), of_margin(outline)])
+    def constants(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
+        return np.column_stack([of_camera(coverage.views[number], outline), of_margin(outline)])
 
     return coverage.near_without_shared(fitted, own.noises, constants)
+
+
+def terms_of_rig(
+    views: Sequence[FrameView],
+    config: EstimateConfig,
+    fitted: Posed,
+    own_estimate: OwnEstimate,
+    seen: Sequence[SeenBy],
+) -> Quadratic:
+    """Compute the outlines' terms about a pose, and about what all frames share of their views.
+
+    ``fitted`` is the pose in the rig of the views, which ``seen`` describes. The noise is measured there, or at the own
+    estimate where it is less: in a wrong rig, no pose fits all views. The unknowns beside the pose are those of the
+    camera and of the margin, as in `terms_of_constants`, and for each of the rig's further views its rotation about the
+    first camera's axes, rad, the logarithms of its baseline and its focal length, and by how much its margin, px, is
+    larger.
+    """
+    outline = replace(config.refine.outline, cauchy=config.session.cauchy)
+    sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, seen, strict=True)]
+    here = OwnEstimate.of(views, fitted)
+    noises = [min(pair, key=lambda noise: noise.sigma) for pair in zip(own_estimate.noises, here.noises, strict=True)]
+    coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
+    noise = coverage.noise_at(fitted)
+    coverage = coverage.with_noise(noise if own_estimate.residual is None else min(noise, own_estimate.residual))
+
+    def constants(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
+        view, by = coverage.views[number], seen[number]
+        of_lens, of_mask = of_camera(view, points), of_margin(points)
+        columns = np.zeros((len(of_mask), 4 + PER_VIEW * by.further))
+        columns[:, :4] = np.column_stack([of_lens * [1.0, by.size, by.size], of_mask])
+        if by.number is not None:
+            first = 4 + PER_VIEW * by.number
+            moving = np.column_stack([adjoint(inverse(fitted.pose))[:, 3:], _by_baseline(fitted, by.place)])
+            columns[:, first : first + 4] = by_pose[:, :6] @ moving
+            columns[:, first + 4] = of_lens[:, 0]
+            columns[:, first + 5] = of_mask
+        return columns
+
+    return coverage.near_without_shared(fitted, noises, constants)
+
+
+def _by_baseline(at: Posed, place: Float64) -> Float64:
+    """Return the small changes (6,) of a pose that move it in a view as the logarithm of the view's baseline does."""
+    return np.concatenate([(place[:3, :3] @ at.pose[:3, :3]).T @ place[:3, 3], np.zeros(3)])
 
 
 def _limits(readings: Readings) -> Readings:

@@ -15,7 +15,7 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame, terms_of_const
 from dvrk_cmaes.calibration.masks_again import FindMasks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.rig import turned_views
+from dvrk_cmaes.camera.rig import ViewChange, changed_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, change_between
@@ -153,26 +153,31 @@ def _read_changed(data: FrameData | Callable[[], FrameData], change: Float64) ->
     return replace(read, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in read.views))
 
 
-def with_turned_views(frame: SessionFrame, rotations: Mapping[str, Float64]) -> SessionFrame:
-    """Return a frame whose further views are turned by rotations (3,), rad, by name; its own result says what is left.
+def with_changed_views(
+    frame: SessionFrame, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]
+) -> SessionFrame:
+    """Return a frame whose further views are changed, by name; its own result says by how much they are turned still.
 
-    ``view_fits`` of the result are then those against the turned views.
+    ``places`` (4, 4) are those of the views, needed where their baselines change. ``view_fits`` of the result are then
+    those against the changed views.
     """
-    checks = tuple(
-        replace(check, rotation_deg=check.rotation_deg - np.degrees(rotations.get(check.name, 0.0)))
-        for check in frame.result.view_fits
-    )
-    return replace(
-        frame,
-        data=partial(_read_turned, frame.data, rotations),
-        result=replace(frame.result, view_fits=checks),
-    )
+    pose = frame.result.camera_from_root
+    assert pose is not None
+    checks = []
+    for check in frame.result.view_fits:
+        rotation = check.rotation_deg
+        if check.name in changes:
+            place = places.get(check.name, np.eye(4))
+            rotation = rotation - np.degrees(changes[check.name].rotation_at(place, pose[:3, 3]))
+        checks.append(replace(check, rotation_deg=rotation))
+    data = partial(_read_changed_views, frame.data, changes)
+    return replace(frame, data=data, result=replace(frame.result, view_fits=tuple(checks)))
 
 
-def _read_turned(data: FrameData | Callable[[], FrameData], rotations: Mapping[str, Float64]) -> FrameData:
-    """Read the data of a frame, as in `SessionFrame`, with turned views."""
+def _read_changed_views(data: FrameData | Callable[[], FrameData], changes: Mapping[str, ViewChange]) -> FrameData:
+    """Read the data of a frame, as in `SessionFrame`, with changed views."""
     read = _read(data)
-    return replace(read, views=turned_views(read.views, rotations))
+    return replace(read, views=changed_views(read.views, changes))
 
 
 def _read(data: FrameData | Callable[[], FrameData]) -> FrameData:

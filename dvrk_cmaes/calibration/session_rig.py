@@ -1,19 +1,21 @@
-"""What a session's frames tell about its rig: how far each further view is turned against the file.
+"""What a session's frames tell about its rig: how each further view differs from the file.
 
 A frame states by which rotation each further view would fit the first one better. The errors of the masks differ from
-frame to frame, while a wrong calibration turns the view in all of them alike.
+frame to frame, while a wrong calibration turns the view in all of them alike. Baseline and focal length are told by all
+frames together (see `rig_estimate`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera.rig import ViewChange
 from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Count, Point
+from dvrk_cmaes.io.typed_document import Count, Point, PositiveNumber
 from dvrk_cmaes.results.result import Result
 
 Float64 = NDArray[np.float64]
@@ -21,7 +23,7 @@ Float64 = NDArray[np.float64]
 FEWEST = 3
 """Least number of frames in which a view is compared."""
 
-_LEAST_STD = np.array([0.01, 0.03, 0.01])
+LEAST_STD = np.array([0.01, 0.03, 0.01])
 """Least standard deviations, deg: a session's masks share errors that the scatter of its frames does not show.
 
 About y the eyes see an instrument at 5 mm / 150 mm = 2 deg apart, which errors of its distance change in proportion:
@@ -37,11 +39,38 @@ _MEDIAN_SQUARE = 2.366  # median of the squared distance of three unknowns
 
 
 @dataclass(frozen=True, eq=False)
+class ViewScale(Document):
+    """A factor on a length of the rig's file, with its standard deviation; ``applied`` if the session used it."""
+
+    scale: PositiveNumber
+    std: PositiveNumber
+    applied: bool
+
+    @property
+    def percent(self) -> tuple[float, float]:
+        """The difference from the file and its standard deviation, %."""
+        return 100 * (self.scale - 1), 100 * self.std
+
+    @property
+    def change(self) -> float:
+        """The logarithm of the factor that was applied."""
+        return float(np.log(self.scale)) if self.applied else 0.0
+
+    def describe(self) -> str:
+        """Describe the difference from the file in words."""
+        percent, std = self.percent
+        if not self.applied:
+            return f"as in the file: {percent:+.1f} % (std {std:.1f})"
+        return f"{abs(percent):.1f} % (std {std:.1f}) {'longer' if percent > 0 else 'shorter'} than in the file"
+
+
+@dataclass(frozen=True, eq=False)
 class ViewRotation(Document):
-    """Rotation of a further view of the rig against the file, about the first camera's axes.
+    """Rotation of a further view of the rig against the file, about the first camera's axes, its baseline and lens.
 
     view : its name. rotation_deg, std_deg : (3,), degrees. frames : number of frames in which it was compared.
-    applied : whether the session was solved with the view turned by it.
+    applied : whether the session was solved with the view turned by it. baseline, focal_length : the factors on its
+    distance from the first view and on its focal length relative to the first view's; None where they are not told.
     """
 
     view: str
@@ -49,11 +78,52 @@ class ViewRotation(Document):
     std_deg: Point
     frames: Count
     applied: bool
+    baseline: ViewScale | None = None
+    focal_length: ViewScale | None = None
 
     @property
     def turn(self) -> Float64:
         """The rotation (3,) by which the view was turned, rad."""
         return np.deg2rad(self.rotation_deg) if self.applied else np.zeros(3)
+
+    @property
+    def change(self) -> ViewChange:
+        """The change of the view with which the session was solved."""
+        baseline, focal_length = (0.0 if each is None else each.change for each in (self.baseline, self.focal_length))
+        return ViewChange(self.turn, baseline, focal_length)
+
+    @property
+    def differs(self) -> bool:
+        """Whether the session was solved with a view that is not the file's."""
+        return self.applied or any(each is not None and each.applied for each in (self.baseline, self.focal_length))
+
+    def with_values(self, change: ViewChange, std: Float64) -> ViewRotation:
+        """Return the view with other values of what is applied; ``std`` (2,) are those of baseline and focal length."""
+
+        def other(scale: ViewScale | None, value: float, own: float) -> ViewScale | None:
+            if scale is None or not scale.applied:
+                return scale
+            return replace(scale, scale=float(np.exp(value)), std=max(own, scale.std))
+
+        return replace(
+            self,
+            rotation_deg=np.degrees(change.rotation) if self.applied else self.rotation_deg,
+            baseline=other(self.baseline, change.baseline, float(std[0])),
+            focal_length=other(self.focal_length, change.focal_length, float(std[1])),
+        )
+
+    def lines(self) -> list[tuple[str, bool]]:
+        """Describe what is told of the view, one line each, and whether the frames contradict the file there."""
+        out = [(self.describe(), self.applied)]
+        parts = {"baseline": self.baseline, "focal length, relative to the first eye's,": self.focal_length}
+        for name, scale in parts.items():
+            if scale is not None:
+                out.append((f"the {self.view} eye's {name} is {scale.describe()}", scale.applied))
+        return out
+
+    def warnings(self) -> list[str]:
+        """Describe what of the rig's file the frames contradict, one line each."""
+        return [text for text, contradicts in self.lines() if contradicts]
 
     def describe(self) -> str:
         """Describe the rotation in words: the components that are clear of zero, or the largest one."""
@@ -84,16 +154,21 @@ def rotations_of_session(results: Iterable[Result]) -> tuple[ViewRotation, ...]:
         if len(rotations) < FEWEST:
             continue
         rotation, covariance = pooled_rotation(rotations)
-        covariance = covariance + np.diag(_LEAST_STD**2)
-        sigmas = float(np.sqrt(rotation @ np.linalg.solve(covariance, rotation)))
-        applied = sigmas > _CLEAR and float(np.linalg.norm(rotation)) > _LEAST_ANGLE
+        covariance = covariance + np.diag(LEAST_STD**2)
+        applied = is_turned(rotation, covariance)
         found.append(ViewRotation(name, rotation, np.sqrt(np.diag(covariance)), len(rotations), applied))
     return tuple(found)
 
 
-def turns_of(rotations: Sequence[ViewRotation]) -> Mapping[str, Float64]:
-    """Return the rotations (3,), rad, of the views that are turned, by name."""
-    return {each.view: each.turn for each in rotations if each.applied}
+def is_turned(rotation_deg: Float64, covariance_deg2: Float64) -> bool:
+    """Return whether a rotation (3,) with its covariance (3, 3) is clear of zero."""
+    sigmas = float(np.sqrt(rotation_deg @ np.linalg.solve(covariance_deg2, rotation_deg)))
+    return sigmas > _CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
+
+
+def changes_of(rig: Sequence[ViewRotation]) -> Mapping[str, ViewChange]:
+    """Return the changes of the views that are not used as in the file, by name."""
+    return {each.view: each.change for each in rig if each.differs}
 
 
 def pooled_rotation(rotations: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:

@@ -100,7 +100,14 @@ def write_camera_info(
     baseline: float = 0.0,
     right_from_left: NDArray[np.float64] | None = None,
 ) -> None:
-    """Write a ROS camera_info YAML file for images that are not rectified.
+    """Write a ROS camera_info YAML file for images that are not rectified; arguments as of `camera_info_text`."""
+    write_text(path, camera_info_text(camera, name, baseline=baseline, right_from_left=right_from_left))
+
+
+def camera_info_text(
+    camera: Camera, name: str, *, baseline: float = 0.0, right_from_left: NDArray[np.float64] | None = None
+) -> str:
+    """Return ROS camera_info in YAML for images that are not rectified.
 
     Of a right eye, ``baseline``, m, is that of the projection matrix, and ``right_from_left`` (4, 4), m, its pose,
     which counts where it is given.
@@ -118,7 +125,7 @@ def write_camera_info(
     }
     if right_from_left is not None:
         document["right_from_left"] = right_from_left.tolist()
-    write_text(path, yaml_text(document))
+    return yaml_text(document)
 
 
 def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:

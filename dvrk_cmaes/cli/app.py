@@ -13,37 +13,12 @@ from typing import Final
 from cyclopts import App, CycloptsError, MissingArgumentError
 
 from dvrk_cmaes.cli.layout import HelpFormatter, TrimmedOutput
+from dvrk_cmaes.cli.overview import ABOUT, SUMMARIES
 from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
 _DEBUG = "--debug"
 _INTERRUPTED = 130  # as in shells: 128 + SIGINT
-
-SUMMARIES: Final = {
-    "estimate": "Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.",
-    "segment": "Find the instrument in an image, or in each image of a folder.",
-    "demo": "Estimate the bundled session, print the errors against the true poses, and write results and overlays.",
-    "batch": "Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML "
-    "report.",
-    "calibrate": "Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each "
-    "joint's readings.",
-    "track": "Follow an instrument through the consecutive frames of a session or a video, by masks or images, and "
-    "readings.",
-    "live": "Follow an instrument on a running robot: images and readings from ROS topics, its pose to ROS topics.",
-    "export": "Write results in the formats of other programs.",
-    "golden": "Record the poses of a session's frames, and compare later estimates with them.",
-    "compare": "Compare two or more sets of poses of the same frames, by frame and in sum, without estimating again.",
-    "consistency": "Measure how well the frames of a session agree, without true poses: the paper's Table I and "
-    "further measures.",
-    "pnp": "Estimate the poses of a session from image points and readings by PnP, as a baseline for comparisons.",
-    "synth": "Write a synthetic session with known true poses, in the layout of a session folder.",
-    "inspect": "Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous "
-    "content.",
-    "import": "Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session "
-    "folder.",
-    "help": "Print a reference page, or the options of a command; without a topic, list the topics.",
-}
-"""The commands, with the first sentence of what they do, so that listing them imports none of them."""
 
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
@@ -66,11 +41,7 @@ def command_line(*, listed: bool = False) -> App:
     """
     commands = App(
         name="dvrk-cmaes",
-        help="""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
-
-Try "dvrk-cmaes demo" first; "dvrk-cmaes help" lists the reference pages.
-Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
-With --debug, any command shows where in the program an error was raised.""",
+        help=ABOUT,
         version=_version,
         suppress_keyboard_interrupt=False,
         help_formatter=HelpFormatter(),

@@ -281,8 +281,9 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {text}")
     if calibration.camera is not None:
         yield Line(f"camera, against its file: {calibration.camera.describe()}")
-    for rotation in calibration.rig:
-        yield Line(rotation.describe())
+    for view in calibration.rig:
+        for text, _ in view.lines():
+            yield Line(text)
     if calibration.masks is not None and calibration.masks.applied:
         yield Line(calibration.masks.describe())
     if calibration.masks_again is not None:

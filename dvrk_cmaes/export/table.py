@@ -87,6 +87,13 @@ _ROWS: Final = (
         "result_bag",
     ),
     ExportFormat(
+        "camera",
+        "the cameras that the calibration used: px; view_from_camera, m",
+        "the camera or the rig that a session calibration used, for raw images, as camera files that are read: "
+        "ros/ (camera_info), opencv/ (XML) and plain/ (YAML).",
+        "camera",
+    ),
+    ExportFormat(
         "joint-correction",
         "true = reading + correction: a table in degrees, and a formula in radians",
         "true = reading + correction of roll, wrist and jaw, of a session calibration: ARM-joint-correction.csv, a "

@@ -13,12 +13,11 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
+from dvrk_cmaes.inspection.suffixes import VIDEOS
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.results.folder import is_followed, read_results
 
-RECORDINGS = (".bag", ".db3", ".mcap")
 PICTURES = (".png", ".jpg", ".jpeg")
-VIDEOS = (".mp4", ".avi", ".mkv", ".mov")
 
 _DESCRIPTIONS = ("readings: ", "camera: ")
 

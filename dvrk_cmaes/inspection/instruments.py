@@ -13,8 +13,6 @@ from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.dvrk_description import read_kinematics, read_tool
 from dvrk_cmaes.instrument.meshes import read_mesh
 
-MESHES = (".stl", ".obj", ".dae", ".ply")
-
 
 def inspect_urdf(path: Path, options: Options) -> Finding:
     """Describe an instrument; InputError if it cannot be loaded."""

@@ -1,33 +1,22 @@
-"""Recognition of a file's format by its first bytes and fields; recordings, meshes and settings by their suffix."""
+"""Recognition of a file's format by its first bytes and fields; recordings, meshes and settings by their suffix.
+
+The readers of each kind are imported where a file is of that kind: importing those of all takes longer than reading.
+"""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.inspection.cameras import inspect_camera
-from dvrk_cmaes.inspection.documents import inspect_json
 from dvrk_cmaes.inspection.finding import Finding, Options
-from dvrk_cmaes.inspection.folders import RECORDINGS, VIDEOS, inspect_folder, inspect_recording
-from dvrk_cmaes.inspection.instruments import MESHES, inspect_mesh, inspect_urdf
-from dvrk_cmaes.inspection.pictures import inspect_image
-from dvrk_cmaes.inspection.tables import (
-    inspect_detections,
-    inspect_image_times,
-    inspect_joints,
-    inspect_keypoints,
-    inspect_published_poses,
-    inspect_tracker_array,
-)
+from dvrk_cmaes.inspection.suffixes import MESHES, RECORDINGS, VIDEOS
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.toml_file import leaves, read_config
 from dvrk_cmaes.joints.joint_state import is_joint_state
-from dvrk_cmaes.joints.npy import MAGIC as NUMPY
 
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
+_NUMPY = b"\x93NUMPY"
 _IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
 _TEXTS = (".md", ".rst", ".html", ".log")
 _START = 65536  # bytes read to recognise the format
@@ -48,6 +37,8 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
     file = Path(path)
     try:
         if file.is_dir():
+            from dvrk_cmaes.inspection.folders import inspect_folder
+
             return inspect_folder(file, settings)
         check_file(file, expected=_EXPECTED)
         with file.open("rb") as stream:
@@ -55,19 +46,25 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
     except OSError as error:
         raise InputError(f"{path}: not readable ({error.strerror}); expected {_EXPECTED}") from None
     if file.suffix.lower() in (*RECORDINGS, *VIDEOS):
+        from dvrk_cmaes.inspection.folders import inspect_recording
+
         return inspect_recording(file)
     if file.suffix.lower() in MESHES:
+        from dvrk_cmaes.inspection.instruments import inspect_mesh
+
         return inspect_mesh(file)
     if file.suffix.lower() in _TEXTS:
         return Finding("text for people", ("skipped: it has no data that is read",), {})
     if file.suffix.lower() == ".toml":
         return _inspect_settings(file)
     if start.startswith(_IMAGE_STARTS):
+        from dvrk_cmaes.inspection.pictures import inspect_image
+
         return inspect_image(file)
-    if start.startswith(NUMPY) and _TRACKER.fullmatch(file.stem):
-        return inspect_tracker_array(file)
-    if start.startswith(NUMPY):
-        return inspect_joints(file)
+    if start.startswith(_NUMPY):
+        from dvrk_cmaes.inspection.tables import inspect_joints, inspect_tracker_array
+
+        return inspect_tracker_array(file) if _TRACKER.fullmatch(file.stem) else inspect_joints(file)
     return _inspect_text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
 
 
@@ -78,31 +75,54 @@ def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
     content = start.lstrip()
     if content.startswith(b"<"):
         root = _ROOT.search(content)
-        return (
-            inspect_urdf(path, options) if root is not None and root[1] == b"robot" else inspect_camera(path, options)
-        )
+        if root is None or root[1] != b"robot":
+            return _inspect_camera(path, options)
+        from dvrk_cmaes.inspection.instruments import inspect_urdf
+
+        return inspect_urdf(path, options)
     if content.startswith((b"{", b"/*", b"//")):
+        from dvrk_cmaes.inspection.documents import inspect_json
+
         return inspect_json(path, options)
     text = start.decode("utf-8", errors="replace")
     if is_joint_state(text):
+        from dvrk_cmaes.inspection.tables import inspect_joints
+
         return inspect_joints(path)
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     header = {name.strip() for name in lines[0].split(",")} if lines else set()
     if len(header) > 1 and ":" not in lines[0]:
-        if "tip_1_u" in header:
-            return inspect_keypoints(path)
-        if "marker" in header:
-            return inspect_detections(path)
-        if header == _IMAGE_TIMES:
-            return inspect_image_times(path)
-        if {"rx", "tx", "jaw_1"} <= header:
-            return inspect_published_poses(path)
-        return inspect_joints(path)
+        return _inspect_table(path, header)
+    return _inspect_camera(path, options)
+
+
+def _inspect_camera(path: Path, options: Options) -> Finding:
+    """Describe a camera file."""
+    from dvrk_cmaes.inspection.cameras import inspect_camera
+
     return inspect_camera(path, options)
+
+
+def _inspect_table(path: Path, header: set[str]) -> Finding:
+    """Describe a table by the names of its columns."""
+    from dvrk_cmaes.inspection import tables
+
+    if "tip_1_u" in header:
+        return tables.inspect_keypoints(path)
+    if "marker" in header:
+        return tables.inspect_detections(path)
+    if header == _IMAGE_TIMES:
+        return tables.inspect_image_times(path)
+    if {"rx", "tx", "jaw_1"} <= header:
+        return tables.inspect_published_poses(path)
+    return tables.inspect_joints(path)
 
 
 def _inspect_settings(path: Path) -> Finding:
     """Describe a settings file by the settings that differ from the defaults."""
+    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.io.toml_file import leaves, read_config
+
     default = EstimateConfig()
     changed = dict(leaves(read_config(path, default)))
     defaults = dict(leaves(default))

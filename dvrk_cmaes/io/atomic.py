@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -142,6 +141,8 @@ def encoded_image(
     extension = Path(path).suffix.lower()
     if extension not in (".png", ".jpg", ".jpeg"):
         raise InputError(f"{path}: expected an image's name to end in .png, .jpg or .jpeg, got {extension!r}")
+    import cv2  # here, because commands that write no image need not import it
+
     pixels = np.asarray(image, np.uint8) * (255 if image.dtype == np.bool_ else 1)
     parameters = [] if quality is None or extension == ".png" else [cv2.IMWRITE_JPEG_QUALITY, quality]
     encoded, data = cv2.imencode(extension, pixels, parameters)

@@ -208,6 +208,7 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         yield from _camera_figures(calibration.camera)
     for rotation in calibration.rig:
         yield _rotation_figure(rotation)
+        yield from _scale_figures(rotation)
     if calibration.masks is not None:
         yield _margin_figure(calibration.masks)
     if calibration.masks_again is not None:
@@ -248,6 +249,20 @@ def _rotation_figure(rotation: ViewRotation) -> KeyFigure:
     note = f"about the first camera's x (right), y (down), z (forward); standard deviations {std}°; {done}"
     turned = ", ".join(f"{value:+.2f}" for value in rotation.rotation_deg)
     return KeyFigure(f"{rotation.view.capitalize()} eye turned, against its file", f"{turned}°", note)
+
+
+def _scale_figures(view: ViewRotation) -> Iterator[KeyFigure]:
+    """Yield what is told of a further view's baseline and focal length, and what was done about it."""
+    names = {"baseline": view.baseline, "focal length beside the first eye's": view.focal_length}
+    for name, scale in names.items():
+        if scale is not None:
+            percent, std = scale.percent
+            done = "applied" if scale.applied else "not applied"
+            yield KeyFigure(
+                f"{view.view.capitalize()} eye's {name}, against its file",
+                f"{percent:+.1f} %",
+                f"standard deviation {std:.1f} %; {done}",
+            )
 
 
 def _margin_figure(masks: SessionMasks) -> KeyFigure:

@@ -22,6 +22,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.masks_again import FindMasks
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
+from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation.masks_again import ImagesOfFrame
@@ -120,6 +121,8 @@ def calibrate_folder(
         masks = Path(stack.enter_context(TemporaryDirectory(prefix="dvrk-cmaes-")))
         files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
         corrected = Rig(solved.calibration.corrected_views(session.rig.views))
+        views = tuple(ViewDocument.of(view) for view in corrected.views)
+        solved = replace(solved, calibration=replace(solved.calibration, views=views))
         tasks = [
             DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()
@@ -207,7 +210,7 @@ def _write(
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
     """Write the cameras with which a session was solved, where they are not those of its files, for raw images."""
     refined = calibration.camera is not None and calibration.camera.applied
-    if not refined and not any(rotation.applied for rotation in calibration.rig):
+    if not refined and not any(view.differs for view in calibration.rig):
         return
     first, *others = calibration.corrected_views(rig.views)
     write_camera_info(out / (f"{first.name}.yaml" if others else CAMERA), first.camera, "refined")

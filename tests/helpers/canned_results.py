@@ -34,7 +34,7 @@ def canned(frame: str, number: int = 0, **changes: Any) -> Result:
         camera_from_base=BASE,
         quality=Quality(0.96, 0.1, {"mse": 0.02}, 0.6, 2.1),
         seconds=0.75,
-        version="0.1.0",
+        version="1.0.0",
     )
     return replace(result, **changes)
 

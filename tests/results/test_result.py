@@ -53,7 +53,7 @@ def full() -> Result:
         evaluations=1300,
         rays=9000,
         seed=3,
-        version="0.1.0",
+        version="1.0.0",
         config={"seed": 3, "search": {"method": "cmaes"}},
     )
 

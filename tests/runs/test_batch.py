@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.folder import read_results
@@ -148,7 +148,7 @@ def test_resume_with_other_settings_is_refused(
     assert refusal(batch, two) == f"{otherwise} (camera.width: 640 -> 644): {way_out}"
     (two / "camera.yaml").write_text(camera, encoding="utf-8")
     monkeypatch.setattr("dvrk_cmaes.runs.manifest.__version__", "9.9")
-    assert refusal(batch, two) == f"{otherwise} (version: 0.1.0 -> 9.9): {way_out}"
+    assert refusal(batch, two) == f"{otherwise} (version: {__version__} -> 9.9): {way_out}"
 
 
 def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_path: Path, bundled_body: Body) -> None:

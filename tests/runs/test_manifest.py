@@ -11,7 +11,7 @@ import pytest
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.runs.manifest import read_manifest
 
-WHOLE = {"version": "0.1.0", "session": "s", "instrument": {"name": "lnd"}, "config": {"seed": 0}, "frames": {}}
+WHOLE = {"version": "1.0.0", "session": "s", "instrument": {"name": "lnd"}, "config": {"seed": 0}, "frames": {}}
 
 
 def test_folder_without_manifest_has_none(tmp_path: Path) -> None:

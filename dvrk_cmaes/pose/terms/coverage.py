@@ -32,8 +32,11 @@ from dvrk_cmaes.silhouette import OutlinePoints
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-Columns = Callable[[SizedView, OutlinePoints], Float64]
-"""Displacements (N, E) of an outline's N points in a view by E unknowns, times the lengths of their normals, px."""
+Columns = Callable[[int, OutlinePoints, Float64], Float64]
+"""Displacements (N, E) of an outline's N points by E unknowns, times the lengths of their normals, px.
+
+Arguments are the number of the view, its outline, and the displacements (N, D) by the pose.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,13 +189,13 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
         of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
-        for view, noise, image, drawn_outline, share in of_views:
+for k, (view, noise, image, drawn_outline, share) in enumerate(of_views):
             assert drawn_outline is not None
             outline = drawn_outline.every(stride)
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
             errors = view.shared_errors(outline, at, noise)
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
-            of_kept = [] if kept is None else [kept(view, outline)]
+            of_kept = [] if kept is None else [kept(k, outline, of_pose)]
             jacobian = np.column_stack([of_pose, *of_kept, of_errors])
             profiles = Profiles.sampled(
                 [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width

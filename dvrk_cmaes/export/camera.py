@@ -1,0 +1,111 @@
+"""The camera or rig that a session calibration used, in the formats of camera files that are read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import View
+from dvrk_cmaes.camera.ros import camera_info_text
+from dvrk_cmaes.camera.view_document import ViewDocument
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.export.request import Exported, ExportRequest
+from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.io.yaml_file import yaml_text
+
+Float64 = NDArray[np.float64]
+
+_ALONE: Final = "camera"  # name of the only camera's files
+
+
+class _Session(Struct):
+    """Fields of session.json."""
+
+    views: tuple[ViewDocument, ...] = ()
+
+
+def camera_files(where: str, document: dict[str, Any]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the camera files of a session calibration's document, by name, and notes on what is left out.
+
+    Lengths are in metres, images raw.
+
+    Raises
+    ------
+    InputError
+        The calibration does not state its cameras, or a field is wrong.
+    """
+    views = [each.restored() for each in convert_document(where, document, _Session).views]
+    if not views:
+        raise InputError(f"{where}: views: expected the cameras that were used, got none: calibrate the session again")
+    names = [view.name for view in views] if len(views) > 1 else [_ALONE]
+    files = {f"ros/{name}.yaml": _camera_info(name, view) for name, view in zip(names, views, strict=True)}
+    files[f"opencv/{'stereo' if len(views) > 1 else _ALONE}.xml"] = _storage(views)
+    if any(view.camera.model == "equidistant" for view in views):
+        return files, ("plain YAML has no fisheye lenses: left out",)
+    return files | {f"plain/{name}.yaml": _plain(view) for name, view in zip(names, views, strict=True)}, ()
+
+
+def _is_first(view: View) -> bool:
+    """Return whether a view is the first one of its rig."""
+    return bool(np.array_equal(view.view_from_camera, np.eye(4)))
+
+
+def _camera_info(name: str, view: View) -> str:
+    """Return a ROS camera_info file."""
+    if _is_first(view):
+        return camera_info_text(view.camera, name)
+    place = view.view_from_camera
+    return camera_info_text(view.camera, name, baseline=float(np.linalg.norm(place[:3, 3])), right_from_left=place)
+
+
+def _plain(view: View) -> str:
+    """Return a plain YAML file."""
+    document: dict[str, Any] = {
+        "intrinsic": view.camera.matrix.tolist(),
+        "distortion": list(view.camera.distortion),
+    }
+    if not _is_first(view):
+        document["right_from_left"] = view.view_from_camera.tolist()
+    return yaml_text(document)
+
+
+def _storage(views: Sequence[View]) -> str:
+    """Return an OpenCV FileStorage in XML of one camera or a stereo pair."""
+    first, *others = views
+    camera = first.camera
+    parts = {"image_width": str(camera.width), "image_height": str(camera.height)}
+    if any(view.camera.model == "equidistant" for view in views):
+        parts["fisheye_model"] = "1"
+    if not others:
+        parts |= {"camera_matrix": _matrix(camera.matrix), "distortion_coefficients": _distortion(first)}
+    for number, view in enumerate(views if others else (), start=1):
+        parts |= {f"M{number}": _matrix(view.camera.matrix), f"D{number}": _distortion(view)}
+    for view in others:
+        parts |= {"R": _matrix(view.view_from_camera[:3, :3]), "T": _matrix(view.view_from_camera[:3, 3:])}
+    lines = [
+        f'<{name} type_id="opencv-matrix">{value}</{name}>' if value.startswith("<") else f"<{name}>{value}</{name}>"
+        for name, value in parts.items()
+    ]
+    return "\n".join(['<?xml version="1.0"?>', "<opencv_storage>", *lines, "</opencv_storage>"]) + "\n"
+
+
+def _distortion(view: View) -> str:
+    """Return the coefficients of a view's lens as OpenCV states a matrix; five zeros of a pinhole."""
+    return _matrix(np.array([view.camera.distortion or (0.0,) * 5]))
+
+
+def _matrix(values: Float64) -> str:
+    """Return a matrix as OpenCV states it in XML."""
+    rows, columns = values.shape
+    data = " ".join(repr(value) for value in values.ravel().tolist())
+    return f"<rows>{rows}</rows><cols>{columns}</cols><dt>d</dt><data>{data}</data>"
+
+
+def exported(request: ExportRequest) -> Exported:
+    """Export the cameras of a session calibration; InputError if there is none."""
+    files, notes = camera_files(*request.source.calibration())
+    return Exported({name: text.encode() for name, text in files.items()}, notes=notes)
