@@ -181,15 +181,14 @@ class Coverage(OutlineTerm[DrawnCoverage]):
     ) -> Quadratic:
         """Return the approximation near one pose, with what the errors of the masks share eliminated.
 
-        Only every ``stride``-th point of the outlines is used, which stands for those beside it.
-
         ``noises`` are those of the views' contours. ``kept`` gives E further unknowns, if any, which stay beside the
-        pose: (1, D + E), in standard deviations.
+        pose: (1, D + E), in standard deviations. Only every ``stride``-th point of the outlines is used, which stands
+        for those beside it.
         """
         (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
         of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
-for k, (view, noise, image, drawn_outline, share) in enumerate(of_views):
+        for k, (view, noise, image, drawn_outline, share) in enumerate(of_views):
             assert drawn_outline is not None
             outline = drawn_outline.every(stride)
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
