@@ -25,6 +25,7 @@ from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_frames import (
     MEDIAN_TO_STD,
+    OVERLAP_LOSS,
     Told,
     calibration_covariance,
     covariance_of_margin,
@@ -73,14 +74,24 @@ class CalibratedFollowing:
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
     lag_std
         Standard deviation of that lag, s.
+    tentative
+        Whether the calibration is of so few frames that masks which it does not explain speak against it.
     """
 
     def __init__(
-        self, rig: Rig, body: Body, config: EstimateConfig, calibration: SessionCalibration, lag_std: float = 0.0
+        self,
+        rig: Rig,
+        body: Body,
+        config: EstimateConfig,
+        calibration: SessionCalibration,
+        *,
+        lag_std: float = 0.0,
+        tentative: bool = False,
     ) -> None:
         self.calibration = calibration
         self.misfit = 0.0
         self._lag_std = lag_std
+        self._tentative = tentative
         self._rig, self._body = rig, body
         self._config = replace(config, threads=1)
         self._images: deque[_Image] = deque(maxlen=_WINDOW)
@@ -92,7 +103,7 @@ class CalibratedFollowing:
     @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
-        return self._astray >= _MOST_ASTRAY
+        return self._astray >= (_DISAGREES if self._tentative else _MOST_ASTRAY)
 
     @property
     def disagrees(self) -> bool:
@@ -136,6 +147,7 @@ class CalibratedFollowing:
             status, reasons = status_of(quality, told_by_fit.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
             disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
+            disagrees |= self._tentative and quality.quality.iou < self.calibration.iou - OVERLAP_LOSS
             self._astray = self._astray + 1 if disagrees and told else 0
         if not reading.has_outer:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
@@ -182,6 +194,7 @@ class CalibratedFollowing:
             "outer": None if self._outer is None else self._outer.tolist(),
             "lengths": dict(self._lengths),
             "astray": self._astray,
+            "tentative": self._tentative,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -195,7 +208,7 @@ class CalibratedFollowing:
         self._before = None if saved["before"] is None else np.array(saved["before"], dtype=np.float64)
         self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
         self._lengths = {name: float(length) for name, length in saved["lengths"].items()}
-        self._astray = int(saved["astray"])
+        self._astray, self._tentative = int(saved["astray"]), bool(saved["tentative"])
 
     @property
     def _names(self) -> tuple[str, ...]:

@@ -25,8 +25,11 @@ Float64 = NDArray[np.float64]
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
-_OVERLAP_LOSS = 0.1  # below that of the keyframes, from which on a mask is not explained; neighbours support the pose,
-_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0  # so the limits are wider than those of a single frame
+OVERLAP_LOSS = 0.1
+"""Loss of overlap from that of the keyframes, from which on a mask is not explained."""
+
+# Neighbours support the pose, so these limits are wider than those of a single frame.
+_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _CALIBRATION_ERROR = 2.0  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
@@ -98,7 +101,7 @@ def status_of(
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
     reasons = list(judged.reasons)
     largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
-    if quality.iou < session.iou - _OVERLAP_LOSS or quality.contour_px_95 > largest_px:
+    if quality.iou < session.iou - OVERLAP_LOSS or quality.contour_px_95 > largest_px:
         reasons.append(
             f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, of "
             f"keyframes {session.iou:.3f} and {session.contour_px_95:.1f} px"

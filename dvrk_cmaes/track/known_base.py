@@ -27,7 +27,7 @@ from dvrk_cmaes.track.sight import Seen, Sight
 _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _AGREES = 4.0  # largest squared misfit per parameter of such an image
-_BY_THE_BASE = 1.2  # of the error of the tips that is ok: the most that a first solution may leave, before any image
+_BY_THE_BASE = 0.8  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
@@ -117,8 +117,8 @@ class KnownBase:
             return False
         if solution.tip_mm > self._config.trust.tip_mm * _BY_THE_BASE and self.calibration is None:
             return False
-        self._begin(solution.calibration)
         self._own, self._agreeing = True, None
+        self._begin(solution.calibration)
         return True
 
     def _is_better(self, solution: Solution) -> bool:
@@ -136,7 +136,10 @@ class KnownBase:
         written = SessionCalibration.from_dict(calibration.to_dict())
         lag = lag_of(written, self._config.track.lag_std)
         std = self._config.track.lag_std if lag is None else lag.std
-        self._following = CalibratedFollowing(self._rig, self._body, self._config, written, std)
+        tentative = self._own and self._solved < _OWN_IS_ENOUGH
+        self._following = CalibratedFollowing(
+            self._rig, self._body, self._config, written, lag_std=std, tentative=tentative
+        )
 
     def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more."""
