@@ -134,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--evidence", choices=KINDS, help="for track: follow by masks (default), images or both")
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
+    parser.add_argument("--first", type=int, default=0, help="for fleet: figures of the frames from this number on")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
 
@@ -215,7 +216,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "session-lies": lambda given, _: measure_session_lies(given),
     "lag": lambda given, _: lag_report(find_lags(given)),
     "track": _track,
-    "fleet": lambda given, options: fleet_report(given, causal=options.causal, keep=options.keep),
+    "fleet": lambda given, options: fleet_report(given, causal=options.causal, keep=options.keep, first=options.first),
     "perturbed": lambda given, _: perturbed_report(given),
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),
     "rig": lambda given, options: rig_report(given, use_joints=not options.no_joints),

@@ -14,7 +14,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
@@ -72,6 +72,12 @@ class KnownBase:
     def lag(self) -> FoundLag | None:
         """The lag of the calibration; None if it does not tell one."""
         return None if self.calibration is None else lag_of(self.calibration, self._config.track.lag_std)
+
+    @property
+    def known(self) -> BaseKnown:
+        """How far the base is known, in numbers."""
+        tip_mm = self._known_mm if np.isfinite(self._known_mm) else None
+        return BaseKnown(len(self.store), self._solved, tip_mm, self.calibration is not None)
 
     @property
     def state(self) -> str:

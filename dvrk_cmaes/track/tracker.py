@@ -321,7 +321,8 @@ class Tracker:
         seen = self._sight.look(mask, image, ignore)
         result = self._followed(time, seen)
         self._time = time
-        result = replace(result, seconds=clock.perf_counter() - started)
+        base = None if self._known is None else self._known.known
+        result = replace(result, seconds=clock.perf_counter() - started, base=base)
         if self._recorder is not None:
             self._recorder.add(self._following.last_step, self._following.best, result)
         return result

@@ -96,10 +96,17 @@ def _share(which: Bool) -> float:
     return float(which.mean()) if len(which) else float("nan")
 
 
-def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None = None) -> dict[str, Any]:
-    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given."""
+def fleet_report(
+    given: Measurement, *, causal: bool = False, keep: Path | None = None, first: int = 0
+) -> dict[str, Any]:
+    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
+
+    With ``first``, figures are of the frames from that one on, and of those before it; and of those from half of it on.
+    """
     rows: list[dict[str, Any]] = []
     found: list[TipErrors] = []
+    early: list[TipErrors] = []
+    later: list[TipErrors] = []
     with tempfile.TemporaryDirectory() as temporary:
         for folder in recordings_in(given.folders):
             print(f"{folder.name}: following", file=sys.stderr, flush=True)
@@ -108,7 +115,10 @@ def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None 
             session, evidence = used_session(read_session(folder), None)
             settings = TrackSettings(given.config, causal=causal, evidence=evidence, workers=given.workers)
             done = track_folder(session, out, given.body, settings, video=False, page=False, notice=_notice)
-            found.append(TipErrors.of(read_tracks(out / TRACKS), golden["frames"]))
+            tracked = read_tracks(out / TRACKS)
+            found.append(TipErrors.of(tracked[first:], golden["frames"]))
+            early.append(TipErrors.of(tracked[:first], golden["frames"]))
+            later.append(TipErrors.of(tracked[first // 2 : first], golden["frames"]))
             row = {"recording": folder.name, **found[-1].figures(), "base, deg": None, "base, mm": None, "lag": None}
             if done.calibration is not None and golden.get("camera_from_base") is not None:
                 true = np.array(golden["camera_from_base"])
@@ -118,7 +128,11 @@ def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None 
             rows.append(row)
     pooled = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
     pooled["worst median"] = max(row["tips, mm"] for row in rows)
-    return {"recordings": rows, "all": [pooled]}
+    report: dict[str, Any] = {"recordings": rows, "all": [pooled]}
+    if first:
+        report[f"before frame {first}"] = [TipErrors.pooled(early).figures()]
+        report[f"from frame {first // 2} to {first}"] = [TipErrors.pooled(later).figures()]
+    return report
 
 
 def recordings_in(folders: Sequence[str | Path]) -> Iterator[Path]:
