@@ -27,7 +27,7 @@ from dvrk_cmaes.track.sight import Seen, Sight
 _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _AGREES = 4.0  # largest squared misfit per parameter of such an image
-_BY_THE_BASE = 0.8  # of the error of the tips that is ok: the most that a first solution may leave, before any image
+_BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 

@@ -40,6 +40,8 @@ from dvrk_cmaes.track.smoother import Recorder
 
 Float64 = NDArray[np.float64]
 
+_LONGEST_GAP = 1.0  # s, over which what was followed is gone on with after a calibration that did not hold
+
 
 class Tracker:
     """Follows one instrument by masks, images and joint readings.
@@ -130,6 +132,7 @@ class Tracker:
         known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
         self._known = known
         self._time: float | None = None
+        self._by_filter: float | None = None  # s, the last image that was followed without a calibration
         self._recorder = Recorder() if record else None
 
     @property
@@ -182,6 +185,7 @@ class Tracker:
         """
         return {
             "time": self._time,
+            "by_filter": self._by_filter,
             **self._following.checkpoint(),
             **self._readings.checkpoint(),
             "sight": self._sight.checkpoint(),
@@ -198,6 +202,7 @@ class Tracker:
         """
         try:
             self._time = None if saved["time"] is None else float(saved["time"])
+            self._by_filter = None if saved["by_filter"] is None else float(saved["by_filter"])
             self._following.restore(saved)
             self._readings.restore(saved)
             self._sight.restore(saved["sight"])
@@ -283,7 +288,7 @@ class Tracker:
         seen = None if image is None else self._sight.look(None, image, None)
         following = self._following
         following.begin(result, following.starts(following.anchor(time), result))
-        self._time = time
+        self._time = self._by_filter = time
         if seen is not None:
             following.learn(seen)
 
@@ -333,13 +338,15 @@ class Tracker:
         if known is not None and known.calibration is not None:
             result = known.follow(time, self._readings.buffer, seen, self._sight)
             if known.calibration is None:  # contradicted
-                following.forget()
                 following.forget_calibration()
+                if self._by_filter is None or time - self._by_filter > _LONGEST_GAP:
+                    following.forget()
             return result
-        if following.best is None or self._time is None:
+        if following.best is None or self._by_filter is None:
             result = following.first(time, seen)
         else:
-            result = following.follow(time, time - self._time, seen)
+            result = following.follow(time, time - self._by_filter, seen)
+        self._by_filter = time
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
