@@ -156,10 +156,12 @@ class GlobalSearch:
         return {} if outline is None else self.sight.boxes_of(outline)
 
 
-def nearest_of_same_base(follower: Follower, main: Hypothesis, result: Result) -> Hypothesis | None:
-    """Return the predicted hypothesis moved to the nearest mode of a single frame's result.
+def same_base(
+    follower: Follower, main: Hypothesis, result: Result, evidence: Evidence
+) -> tuple[Hypothesis, Fit] | None:
+    """Return the predicted hypothesis corrected by the nearest mode of a single frame's result, and by the image.
 
-    None if no mode is near enough to be of the same base.
+    None if no mode is near enough to be of the same base, or the image does not support it.
     """
     if result.camera_from_root is None or result.covariance is None:
         return None
@@ -171,18 +173,7 @@ def nearest_of_same_base(follower: Follower, main: Hypothesis, result: Result) -
         for pose, joints in modes
     ]
     nearest, deviation = min(fused, key=lambda pair: pair[1])
-    return nearest if deviation < _SAME_BASE else None
-
-
-def same_base(
-    follower: Follower, main: Hypothesis, result: Result, evidence: Evidence
-) -> tuple[Hypothesis, Fit] | None:
-    """Return the predicted hypothesis corrected by the nearest mode of a single frame's result, and by the image.
-
-    None if no mode is near enough to be of the same base, or the image does not support it.
-    """
-    nearest = nearest_of_same_base(follower, main, result)
-    corrected = None if nearest is None else follower.corrected(nearest, evidence)
+    corrected = follower.corrected(nearest, evidence) if deviation < _SAME_BASE else None
     return None if corrected is None or not is_supported(corrected[1], follower.config) else corrected
 
 

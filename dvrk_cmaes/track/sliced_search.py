@@ -1,8 +1,9 @@
-"""A search of one image that goes on in the steps after it, a slice in each."""
+"""A search of one image that goes on in the steps after it, a slice in each, and the images that came meanwhile."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from dvrk_cmaes.results.result import Result
@@ -11,19 +12,24 @@ from dvrk_cmaes.track.hypothesis import Hypothesis
 from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.recovery import GlobalSearch
 from dvrk_cmaes.track.sight import Seen
+from dvrk_cmaes.track.update import Fit
 
 Purpose = Literal["first", "lost", "confirm"]
 
 SLICE: Final = 6000.0
 """Pixel rows of silhouettes that are drawn for a search in one step; some 30 ms."""
-_LONGEST: Final = 10.0  # s, after which what was found is too old
+_MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
+CAUGHT_UP: Final = 3
+"""Images that are followed in one step after a search, until the present one is reached."""
 
 
 @dataclass(frozen=True, eq=False)
 class SlicedSearch:
     """The search of an image of a ``time``, s, what was known there, and what it is for.
 
-    ``hypotheses`` are the modes as they were followed to that image.
+    ``hypotheses`` are the modes as they were predicted for that image or, to be confirmed, followed to it; ``fit`` is
+    what supports the first of them there, None if nothing does. ``later`` are the images that have come since, with
+    their times.
     """
 
     call: SlicedCall[Result | None]
@@ -32,6 +38,8 @@ class SlicedSearch:
     anchor: Anchor
     seen: Seen
     hypotheses: tuple[Hypothesis, ...]
+    fit: Fit | None
+    later: list[tuple[float, Seen]] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -41,19 +49,22 @@ class SlicedSearch:
         time: float,
         anchor: Anchor,
         seen: Seen,
-        hypotheses: list[Hypothesis],
+        hypotheses: Sequence[Hypothesis],
+        fit: Fit | None = None,
     ) -> SlicedSearch:
         """Begin a search."""
-        call = SlicedCall(lambda: solve(seen, anchor, first=purpose == "first"))
-        return cls(call, purpose, time, anchor, seen, tuple(hypotheses))
+        kept = seen.copied()
+        call = SlicedCall(lambda: solve(kept, anchor, first=purpose == "first"))
+        return cls(call, purpose, time, anchor, kept, tuple(hypotheses), fit)
 
     def advance(self) -> bool:
         """Go on by a slice; returns whether the search has ended."""
         return self.call.advance(SLICE)
 
-    def is_late(self, time: float) -> bool:
-        """Whether what was found is too old for an image of a time, s."""
-        return time - self.time > _LONGEST
+    def add(self, time: float, seen: Seen) -> bool:
+        """Keep an image that comes during the search; returns whether there are not too many."""
+        self.later.append((time, seen.copied()))
+        return len(self.later) <= _MOST_IMAGES
 
     @property
     def reason(self) -> str:

@@ -185,7 +185,7 @@ class Tracker:
         """
         return {
             "time": self._time,
-            "by_filter": self._by_filter,
+            "by_filter": self._following.followed_until(self._by_filter),
             **self._following.checkpoint(),
             **self._readings.checkpoint(),
             "sight": self._sight.checkpoint(),
@@ -342,7 +342,9 @@ class Tracker:
                 if self._by_filter is None or time - self._by_filter > _LONGEST_GAP:
                     following.forget()
             return result
-        if following.best is None or self._by_filter is None:
+        if following.sliced:
+            result = following.step_in_slices(time, self._by_filter, seen)
+        elif following.best is None or self._by_filter is None:
             result = following.first(time, seen)
         else:
             result = following.follow(time, time - self._by_filter, seen)
