@@ -101,6 +101,11 @@ class CalibratedFollowing:
         self._astray = 0
 
     @property
+    def has_readings(self) -> bool:
+        """Whether the outer joints have been read at an image so far."""
+        return self._outer is not None
+
+    @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
         return self._astray >= (_DISAGREES if self._tentative else _MOST_ASTRAY)

@@ -147,6 +147,13 @@ class KnownBase:
             self._rig, self._body, self._config, written, lag_std=std, tentative=tentative
         )
 
+    def can_follow(self, time: float, readings: ReadingBuffer) -> bool:
+        """Whether there is a calibration, and the outer joints have been read at an image or are at a time, s."""
+        if self._following is None:
+            return False
+        late = 0.0 if self.lag is None else self.lag.seconds
+        return self._following.has_readings or readings.at(time - late).has_outer
+
     def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more."""
         following, lag = self._following, self.lag

@@ -335,7 +335,7 @@ class Tracker:
     def _followed(self, time: float, seen: Seen) -> TrackResult:
         """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
         known, following = self._known, self._following
-        if known is not None and known.calibration is not None:
+        if known is not None and known.can_follow(time, self._readings.buffer):
             result = known.follow(time, self._readings.buffer, seen, self._sight)
             if known.calibration is None:  # contradicted
                 following.forget_calibration()

@@ -109,3 +109,11 @@ def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker,
     other = replace(tracker.problem(), base=7)
     assert not tracker.use(Solution(None, "of another base", 4, {}, other.base))
     assert "of another base" not in tracker.base_state
+
+
+def test_instrument_whose_readings_are_missing_is_followed_without_the_calibration(
+    world: MovingWorld, calibration: SessionCalibration
+) -> None:
+    tracker = Tracker(world.camera, world.body, calibration, keyframes=True, earlier=True)
+    results = world.follow(tracker, frames=range(4), readings=lambda k: {})
+    assert all(result.camera_from_root is not None for result in results)
