@@ -9,13 +9,14 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
     from dvrk_cmaes.calibration.lag import LagCurve
-    from dvrk_cmaes.calibration.mask_margin import SessionMasks
     from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
     from dvrk_cmaes.calibration.session_cables import SessionCables
     from dvrk_cmaes.calibration.session_camera import SessionCamera
-    from dvrk_cmaes.calibration.session_rig import ViewRotation
+    from dvrk_cmaes.calibration.session_masks import SessionMasks
+    from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
     from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.camera.files import read_camera
+    from dvrk_cmaes.camera.view_document import ViewDocument
     from dvrk_cmaes.config import (
         EstimateConfig,
         LookAtRange,
@@ -92,7 +93,7 @@ _HOMES = {
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration.frame_task",
-    "SessionMasks": "calibration.mask_margin",
+    "SessionMasks": "calibration.session_masks",
     "SessionVideo": "frames.session_video",
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
@@ -104,7 +105,9 @@ _HOMES = {
     "Tracker": "track",
     "TrustConfig": "config",
     "ViewCheck": "results.result",
+    "ViewDocument": "camera.view_document",
     "ViewRotation": "calibration.session_rig",
+    "ViewScale": "calibration.session_rig",
     "__version__": "config",
     "calibrate_session": "calibration.calibrate",
     "estimate": "estimation",
@@ -173,7 +176,9 @@ __all__ = [
     "Tracker",
     "TrustConfig",
     "ViewCheck",
+    "ViewDocument",
     "ViewRotation",
+    "ViewScale",
     "__version__",
     "calibrate_session",
     "estimate",

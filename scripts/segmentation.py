@@ -2,6 +2,8 @@
 
     python scripts/segmentation.py masks SESSION...    overlap with the given masks, by prompt; CPU seconds an image
     python scripts/segmentation.py poses SESSION...    poses from the image alone, compared with those from the masks
+    python scripts/segmentation.py predicted session.json...
+        first masks of a calibrated session that overlap the silhouettes predicted by the other frames, counted by image
 
 ``poses`` needs the session's camera, its readings and --instrument.
 """
@@ -21,6 +23,7 @@ import numpy as np
 from measure.tables import Report, print_report
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import compare_poses
@@ -38,6 +41,7 @@ Rows = list[dict[str, Any]]
 
 NEAR_MM: Final = 5.0
 NEAR_DEG: Final = 10.0
+OVERLAP: Final = 0.85
 
 
 def main() -> int:
@@ -48,6 +52,8 @@ def main() -> int:
 
 def _report(options: argparse.Namespace) -> Report:
     """Return the report of a command."""
+    if options.command == "predicted":
+        return predicted_report({str(path): read_calibration(path) for path in options.sessions})
     sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in options.sessions}
     return {"masks": masks_report, "poses": poses_report}[options.command](sessions, options.instrument)
 
@@ -55,8 +61,8 @@ def _report(options: argparse.Namespace) -> Report:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("masks", "poses"), help="what to measure")
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders")
+    parser.add_argument("command", choices=("masks", "poses", "predicted"), help="what to measure")
+    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, or session.json")
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
@@ -119,6 +125,32 @@ def _mask_row(
         "confidence": found.confidence,
         "cpu_seconds": time.process_time() - started,
     }
+
+
+def predicted_report(calibrations: Mapping[str, SessionCalibration]) -> dict[str, Rows]:
+    """Count the images whose first mask overlaps the silhouette that the other frames predict, by session and eye.
+
+    Frames that were left out have no prediction; their images count as not overlapping.
+    """
+    rows: Rows = []
+    for name, calibration in calibrations.items():
+        of_views = calibration.leave_one_out_of_views or {"one eye": calibration.leave_one_out}
+        images = len(calibration.frames) + len(calibration.left_out)
+        eyes = {view: np.array(list(own.values())).reshape(-1, 2) for view, own in of_views.items()}
+        eyes |= {"all": np.concatenate(list(eyes.values()))} if len(eyes) > 1 else {}
+        for view, pairs in eyes.items():
+            rows.append(
+                {
+                    "session": name,
+                    "eye": view,
+                    "images": images * (len(of_views) if view == "all" else 1),
+                    f"iou above {OVERLAP:g}": int((pairs[:, 0] > OVERLAP).sum()),
+                    "iou, mean": round(float(pairs[:, 0].mean()), 3),
+                    "iou, least": round(float(pairs[:, 0].min()), 3),
+                    "contour px, median": round(float(np.median(pairs[:, 1])), 2),
+                }
+            )
+    return {"predicted": rows}
 
 
 def poses_report(sessions: Mapping[str, Session], instrument: str) -> dict[str, Rows]:

@@ -84,3 +84,34 @@ def test_public_names_are_listed() -> None:
 def test_unknown_name_is_refused() -> None:
     with pytest.raises(AttributeError, match=r"^module 'dvrk_cmaes' has no attribute 'Nothing'$"):
         dvrk_cmaes.__getattr__("Nothing")
+
+
+# the docstrings of which the site's page is made
+
+INTERNAL = {"from_document", "ViewDocument.of", "SessionCamera.of", "SessionMasks.of"} | {
+    "SessionCalibration.model",
+    "ViewRotation.with_values",
+}
+"""Methods that take objects which users do not have."""
+
+
+def documented() -> list[Callable[..., Any]]:
+    """Give the public functions, and the public methods of the public classes."""
+    members = [
+        getattr(member, "__func__", member)
+        for kind in PUBLIC.values()
+        if inspect.isclass(kind)
+        for name, member in vars(kind).items()
+        if not name.startswith("_")
+    ]
+    methods = [member for member in members if inspect.isfunction(member)]
+    return [f for f in [*FUNCTIONS, *methods] if not {f.__name__, f.__qualname__} & INTERNAL]
+
+
+@pytest.mark.parametrize("function", documented(), ids=qualified_name)
+def test_parameters_are_listed_one_by_one(function: Callable[..., Any]) -> None:
+    names = [name for name in inspect.signature(function).parameters if name not in ("self", "cls")]
+    text = inspect.getdoc(function) or ""
+    section = re.search(r"^Parameters\n-+\n((?:.+\n?)*)", text, flags=re.MULTILINE)
+    listed = re.findall(r"^(\w+)(?: : .+)?$", section[1] if section else "", flags=re.MULTILINE)
+    assert listed == names

@@ -34,7 +34,9 @@ from dvrk_cmaes.calibration.frame_task import (
     with_changed_views,
 )
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
-from dvrk_cmaes.calibration.mask_margin import SessionMasks, estimate_margin
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
+from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
+from dvrk_cmaes.calibration.mask_margin import estimate_margin
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
     FoundAgain,
@@ -50,6 +52,7 @@ from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, 
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.rig_estimate import RigOutlines, estimate_rig
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
+from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
@@ -79,8 +82,8 @@ class Alternation:
     ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
     the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``undetermined`` about what
     it does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change
-    of the camera that the frames fit, None where it is not determined, ``masks`` the errors that all masks share, and
-    ``rig`` what the further views differ in from the file.
+    of the camera that the frames fit, None where it is not determined, and ``rig`` what the further views differ in
+    from the file.
     ``again`` is what changed as masks were found again, None where they were not; ``masks_found_again`` are those that
     are used, by frame and view.
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
@@ -129,7 +132,8 @@ class Alternation:
         self.fits: list[FrameFit] = []
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
-        self.masks: SessionMasks | None = None
+        self._margins: list[tuple[str, Margin]] = []  # of the views, in their order
+        self._lasting: LastingEstimate | None = None
         self.undetermined: list[str] = []
         self.again: MasksAgain | None = None
         self.masks_found_again: dict[str, Mapping[str, PackedMask]] = {}
@@ -141,12 +145,19 @@ class Alternation:
         self.model = SessionModel(outer, joints, names, deviations, arm=arm, roll_offset=instrument.roll_offset)
         self._offset_std = offset_deviations(config, names)
         self._prior = np.diag([*np.zeros(6), *(1 / self._offset_std**2)])
+        self._size = USUAL_SIZE
         self._modes = [Mode.all_of(frame.result, names) for frame in frames]
-        self.cables = CableEstimate(names, deviations, self._offset_std[1:])
+        self._of_cables = names, deviations, self._offset_std[1:]
+        self.cables = CableEstimate(*self._of_cables)
         self.lag = LagEstimate(series, [frame.name for frame in frames], deviations.outer)
+        self._given = self.frames, self._modes, self.model, self.rig
+        self._gathered: dict[str, StoredFrame] = {}
 
-    def initialise(self) -> None:
+    def initialise(self, lag: float | None = None) -> None:
         """Find the camera_from_base that most frames agree on, each frame's mode for it, and faults of the session.
+
+        ``lag`` is taken out of the readings, in the unit of their times; by default that is done with the one on which
+        the frames' own modes agree.
 
         Raises
         ------
@@ -157,7 +168,10 @@ class Alternation:
         check_motion(self.model)
         if self._change is not None and (reason := untested(self.model)):
             raise InputError(f"--refine-camera: {reason}")
-        self.search_lag()
+        if lag is None:
+            self.search_lag()
+        else:
+            self.lag.take(lag)
         self._take_out_lag()
         start = self._consensus_on_one_base().calibration
         self.solution, self._chosen = solve_with_modes(self.model, self._modes, start, self._prior)
@@ -165,6 +179,25 @@ class Alternation:
     def search_lag(self) -> None:
         """Find the lag from the frames' own modes, without correcting the readings."""
         self.lag.search(self.model, self._modes, self._offset_std, self._prior)
+
+    def at_lag(self, lag: float) -> Alternation:
+        """Solve the same frames from the beginning with readings less another lag; as `initialise` and `iterate`."""
+        other = copy.copy(self)
+        other.frames, other._modes, other.model, other.rig = self._given
+        other.lag, other.cables = self.lag.of_all(), CableEstimate(*self._of_cables)
+        other.fits, other.warnings, other.undetermined, other._left_out = [], [], [], {}
+        other._margins, other._lasting, other._size = [], None, USUAL_SIZE
+        other._change = None if self._change is None else np.zeros(3)
+        other.initialise(lag)
+        other.iterate()
+        return other
+
+    def left_out_overlaps(self) -> dict[str, float]:
+        """Return the overlap of each frame's masks and the silhouette that all other frames predict, by its name."""
+        poses = [Posed.stacked([at]) for at in self._left_out_predictions()]
+        tasks = [PredictedTask(*pair, self._change) for pair in zip(self._stored, poses, strict=True)]
+        measured = self._run(predicted_task, tasks)
+        return {frame.name: iou for frame, ((iou, _),) in zip(self.frames, measured, strict=True)}
 
     def _take_out_lag(self) -> None:
         """Correct the readings by the lag if it differs from zero."""
@@ -208,7 +241,11 @@ class Alternation:
         """
         session = self._config.session
         self._progress("gathering evidence", len(self.frames))
-        self._stored = self._run(gather_task, self.frames)
+        missing = [frame for frame in self.frames if frame.name not in self._gathered]
+        self._gathered |= {
+            frame.name: stored for frame, stored in zip(missing, self._run(gather_task, missing), strict=True)
+        }
+        self._stored = [self._gathered[frame.name] for frame in self.frames]
         scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
         if self._change is not None:
             scales.append(1.0)  # with the camera that all rounds before have found
@@ -238,7 +275,7 @@ class Alternation:
 
         ``keep_all`` is whether fits that do not explain the mask count as well.
         """
-        fits = FrameFits.of([fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits])
+        fits = self._frame_fits(keep_all=keep_all)
         self._solve(fits, calibration)
         if not keep_all and self._config.session.cables:
             self._correct_cables(fits)
@@ -246,8 +283,19 @@ class Alternation:
         self.model = self.lag.corrected(self.model)
         return fits
 
+    def _frame_fits(self, *, keep_all: bool) -> FrameFits:
+        """Return the current fits; without the outlines that do not explain the mask, unless they are kept as well."""
+        fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
+        terms = [fit.whole_outline for fit in fits]
+        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self._common)
+
     def _finish(self, fits: FrameFits) -> None:
-        """Solve once more with all that was found from the fits of the last round."""
+        """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
+        self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
+        self._lasting = estimate_lasting(self.model, self.fits, self.solution, self._prior, self._times)
+        self._size = self._lasting.size
+        self.fits = [fit.with_size(self._size) for fit in self.fits]
+        fits = self._frame_fits(keep_all=False)
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
         self.lag.estimate_joints(self.model, fits, self.solution.calibration, self._prior)
 
@@ -334,7 +382,10 @@ class Alternation:
         The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
         """
         again = [i for i, of_frame in enumerate(starts) if of_frame]
-        tasks = [FitTask(self._stored[i], expected[i], starts[i], self._change, self._margin) for i in again]
+        tasks = [
+            FitTask(self._stored[i], expected[i], starts[i], self._change, self._taken_off(self._stored[i]))
+            for i in again
+        ]
         fits = dict(enumerate(self.fits))
         if last:
             fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
@@ -382,8 +433,9 @@ class Alternation:
         self._progress("checking the rig", len(self.frames))
         session = self._config.session
         try:
+            margin = 0.0 if self.masks is None else self.masks.taken_off
             estimate = estimate_rig(
-                self.model, calibration, self._prior, session, at, outlines, self.rig, self._change, self._margin
+                self.model, calibration, self._prior, session, at, outlines, self.rig, self._change, margin
             )
         except InputError as error:
             self.undetermined.append(f"rig: {error}")
@@ -406,24 +458,55 @@ class Alternation:
         return zip(self.fits, self._stored, strict=True)
 
     def _take_off_margin(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
-        """Estimate the margin of the masks from the current fits, and take it off if it is clear.
+        """Estimate the margin of each view's masks from the current fits, and take it off if it is clear.
 
-        Returns the calibration, and the frames' poses with masks less the margin; None if it is not taken off.
+        Returns the calibration, and the frames' poses with masks less the margin of a view; None if none is taken off.
         """
         session = self._config.session
-        estimate = estimate_margin(self.model, calibration, self._prior, session, at, self._outlines())
-        self.masks = estimate.masks
-        return (estimate.calibration, estimate.at) if estimate.masks.applied else (calibration, None)
+        names = list(dict.fromkeys(view.name for stored in self._stored for view in stored.views))
+        found = []
+        for outlines in [self._outlines(name) for name in names]:
+            found.append(estimate_margin(self.model, calibration, self._prior, session, at, outlines))
+        self._margins = [(name, estimate.margin) for name, estimate in zip(names, found, strict=True)]
+        for estimate in found:
+            if estimate.margin.applied:
+                return estimate.calibration, estimate.at
+        return calibration, None
 
     @property
-    def _margin(self) -> float:
-        """Margin, px, that is taken off the masks."""
-        return 0.0 if self.masks is None else self.masks.taken_off
+    def _times(self) -> Float64:
+        """Times (N,) of the frames, s; NaN where unknown."""
+        read = self.lag.seconds()
+        return np.full(len(self.frames), np.nan) if read is None else read
 
-    def _outlines(self) -> SessionOutlines:
-        """Return the outlines of all frames, as functions of poses, joints and camera."""
-        used = np.array([fit.explains_mask and stored.in_reference for fit, stored in self._fitted()])
-        return SessionOutlines(self._stored, used, self._run, self._margin)
+    @property
+    def _common(self) -> CommonErrors:
+        """The errors that the frames share."""
+        by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
+        return CommonErrors(self._size, self._times, by_lag)
+
+    @property
+    def masks(self) -> SessionMasks | None:
+        """What is stated of errors that the masks share; None if their margin was not estimated."""
+        return SessionMasks.of(self._margins, self._lasting) if self._margins else None
+
+    def _taken_off(self, stored: StoredFrame) -> tuple[float, ...]:
+        """Return the margins, px, that are taken off the masks of a frame's views."""
+        masks = self.masks
+        return tuple(0.0 if masks is None else masks.taken_off_in(view.name) for view in stored.views)
+
+    def _outlines(self, view: str | None = None) -> SessionOutlines:
+        """Return the outlines of all frames in a view, by default the reference camera's."""
+        name = self._reference if view is None else view
+        views = [stored.number_of(name) if fit.explains_mask else None for fit, stored in self._fitted()]
+        margin = 0.0 if self.masks is None else self.masks.taken_off_in(name)
+        return SessionOutlines(self._stored, views, self._run, self._common, margin)
+
+    @property
+    def _reference(self) -> str:
+        """Name of the view of the reference camera; of another one if it does not show the instrument in any frame."""
+        shown = [stored for stored in self._stored if stored.in_reference] or self._stored
+        return str(shown[0].views[0].name)
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""

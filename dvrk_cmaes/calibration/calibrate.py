@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
+from dvrk_cmaes.calibration.lag_trials import best_predicting, lags_to_try
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -144,8 +146,7 @@ def calibrate_with_evidence(
     alternation = Alternation(
         usable, series, body.instrument, arm, settings, run, progress, rig=rotations, refine_camera=refine_camera
     )
-    alternation.initialise()
-    alternation.iterate()
+    alternation = _solved(alternation, progress)
     if settings.session.masks_again:
         alternation = alternation.with_masks_again()
     alternation.check_constants()
@@ -162,16 +163,19 @@ def calibrate_with_evidence(
         described["untold"] += (f"lag between images and readings: {alternation.lag.undetermined}",)
     if commanded:
         described["untold"] += (f"offsets of {', '.join(commanded)} at other readings than the only one of each",)
+    alone = {name: report.leave_one_out for name, report in reported.items() if name not in left_out}
+    view_names = dict.fromkeys(view for predicted in alone.values() for view in predicted.views)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
         roll_offset=body.instrument.roll_offset,
         frames=tuple(frame.name for frame in alternation.frames if frame.name not in left_out),
         left_out=dict(sorted(left_out.items())),
-        leave_one_out={
-            name: (report.leave_one_out.iou, report.leave_one_out.contour_px)
-            for name, report in reported.items()
-            if name not in left_out
+        leave_one_out={name: (predicted.iou, predicted.contour_px) for name, predicted in alone.items()},
+        leave_one_out_of_views={
+            view: {name: predicted.views[view] for name, predicted in alone.items() if view in predicted.views}
+            for view in view_names
+            if len(view_names) > 1
         },
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
@@ -198,6 +202,44 @@ def calibrate_with_evidence(
         calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
+
+
+def _solved(alternation: Alternation, progress: Callable[[str, int], None]) -> Alternation:
+    """Solve a session; where the frames' own modes do not tell the lag, also at the lags that they allow.
+
+    A solution at such a lag is taken where it predicts frames that are left out clearly better than that without.
+
+    Raises
+    ------
+    InputError
+        As `Alternation.initialise`.
+    """
+    problem: InputError | None = None
+    try:
+        alternation.initialise()
+        alternation.iterate()
+    except InputError as error:
+        problem = error
+    trials = _at_other_lags(alternation, progress) if alternation.lag.can_be_tried else []
+    if not trials:
+        if problem is not None:
+            raise problem
+        return alternation
+    overlaps = [trial.left_out_overlaps() for trial in trials]
+    if problem is not None:
+        return trials[int(np.argmax([np.mean(list(each.values())) for each in overlaps]))]
+    best = best_predicting(alternation.left_out_overlaps(), overlaps)
+    return alternation if best is None else trials[best]
+
+
+def _at_other_lags(alternation: Alternation, progress: Callable[[str, int], None]) -> list[Alternation]:
+    """Solve a session at the lags that its frames' own modes allow, but for those that its readings contradict."""
+    trials, curve = [], alternation.lag.curve
+    for lag in lags_to_try(curve):
+        progress("trying another lag", len(alternation.frames))
+        with contextlib.suppress(InputError):
+            trials.append(alternation.at_lag(lag))
+    return trials
 
 
 def find_lag(

@@ -17,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_task import ConstantsTask, Run, constants_task
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.shared_errors import LASTING
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
@@ -42,22 +45,29 @@ _PLAUSIBLE = 2.0  # standard deviations of `WEAK_PRIOR`; linearised farther away
 
 @dataclass(frozen=True, eq=False)
 class SessionOutlines:
-    """The outlines of N frames in the reference camera, as functions of poses, joints and four constants.
+    """The outlines of N frames in one view, as functions of poses, joints and four constants.
 
-    The constants are a change of that camera and the margin of the masks, px. ``stored`` are the frames with the
-    unchanged camera. Those for which ``used`` (N,) is false do not influence the estimate. ``run`` applies a function
-    to many tasks. ``margin``, px, is the value of the margin from which estimates start.
+    The constants are a change of that view's camera and the margin of its masks, px. ``stored`` are the frames with the
+    unchanged camera, ``views`` (N,) the numbers of the view in them. Those for which this is None do not influence the
+    estimate. ``run`` applies a function to many tasks. ``margin``, px, is the value of the margin from which estimates
+    start. ``common`` are the errors that the frames share.
     """
 
     stored: Sequence[StoredFrame]
-    used: NDArray[np.bool_]
+    views: Sequence[int | None]
     run: Run[Any, Any]
+    common: CommonErrors
     margin: float = 0.0
 
     @property
     def width(self) -> int:
         """Width of the images, px, to which changes of the camera refer."""
-        return self.stored[0].reference.evidence.camera.width
+        return self._evidence[0].camera.width
+
+    @property
+    def _evidence(self) -> list[Evidence]:
+        """Evidence of the view in each frame; that of another view where the frame does not count."""
+        return [one.views[view or 0].stored.evidence for one, view in zip(self.stored, self.views, strict=True)]
 
     def near(self, at: Posed, constants: Float64) -> FrameFits:
         """Linearise the outlines at N poses and values (4,) of the constants, in both.
@@ -68,13 +78,14 @@ class SessionOutlines:
             With the changed focal length, the lens distortion is not one-to-one over the image.
         """
         tasks = [
-            ConstantsTask(stored, at[k], changed(stored.reference.evidence.camera, constants[:3]), float(constants[3]))
-            for k, stored in enumerate(self.stored)
+            ConstantsTask(self.stored[k], view, at[k], changed(evidence.camera, constants[:3]), float(constants[3]))
+            for k, (view, evidence) in enumerate(zip(self.views, self._evidence, strict=True))
+            if view is not None
         ]
-        terms = Quadratic.joined(self.run(constants_task, tasks))
-        used = self.used.astype(np.float64)
-        of_used = Quadratic(used[:, None, None] * terms.information, used[:, None] * terms.slope)
-        return FrameFits(at, of_used, constants)
+        found = iter(self.run(constants_task, tasks))
+        nothing = Quadratic.zero(1, 6 + at.joints.shape[1] + len(constants) + LASTING)
+        terms = [nothing if view is None else next(found) for view in self.views]
+        return FrameFits.with_lasting(at, terms, self.common, constants)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +95,13 @@ class CameraEstimate:
     ``covariance`` (3, 3) is that of the change, whose prior is `WEAK_PRIOR`. ``sensitivity`` (K, 3) is the derivative
     of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N frames with
     the changed camera. ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing
-    about it.
+    about it. ``first_change`` (3,) and ``first_covariance`` (3, 3) are what the first linearisation told, at the start.
     """
 
     change: Float64
     covariance: Float64
+    first_change: Float64
+    first_covariance: Float64
     sensitivity: Float64
     calibration: Calibration
     at: Posed
@@ -136,19 +149,21 @@ def estimate_camera(
     of_camera = slice(count, count + 3)
     prior = np.pad(prior, (0, 4)) + np.diag([*np.zeros(count), *WEAK_PRIOR**-2, MARGIN_STD**-2])
     weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (count - 2)])
+    found: list[tuple[Float64, Float64]] = []
     for _ in range(passes):
         before, fits = constants[:3], outlines.near(at, constants)
         model, solution = solve_with_variances(model, fits, calibration, prior, config, steps=_STEPS)
         calibration, constants = solution.calibration, solution.calibration.further
         change, information = constants[:3], solution.information + weak
-        covariance = _inverse(information)[of_camera, of_camera]
+        covariance = solution.covariance_of(_inverse(information))[of_camera, of_camera]
+        found.append((change, covariance))
         at = at.moved(marginalise(model, fits, calibration).own)
         plausible = bool((np.abs(change) < _PLAUSIBLE * WEAK_PRIOR).all())
         if not plausible or (np.abs(change - before) < _SETTLED * np.sqrt(np.diag(covariance))).all():
             break
     sensitivity = -_inverse(information[:count, :count]) @ information[:count, of_camera]
     calibration = replace(calibration, further=np.zeros(0))
-    return CameraEstimate(change, covariance, sensitivity, calibration, at, plausible=plausible)
+    return CameraEstimate(change, covariance, *found[0], sensitivity, calibration, at, plausible=plausible)
 
 
 def _inverse(information: Float64) -> Float64:

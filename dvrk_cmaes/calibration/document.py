@@ -12,7 +12,6 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
@@ -24,6 +23,7 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
@@ -84,6 +84,7 @@ class _Parts(Struct):
     quality: _Quality
     left_out: tuple[_LeftOut, ...] = ()
     leave_one_out: dict[str, _LeaveOneOut] = {}
+    leave_one_out_of_views: dict[str, dict[str, _LeaveOneOut]] = {}
     lag: LagDocument | None = None
     lag_curve: LagCurveDocument | None = None
 
@@ -101,6 +102,7 @@ class SessionCalibration:
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
     leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
     the other frames predict; its first mask, where masks were found again.
+    leave_one_out_of_views : the same in each view of a rig by itself, by view and frame; empty of a single camera.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
@@ -124,6 +126,7 @@ class SessionCalibration:
     frames: Texts = ()
     left_out: dict[str, str] = field(default_factory=dict)
     leave_one_out: dict[str, tuple[float, float]] = field(default_factory=dict)
+    leave_one_out_of_views: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
     iou: Number = 0.0
     contour_px_95: Number = 0.0
     lag: Lag | None = None
@@ -150,13 +153,24 @@ class SessionCalibration:
         return np.asarray(self.camera_from_base[:3, 3])
 
     def corrected(self, camera: Camera) -> Camera:
-        """Return the camera with the change with which the session was solved; the camera itself if there is none."""
+        """Return the camera with the change with which the session was solved; the camera itself if there is none.
+
+        Parameters
+        ----------
+        camera
+            The camera as its file has it.
+        """
         return camera if self.camera is None else self.camera.corrected(camera)
 
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
         """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.
 
         The views keep what they hold beside their camera.
+
+        Parameters
+        ----------
+        views
+            The views as the cameras' files have them.
         """
         own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
         return changed_views(own, changes_of(self.rig))
@@ -204,9 +218,8 @@ class SessionCalibration:
             },
             **encoded_fields(self, "spreads", "untold", "warnings", "frames"),
             "left_out": [{"frame": name, "reason": reason} for name, reason in self.left_out.items()],
-            "leave_one_out": {
-                name: {"iou": rounded(iou), "contour_px": rounded(px)} for name, (iou, px) in self.leave_one_out.items()
-            },
+            "leave_one_out": _predictions(self.leave_one_out),
+            "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
             "quality": encoded_fields(self, "iou", "contour_px_95"),
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
@@ -222,6 +235,13 @@ class SessionCalibration:
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], *, where: str = "session") -> SessionCalibration:
         """Read a calibration from its document.
+
+        Parameters
+        ----------
+        document
+            The content of session.json.
+        where
+            Where it is from, for messages.
 
         Raises
         ------
@@ -239,7 +259,8 @@ class SessionCalibration:
             "covariance": covariance,
             "covariance_given_camera": read_covariance(where, fields["covariance"], axes, given_camera),
             "left_out": {one.frame: one.reason for one in parts.left_out},
-            "leave_one_out": {name: (one.iou, one.contour_px) for name, one in parts.leave_one_out.items()},
+            "leave_one_out": _pairs(parts.leave_one_out),
+            "leave_one_out_of_views": {view: _pairs(own) for view, own in parts.leave_one_out_of_views.items()},
             "iou": parts.quality.iou,
             "contour_px_95": parts.quality.contour_px_95,
         }
@@ -306,6 +327,16 @@ class SessionCalibration:
         return np.column_stack([np.ones(len(joints)), np.sqrt(1 + (away / std) ** 2)])
 
 
+def _predictions(pairs: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+    """Return predictions of frames, IoU and px, as the document has them."""
+    return {name: {"iou": rounded(iou), "contour_px": rounded(px)} for name, (iou, px) in pairs.items()}
+
+
+def _pairs(predictions: Mapping[str, _LeaveOneOut]) -> dict[str, tuple[float, float]]:
+    """Return predictions of frames, IoU and px, of a document."""
+    return {name: (one.iou, one.contour_px) for name, one in predictions.items()}
+
+
 def describe_solution(
     model: SessionModel, solution: Solution, of_camera: Float64, config: EstimateConfig
 ) -> dict[str, Any]:
@@ -355,6 +386,12 @@ def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) 
 
 
 def read_calibration(path: str | Path) -> SessionCalibration:
-    """Read a session's calibration; InputError names the file and the field."""
+    """Read a session's calibration; InputError names the file and the field.
+
+    Parameters
+    ----------
+    path
+        The file, session.json.
+    """
     document = read_json_object(Path(path), expected="a session calibration (session.json)")
     return SessionCalibration.from_dict(document, where=str(path))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -18,8 +19,9 @@ from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
+from dvrk_cmaes.pose.terms.shared_errors import side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
+from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 
@@ -28,6 +30,7 @@ Float64 = NDArray[np.float64]
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
+_FEW_STEPS = Steps(4, inner=3, tested="none", largest=4.0)  # of a fit from a pose that is nearly right
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -58,7 +61,9 @@ class FrameFit:
     ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of the outline alone at the fit, and ``slope`` (D,)
     the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit, ``evaluations`` the
     number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's silhouette and the
-    mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
+    mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the same terms of the outline
+    as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
+    usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
     """
 
     at: Posed
@@ -68,6 +73,21 @@ class FrameFit:
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0
+    lasting: Quadratic | None = None
+    side_px: float = 0.0
+
+    @property
+    def whole_outline(self) -> Quadratic:
+        """The outline's terms with the errors that last, (1, D + S)."""
+        alone = Quadratic(self.information[None], self.slope[None])
+        return alone if self.lasting is None else self.lasting
+
+    def with_size(self, size: LastingSize) -> FrameFit:
+        """Return the fit with errors that last of another size."""
+        if self.lasting is None:
+            return self
+        left = without_lasting(self.lasting, self.lasting.dimension - len(self.slope), size)
+        return replace(self, information=left.information[0], slope=left.slope[0])
 
     @property
     def explains_mask(self) -> bool:
@@ -85,7 +105,8 @@ class FrameFit:
     def moved_to(self, expected: Expected) -> FrameFit:
         """Return the fit where it would be with another prior, as in `step_to`, with the outline's slope there."""
         step = self._step(expected)[0]
-        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step)
+        lasting = None if self.lasting is None else _after(self.lasting, step)
+        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step, lasting=lasting)
 
     def _step(self, expected: Expected) -> tuple[Float64, Float64]:
         """Return the change (D,) of the fit with another prior, and the slope (D,) there, whose minimum it is."""
@@ -95,7 +116,10 @@ class FrameFit:
 
     def without_outline(self) -> FrameFit:
         """Return the fit with zero information and slope, so that it does not influence the calibration."""
-        return replace(self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope))
+        nothing = None if self.lasting is None else Quadratic.zero(1, self.lasting.dimension)
+        return replace(
+            self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope), lasting=nothing
+        )
 
 
 def fit_frame(
@@ -107,7 +131,7 @@ def fit_frame(
     own_estimate: OwnEstimate | None,
     own_cameras: Sequence[Camera] | None = None,
     *,
-    margin: float = 0.0,
+    margins: Sequence[float] = (),
     confirm: bool = True,
 ) -> FrameFit:
     """Fit a frame from several starts, and return the fit with the best score.
@@ -129,8 +153,8 @@ def fit_frame(
         the session's prior has not contributed. If None, the noise is estimated during the fit.
     own_cameras
         The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
-    margin
-        Margin of the masks, px, that is taken off them all round.
+    margins
+        Margin of each view's mask, px, that is taken off it all round; none by default.
     confirm
         Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
     """
@@ -138,7 +162,7 @@ def fit_frame(
     at, count = Posed.stacked(starts), 0
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, own_estimate, shrink, margin)
+        coverage = _coverage(views, config, own_estimate, shrink, margins)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
@@ -167,25 +191,29 @@ def fit_predicted(
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
 
-    The noise of the outlines is estimated during a first fit, and measured where that ends for a second one. Also
-    returns what was measured.
+    ``margin`` is that of every view's mask. Few steps are taken, from the better start. The noise of the outlines is
+    measured where they end, and the errors that masks share are eliminated there. Also returns what was measured.
     """
-    shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
-    at, count = Posed.stacked(starts), 0
-    for shrink in shrinks:
-        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
-        coverage = _coverage(views, config, None, shrink, margin)
-        steps = replace(Steps.of(config.refine.outline, shrink), tested="long")
-        fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
-        at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    first = OwnEstimate.of(views, fits[0].at)
-    at = Posed.stacked([_without_shared(fits[0], coverage, terms, first.noises, first.iou, 0.0, 0).at])
-    own = OwnEstimate.of(views, at[0])
+    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
+    coverage = _coverage(views, config, None, 1, [margin] * len(views))
+    at = Posed.stacked([_better_start(coverage, terms, starts)])
+    (fit,) = refine(coverage, terms, at, replace(_FEW_STEPS, tolerance=config.refine.outline.tolerance))
+    own = OwnEstimate.of(views, fit.at)
     coverage = coverage.with_lengths(own.lengths)
     coverage = coverage.with_noise(coverage.noise_at(own.at))
-    (fit,) = refine(coverage, terms, at, steps)
-    iou = overlap(views, [view.silhouette(fit.at) for view in views])
-    return _without_shared(fit, coverage, terms, own.noises, iou, own.iou, count + coverage.silhouettes), own
+    count = coverage.silhouettes + len(views)
+    fitted = _without_shared(fit, coverage, terms, own.noises, own.iou, own.iou, count, SINGLE_SIZE)
+    return fitted, own
+
+
+def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Sequence[Posed]) -> Posed:
+    """Return the start with the best score, or the only one."""
+    if len(starts) == 1:
+        return starts[0]
+    at = Posed.stacked(starts)
+    drawn, others = coverage.draw(at, derivatives=False), sum_of_costs(terms, at)
+    scores = [coverage.score_of(one) + 0.5 * float(other) for one, other in zip(drawn, others, strict=True)]
+    return starts[int(np.argmin(scores))]
 
 
 def _without_shared(
@@ -196,12 +224,16 @@ def _without_shared(
     iou: float,
     own_iou: float,
     evaluations: int,
+    size: LastingSize = USUAL_SIZE,
 ) -> FrameFit:
     """Return a fit after one step by which the errors that the masks share are eliminated.
 
-    ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours; the others as in `FrameFit`.
+    ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours, and ``size`` is that of the
+    errors that last from frame to frame; the others as in `FrameFit`.
     """
-    outline = coverage.near_without_shared(fit.at, noises)
+    lasting = coverage.near_with_lasting(fit.at, noises)
+    own = 6 + len(fit.at.joints)
+    outline = without_lasting(lasting, lasting.dimension - own, size)
     whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
     step = -np.linalg.solve(whole.information[0], whole.slope[0])
     step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
@@ -212,11 +244,18 @@ def _without_shared(
         at,
         information=outline.information[0],
         slope=outline.slope[0] + outline.information[0] @ at.minus(fit.at),
+        lasting=_after(lasting, at.minus(fit.at)),
+        side_px=side_deviation(noises[0]),
         score=fit.score,
         evaluations=evaluations,
         iou=iou,
         own_iou=own_iou,
     )
+
+
+def _after(terms: Quadratic, step: Float64) -> Quadratic:
+    """Return terms (1, D + S) about where their first D unknowns are after a step."""
+    return Quadratic(terms.information, terms.slope + terms.information[:, :, : len(step)] @ step)
 
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
@@ -229,14 +268,15 @@ def _coverage(
     config: EstimateConfig,
     own_estimate: OwnEstimate | None,
     shrink: int = 1,
-    margin: float = 0.0,
+    margins: Sequence[float] = (),
 ) -> Coverage:
     """Return the coverage of a frame's views at 1 / ``shrink`` of the image size.
 
     The correlation lengths are those of the residuals at the own estimate.
     """
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
+    pairs = zip(views, margins or [0.0] * len(views), strict=True)
+    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view, margin in pairs]
     return Coverage(sized, outline, correlations=() if own_estimate is None else own_estimate.lengths)
 
 
@@ -256,18 +296,18 @@ def terms_of_constants(
     """Compute the outline's terms about a pose and about what all frames share: the camera and the masks' margin.
 
     ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size, and the mask less ``margin``
-    px; the view has the evidence's own camera. The last four unknowns are those of `of_camera` and the margin, px. The
-    errors that parts of one mask share are eliminated.
+    px; the view has the evidence's own camera. ``own_estimate`` is that of this view alone. Four further unknowns are
+    those of `of_camera` and the margin, px; the last ones are the errors that last, as in `FrameFit`. Other errors that
+    parts of one mask share are eliminated.
     """
-    own = replace(own_estimate, noises=own_estimate.noises[:1])
-    noise = own_estimate.residual if len(own_estimate.noises) == 1 else None
-    noise = _noise(_coverage([view], config, own), own, None) if noise is None else noise  # that of this view alone
-    coverage = _coverage([view], config, own, margin=margin).with_cameras([camera]).with_noise(noise)
+    noise = own_estimate.residual
+    noise = _noise(_coverage([view], config, own_estimate), own_estimate, None) if noise is None else noise
+    coverage = _coverage([view], config, own_estimate, margins=[margin]).with_cameras([camera]).with_noise(noise)
 
     def constants(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
         return np.column_stack([of_camera(coverage.views[number], outline), of_margin(outline)])
 
-    return coverage.near_without_shared(fitted, own.noises, constants)
+    return coverage.near_with_lasting(fitted, own_estimate.noises, constants)
 
 
 def terms_of_rig(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -29,7 +29,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
 
 Float64 = NDArray[np.float64]
 T = TypeVar("T")
@@ -61,21 +61,25 @@ class FitTask:
     """Arguments of `fit_task`: the frame's stored evidence; the others as in `fit_frame`.
 
     ``change`` (3,) is that of all cameras for the fit, as of `changed`, where they are not those of the evidence and of
-    the own estimate.
+    the own estimate. ``margins``, px, are those of the views' masks.
     """
 
     stored: StoredFrame
     expected: Expected
     starts: tuple[Posed, ...]
     change: Float64 | None = None
-    margin: float = 0.0
+    margins: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class ConstantsTask:
-    """Arguments of `constants_task`: as in `FitTask`, and where the instrument is with that camera and margin."""
+    """Arguments of `constants_task`: a frame, the number of its view, and where the instrument is with that camera.
+
+    ``margin``, px, is that of the view's mask.
+    """
 
     stored: StoredFrame
+    view: int
     at: Posed
     camera: Camera
     margin: float
@@ -114,7 +118,7 @@ class LeaveOneOutPrediction:
 
     ``joint_std`` (J,), rad, are the standard deviations of the joints.
     ``iou`` is the intersection over union of the predicted silhouette and the mask, ``contour_px`` the median distance
-    of their contours, px.
+    of their contours, px. ``views`` has both in each view by itself, by name.
     """
 
     camera_from_root: Float64
@@ -122,6 +126,7 @@ class LeaveOneOutPrediction:
     joint_std: Float64
     iou: float
     contour_px: float
+    views: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,16 +205,15 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.starts,
         task.stored.own,
         own_cameras=None if task.change is None else [view.stored.evidence.camera for view in task.stored.views],
-        margin=task.margin,
+        margins=task.margins,
         confirm=False,
     )
 
 
 def constants_task(body: Body, config: EstimateConfig, task: ConstantsTask) -> Quadratic:
     """Compute the outline's terms about a frame's pose, the camera and the margin, as `terms_of_constants`."""
-    evidence = task.stored.reference.restored()
-    view = FrameView("", evidence, Renderer(body, evidence.camera, threads=1), np.eye(4))
-    return terms_of_constants(view, config, task.at, task.stored.own, task.camera, task.margin)
+    view, own = task.stored.views[task.view].restored(body), task.stored.own.of_view(task.view)
+    return terms_of_constants(view, config, task.at, own, task.camera, task.margin)
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
@@ -218,10 +222,11 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     views = restored_views(body, task.stored)
     readings = _of_instrument(body, config, task.result.readings)
     of_views, rays = measure_views(views, readings, Posed.stacked([task.predicted, task.fit.at]), config)
-    measured = of_views
+    measured, names = of_views, [view.name for view in views]
     if task.first is not None:
         first = restored_views(body, task.first, task.change)
         measured, _ = measure_views(first, readings, Posed.stacked([task.predicted]), config)
+        names = [view.name for view in first]
     predicted = pooled_quality([qualities[0] for qualities in measured])
     own_result = task.result
     if task.agree:
@@ -240,6 +245,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         task.predicted_std,
         predicted.iou,
         predicted.contour_px_median,
+        {name: (own[0].iou, own[0].contour_px_median) for name, own in zip(names, measured, strict=True)},
     )
     return FrameReport(result, leave_one_out)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,6 +19,8 @@ from dvrk_cmaes.joints.play import Play
 from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
+
+_UNTOLD = 2.0  # frames, standard deviation of a lag that is not determined
 
 
 class LagEstimate:
@@ -41,12 +44,31 @@ class LagEstimate:
         self.undetermined = ""
         self.curve: LagCurve | None = None
         self._clock: Clock | None = None
+        self._of_all: Clock | None = None
         if series is not None and all(name in series.frames for name in names):
-            self._clock = Clock.of(series, names, outer_std)
+            self._clock = self._of_all = Clock.of(series, names, outer_std)
         else:
             self.undetermined = (
                 "the frames have no order: name them by numbers, or give the times of images (images.csv) and readings"
             )
+
+    @property
+    def can_be_tried(self) -> bool:
+        """Whether no lag is told, and the readings follow each other closely enough that one can be taken out."""
+        return self.lag is None and self._clock is not None and self._clock.interpolable
+
+    def of_all(self) -> LagEstimate:
+        """Return the estimate of all frames of the session, without a lag so far, but with the curve."""
+        other = copy.copy(self)
+        other.lag, other._clock = None, self._of_all
+        return other
+
+    def take(self, value: float) -> None:
+        """Take a lag to be tried, in the unit of the readings' times; `refine` finds its standard deviation."""
+        if self._clock is None:
+            return
+        series = self._clock.series
+        self.lag = Lag.of(value, self._clock.step or series.interval, series.unit, series.interval, applied=True)
 
     @property
     def applied(self) -> Lag | None:
@@ -96,6 +118,23 @@ class LagEstimate:
         if wrist is not None:
             frame = self._clock.series.interval
             self.lag = replace(self.lag, wrist_frames=wrist.value / frame, std_wrist_frames=wrist.std / frame)
+
+    def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
+
+        They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
+        frame has none there. A lag that the frames do not determine has a standard deviation of `_UNTOLD` frames.
+        """
+        none = np.zeros((len(model.outer), 6 + len(model.names)))
+        if self._clock is None or not self._clock.interpolable:
+            return none
+        unit, interval = self._clock.series.unit, self._clock.series.interval
+        std = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
+        step, delay = _UNTOLD * interval if std is None else std, self._delay(self._clock)
+        ends = [self._clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
+        later, earlier = (end.predict(calibration) for end in ends)
+        change = later.minus(earlier) / 2
+        return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
 
     def has_readings(self) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).

@@ -1,4 +1,4 @@
-"""The margin by which all masks of a session are too wide or too narrow, estimated beside its calibration.
+"""The margin by which all masks of a view are too wide or too narrow, estimated beside a session's calibration.
 
 A single frame cannot tell a margin from a shorter distance. In a session the arm moves along the optical axis by
 amounts that its joints state, and a margin makes near and far shafts wider by the same number of pixels.
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.camera_change import MARGIN_STD, SessionOutlines
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_camera import file_deviations
+from dvrk_cmaes.calibration.session_masks import Margin
 from dvrk_cmaes.calibration.solve import marginalise, solve
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Number
 
 Float64 = NDArray[np.float64]
 
@@ -29,35 +28,11 @@ _PASSES = 5  # largest number of linearisations of the outlines
 _SETTLED = 0.5  # standard deviations of the margin, below which the outlines are not linearised again
 
 
-@dataclass(frozen=True)
-class SessionMasks(Document):
-    """What a session's frames tell of the errors that all of its masks share.
-
-    margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
-    deviation. applied : whether the session was solved with masks less this margin.
-    """
-
-    margin_px: Number
-    std_margin_px: Number
-    applied: bool
-
-    @property
-    def taken_off(self) -> float:
-        """Margin, px, that was taken off the masks."""
-        return self.margin_px if self.applied else 0.0
-
-    def describe(self) -> str:
-        """Describe the margin in words."""
-        than = "wide" if self.margin_px > 0 else "narrow"
-        done = "taken off" if self.applied else "left as they are"
-        return f"masks are {abs(self.margin_px):.2f} px (std {self.std_margin_px:.2f}) too {than} all round; {done}"
-
-
 @dataclass(frozen=True, eq=False)
 class MarginEstimate:
-    """The margin of a session's masks, the ``calibration`` with it, and ``at``, where the N frames are with it."""
+    """The margin of a view's masks, the ``calibration`` with it, and ``at``, where the N frames are with it."""
 
-    masks: SessionMasks
+    margin: Margin
     calibration: Calibration
     at: Posed
 
@@ -83,7 +58,7 @@ def estimate_margin(
     at
         The poses of the N frames.
     outlines
-        The same frames' outlines.
+        The same frames' outlines in the view.
     """
     further = np.array([*file_deviations(config), MARGIN_STD])
     padded = np.pad(prior, (0, 4)) + np.diag([*np.zeros(len(prior)), *further**-2])
@@ -97,4 +72,4 @@ def estimate_margin(
         if abs(margin - before[3]) < _SETTLED * std:
             break
     clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
-    return MarginEstimate(SessionMasks(margin, std, clear), replace(there, further=np.zeros(0)), at)
+    return MarginEstimate(Margin(margin, std, clear), replace(there, further=np.zeros(0)), at)

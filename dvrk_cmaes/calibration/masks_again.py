@@ -42,7 +42,13 @@ class PackedMask:
 
     @classmethod
     def of(cls, mask: Bool) -> PackedMask:
-        """Pack a mask (H, W)."""
+        """Pack a mask (H, W).
+
+        Parameters
+        ----------
+        mask
+            (H, W) bool.
+        """
         return cls((mask.shape[0], mask.shape[1]), np.packbits(mask).tobytes())
 
     def restored(self) -> Bool:

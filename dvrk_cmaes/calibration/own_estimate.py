@@ -6,7 +6,7 @@ It does not change while the session is solved, and is therefore measured once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,11 @@ class OwnEstimate:
     def lengths(self) -> tuple[float, ...]:
         """Correlation lengths of the contours' errors, px, one of each view."""
         return tuple(noise.length for noise in self.noises)
+
+    def of_view(self, number: int) -> OwnEstimate:
+        """Return the same pose with the noise of one view alone; the residual is that of the only view, if it is."""
+        alone = len(self.noises) == 1
+        return replace(self, noises=(self.noises[number],), residual=self.residual if alone else None)
 
     @classmethod
     def of(cls, views: Sequence[FrameView], at: Posed) -> OwnEstimate:

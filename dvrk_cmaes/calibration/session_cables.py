@@ -73,7 +73,17 @@ class SessionCables:
 
     @classmethod
     def of(cls, estimate: CableEstimate, frames: tuple[str, ...], times: Float64 | None) -> SessionCables | None:
-        """Return what was estimated from some frames; None if offsets explain them as well."""
+        """Return what was estimated from some frames; None if offsets explain them as well.
+
+        Parameters
+        ----------
+        estimate
+            The estimate of the cables.
+        frames
+            Names of the N frames.
+        times
+            Times (N,) of their images, s, if they are known.
+        """
         fit, alone = estimate.fit, estimate.alone
         if fit is None or alone is None or not fit.parts:
             return None
@@ -138,7 +148,13 @@ class SessionCables:
         return asdict(self)
 
     def model(self, offset: Float64) -> CableModel:
-        """Return the model of the errors with the session's offsets (C,), rad."""
+        """Return the model of the errors with the session's offsets (C,), rad.
+
+        Parameters
+        ----------
+        offset
+            Offsets (C,) of the joints, rad.
+        """
         return CableModel(
             self.joints,
             np.array(self.reference),
@@ -153,7 +169,13 @@ class SessionCables:
         )
 
     def correction_alone(self, readings: Float64) -> Correction:
-        """Return the corrections of frames of which nothing is known but their readings (N, C), rad."""
+        """Return the corrections of frames of which nothing is known but their readings (N, C), rad.
+
+        Parameters
+        ----------
+        readings
+            Readings (N, C) of the joints with cables, rad.
+        """
         off = np.nan_to_num(readings - np.array(self.reference))
         return Correction(off @ np.array(self.alone.coupling).T, np.square(off) @ np.square(self.alone.std).T)
 

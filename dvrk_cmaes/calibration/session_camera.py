@@ -57,10 +57,16 @@ class SessionCamera(Document):
 
     @classmethod
     def of(cls, estimate: CameraEstimate, config: SessionConfig, width: int, *, applied: bool) -> SessionCamera:
-        """Decide whether an estimate contradicts the camera file, and state it."""
+        """Decide whether an estimate contradicts the camera file, and state it.
+
+        What the frames tell near the camera of the file must contradict it as well as what they tell at the change that
+        they fit: where they hardly determine the camera, linearisations far away from it tell less.
+        """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
-        file_covariance = np.diag(file_deviations(config) ** 2)
-        contradicts = bool(change @ np.linalg.solve(covariance + file_covariance, change) > _CONTRADICTION)
+        contradicts = _distance(change, covariance, config) > _CONTRADICTION
+        if not applied:
+            first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
+            contradicts = contradicts and first > _CONTRADICTION
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
@@ -75,7 +81,13 @@ class SessionCamera(Document):
         )
 
     def corrected(self, camera: Camera) -> Camera:
-        """Return the camera of the file with the change, for images of any size; unchanged if it was not applied."""
+        """Return the camera of the file with the change, for images of any size; unchanged if it was not applied.
+
+        Parameters
+        ----------
+        camera
+            The camera of the file, or one of the same image at another size.
+        """
         if not self.applied:
             return camera
         size = camera.width / self.width
@@ -91,7 +103,13 @@ class SessionCamera(Document):
         )
 
     def warnings(self, config: SessionConfig) -> list[str]:
-        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not."""
+        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not.
+
+        Parameters
+        ----------
+        config
+            Settings of calibrations.
+        """
         if not self.contradicts:
             return []
         file_std = file_deviations(config)
@@ -185,6 +203,11 @@ def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool,
         change, covariance = _with_file(estimate.change, _SHARED_ERRORS**2 * estimate.covariance, config)
         square = covariance + np.outer(change, change)
     return np.asarray(estimate.sensitivity @ square @ estimate.sensitivity.T)
+
+
+def _distance(change: Float64, covariance: Float64, config: SessionConfig) -> float:
+    """Return the squared Mahalanobis distance of a change (3,) from the camera file, whose errors count as well."""
+    return float(change @ np.linalg.solve(covariance + np.diag(file_deviations(config) ** 2), change))
 
 
 def _with_file(change: Float64, covariance: Float64, config: SessionConfig) -> tuple[Float64, Float64]:

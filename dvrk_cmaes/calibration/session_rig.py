@@ -38,7 +38,7 @@ _TAIL = 9.0  # squared distance, in units of the common one, at which a frame ha
 _MEDIAN_SQUARE = 2.366  # median of the squared distance of three unknowns
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ViewScale(Document):
     """A factor on a length of the rig's file, with its standard deviation; ``applied`` if the session used it."""
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, without_lasting
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
@@ -39,12 +40,16 @@ class FrameFits:
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
     J, and for changes of E further unknowns from their values ``further`` (E,); most often there are none. The slope
-    is zero at an outline's own optimum.
+    is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks that last
+    from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of the lag
+    between images and readings; none by default.
     """
 
     at: Posed
     outlines: Quadratic
     further: Float64 = field(default_factory=lambda: np.zeros(0))
+    lasting: LastingSlopes | None = None
+    by_lag: Float64 | None = None
 
     @classmethod
     def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
@@ -57,6 +62,25 @@ class FrameFits:
         """Stack the fits of single frames."""
         outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
         return cls(Posed.stacked(fit.at for fit in fits), outlines)
+
+    @classmethod
+    def with_lasting(
+        cls,
+        at: Posed,
+        terms: Sequence[Quadratic],
+        common: CommonErrors,
+        further: Float64 | None = None,
+    ) -> FrameFits:
+        """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
+
+        ``common`` are the errors that the frames share; ``further`` (E,) as above.
+        """
+        constants = np.zeros(0) if further is None else further
+        own = 6 + at.joints.shape[1] + len(constants)
+        most = max(of_frame.dimension for of_frame in terms)
+        stacked = Quadratic.joined([of_frame.padded(most) for of_frame in terms])
+        lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
+        return cls(at, without_lasting(stacked, most - own, common.size), constants, lasting, common.by_lag)
 
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
@@ -76,7 +100,9 @@ class FrameFits:
 
     def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
         """Return the fits of the frames at some indices."""
-        return FrameFits(self.at[index], self.outlines.select([int(i) for i in index]), self.further)
+        lasting = None if self.lasting is None else self.lasting.subset(index)
+        by_lag = None if self.by_lag is None else self.by_lag[index]
+        return FrameFits(self.at[index], self.outlines.select([int(i) for i in index]), self.further, lasting, by_lag)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +112,8 @@ class Solution:
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
     outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
     information matrix and to the gradient of half the sum of squares at the solution. The frames are in the order they
-    were taken.
+    were taken. ``lasting`` are the changes of these gradients by errors of the masks that last from frame to frame,
+    ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
     """
 
     calibration: Calibration
@@ -95,19 +122,27 @@ class Solution:
     misfit: Float64
     frame_information: Float64
     frame_slopes: Float64
+    lasting: LastingSlopes
+    by_lag: Float64
 
     @cached_property
     def covariance(self) -> Float64:
         """Covariance (K, K) of the calibration, in the order of its steps.
 
-        Frames that follow each other share errors, of shadows and cables for example, which do not average out as those
-        of independent frames do. Standard deviations are therefore at least those that follow from how much the slopes
-        of successive parts of the recording scatter (the covariance for clustered errors).
+        Frames share errors, which do not average out as those of independent frames do. Those of the masks that last
+        from frame to frame are counted with their correlation, and so is that of the lag, which is the same for all.
+        What else they share, of cables for example, is told by how much the slopes of successive parts of the recording
+        scatter (the covariance for clustered errors): standard deviations grow where these scatter more than expected.
         """
-        independent = np.linalg.inv(self.information)
-        ratio = np.diag(independent @ scatter(self.frame_slopes) @ independent) / np.diag(independent)
+        return self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
+
+    def covariance_of(self, inverse: Float64) -> Float64:
+        """Return the covariance for a given inverse (K, K) of the information, as of a matrix with something added."""
+        shared = self.lasting.between_frames + np.outer(self.by_lag, self.by_lag)
+        expected = inverse + inverse @ shared @ inverse
+        ratio = np.diag(inverse @ scatter(self.frame_slopes) @ inverse) / np.diag(expected)
         factor = np.sqrt(np.maximum(ratio, 1.0))
-        return np.asarray(factor[:, None] * independent * factor)
+        return np.asarray(factor[:, None] * expected * factor)
 
 
 def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Eliminated:
@@ -171,7 +206,25 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
     information = prior + frame_information.sum(axis=0)
-    return Solution(calibration, information, weights, misfit, frame_information, frame_slopes)
+    lasting, own = _of_calibration(fits, frames, weighted), fits.outlines.dimension - len(fits.further)
+    by_lag = np.zeros(len(information))
+    if fits.by_lag is not None:
+        by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
+    return Solution(calibration, information, weights, misfit, frame_information, frame_slopes, lasting, by_lag)
+
+
+def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
+    """Return what lasting errors do to the slopes by the calibration, (N, K), of frames whose own unknowns are gone.
+
+    ``weighted`` (N, K, D + E) are the transposed Jacobians of the predictions, times the frames' weights.
+    """
+    if fits.lasting is None:
+        return LastingSlopes.none(*weighted.shape[:2])
+    own = fits.outlines.dimension - len(fits.further)
+    to_left = np.swapaxes(frames.gain, 1, 2)
+    of_further = np.zeros((*to_left.shape[:2], len(fits.further)))
+    of_further[:, own:] = np.eye(len(fits.further))
+    return fits.lasting.mapped(weighted @ np.concatenate([to_left, of_further], axis=2))
 
 
 def _misfit(frames: Eliminated, optimum: Float64) -> Float64:

@@ -112,6 +112,10 @@ class StoredFrame:
         """Evidence of the reference camera, or of the first view that shows the instrument."""
         return self.views[0].stored
 
+    def number_of(self, view: str) -> int | None:
+        """Return the number of the view of that name; None if it does not show the instrument."""
+        return next((k for k, one in enumerate(self.views) if one.name == view), None)
+
     @property
     def in_reference(self) -> bool:
         """Whether the reference camera shows the instrument."""

@@ -51,7 +51,19 @@ class CameraFile:
 def read_camera(
     path: str | Path, *, rectified: bool = False, side: Side = "left", size: Size | Callable[[], Size] | None = None
 ) -> Camera:
-    """Read the camera of a camera file; parameters and errors as in ``read_camera_file``."""
+    """Read the camera of a camera file of any known format; errors as in ``read_camera_file``.
+
+    Parameters
+    ----------
+    path
+        The camera file, of any format that is read.
+    rectified
+        Whether the images are rectified.
+    side
+        ``left`` or ``right``: the camera of a file of both eyes.
+    size
+        Width and height of the images, px, or a function that returns them, for files that do not state them.
+    """
     return read_camera_file(path, rectified=rectified, side=side, size=size).camera
 
 

@@ -105,6 +105,13 @@ class Camera:
 
         Pixels are areas, and corners of the image are mapped to corners: cx' + 0.5 = (cx + 0.5) s. The aspect ratios
         may differ by 0.5 % or by the rounding of a size to whole pixels; InputError otherwise.
+
+        Parameters
+        ----------
+        width
+            The other width, px.
+        height
+            The other height, px.
         """
         if width <= 0 or height <= 0:
             raise InputError(f"image size: expected positive sizes in pixels, got {width} x {height}")
@@ -128,6 +135,13 @@ class Camera:
     def changed(self, focal_scale: float, shift: tuple[float, float]) -> Camera:
         """Return the camera with focal lengths times ``focal_scale`` and a principal point moved by ``shift``, px.
 
+        Parameters
+        ----------
+        focal_scale
+            Factor of both focal lengths.
+        shift
+            Move of the principal point to the right and down, px.
+
         Raises
         ------
         InputError
@@ -137,7 +151,19 @@ class Camera:
         return replace(self, fx=fx, fy=fy, cx=self.cx + shift[0], cy=self.cy + shift[1])
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """Return the camera of a window of the image whose first pixel is (left, top), sizes in pixels."""
+        """Return the camera of a window of the image whose first pixel is (left, top), sizes in pixels.
+
+        Parameters
+        ----------
+        left
+            First column of the window.
+        top
+            First row of the window.
+        width
+            Width of the window, px.
+        height
+            Height of the window, px.
+        """
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def distort(self, xy: ArrayLike) -> NDArray[Any]:
@@ -145,12 +171,22 @@ class Camera:
 
         The map is the model's inside the image and slightly beyond; outside it is continued so that it is continuous
         and one-to-one (see ``lens``). A pinhole returns the array itself if it is of a floating-point type.
+
+        Parameters
+        ----------
+        xy
+            Undistorted coordinates x/z, y/z, (..., 2).
         """
         points = _floats(xy)
         return points if self._lens is None else self._lens.distort(points)
 
     def project(self, points: ArrayLike) -> NDArray[Any]:
         """Project points (..., 3) in the camera's frame, m, to pixels (..., 2); float32 stays float32.
+
+        Parameters
+        ----------
+        points
+            Points (..., 3) in the camera's frame, m.
 
         Raises
         ------
@@ -172,6 +208,13 @@ class Camera:
         """Project points (N, 3) in front of the camera, m, to pixels (N, 2), and compute how these move with them.
 
         That is the gradient (N, 3), px/m, of a pixel's coordinate along a direction (N, 2), times its length.
+
+        Parameters
+        ----------
+        points
+            Points (N, 3) in the camera's frame, m.
+        directions
+            Directions (N, 2) in the image, a vector for each point.
         """
         depth = points[:, 2:]
         xy = points[:, :2] / depth
@@ -185,7 +228,13 @@ class Camera:
         return pixels * focal + self._principal(xy.dtype), gradient
 
     def normalise(self, pixels: ArrayLike) -> NDArray[Any]:
-        """Map pixels (..., 2) to undistorted x/z, y/z, the inverse of ``project``; float32 stays float32."""
+        """Map pixels (..., 2) to undistorted x/z, y/z, the inverse of ``project``; float32 stays float32.
+
+        Parameters
+        ----------
+        pixels
+            Pixels (..., 2).
+        """
         given = _floats(pixels)
         if self._lens is None:
             return self._without_matrix(given)

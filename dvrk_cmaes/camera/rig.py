@@ -108,18 +108,42 @@ class Rig:
 
     @staticmethod
     def of_camera(camera: Camera, name: str = "left") -> Rig:
-        """Return the rig of a single camera."""
+        """Return the rig of a single camera.
+
+        Parameters
+        ----------
+        camera
+            The camera.
+        name
+            Name of its view.
+        """
         return Rig((View(name, camera, np.eye(4)),))
 
     @staticmethod
     def of(camera: Camera | Rig) -> Rig:
-        """Return a rig as it is, and a single camera as a rig; InputError for anything else."""
+        """Return a rig as it is, and a single camera as a rig; InputError for anything else.
+
+        Parameters
+        ----------
+        camera
+            A camera or a rig.
+        """
         check_type("camera", camera, (Camera, Rig), "a Camera or a Rig (dvrk_cmaes.read_camera reads a file)")
         return Rig.of_camera(camera) if isinstance(camera, Camera) else camera
 
     @staticmethod
     def stereo(left: Camera, right: Camera, right_from_left: ArrayLike) -> Rig:
-        """Return the rig of the views ``left`` and ``right``; ``right_from_left`` (4, 4) maps points, m."""
+        """Return the rig of the views ``left`` and ``right``; ``right_from_left`` (4, 4) maps points, m.
+
+        Parameters
+        ----------
+        left
+            The camera of the left eye, the reference.
+        right
+            The camera of the right eye.
+        right_from_left
+            (4, 4), maps points of the left camera to the right one, m.
+        """
         second = View("right", right, np.asarray(right_from_left, dtype=np.float64))
         return Rig((View("left", left, np.eye(4)), second))
 
@@ -134,14 +158,26 @@ class Rig:
         return self.views[0].camera
 
     def view(self, name: str) -> View:
-        """Return the view of a name; InputError, which lists the names, if there is none."""
+        """Return the view of a name; InputError, which lists the names, if there is none.
+
+        Parameters
+        ----------
+        name
+            Name of the view.
+        """
         for view in self.views:
             if view.name == name:
                 return view
         raise InputError(f"view: expected one of {', '.join(nearest_first(name, self.names))}, got {name!r}")
 
     def with_cameras(self, cameras: Mapping[str, Camera]) -> Rig:
-        """Return the rig with other cameras for some views, by name, e.g. of images of another size."""
+        """Return the rig with other cameras for some views, by name, e.g. of images of another size.
+
+        Parameters
+        ----------
+        cameras
+            Cameras by name of the view.
+        """
         for name in cameras:
             self.view(name)
         return Rig(tuple(replace(view, camera=cameras.get(view.name, view.camera)) for view in self.views))

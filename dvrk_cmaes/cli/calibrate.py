@@ -301,6 +301,9 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
             f"mean IoU {iou:.3f}, contour {off:.1f} px median"
         )
+    for eye, frames in calibration.leave_one_out_of_views.items():
+        pairs = np.array(list(frames.values()))
+        yield Line(f"  {eye} eye: mean IoU {pairs[:, 0].mean():.3f}, contour {np.median(pairs[:, 1]):.1f} px median")
     doubtful = {name: result for name, result in solved.results.items() if result.status == "doubtful"}
     for name, result in list(doubtful.items())[:_MOST_LISTED]:
         yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", STATUS_STYLES["doubtful"].removeprefix("bold "))

@@ -140,8 +140,9 @@ def import_recording(
     ----------
     recording
         ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
-        clip in SurgSync's raw layout, a folder of SurgPose (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data
-        set (meta/info.json), or one with the videos of a stereo endoscope (left.mp4 and right.mp4).
+        clip in SurgSync's raw layout or of a packed episode (timestamp.parquet), a folder of SurgPose
+        (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), or one with the videos of a
+        stereo endoscope (left.mp4 and right.mp4).
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     every
@@ -286,6 +287,7 @@ def _opened(
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
+    from dvrk_cmaes.recording.surgsync_packed import is_packed, open_packed
     from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.video import open_video
 
@@ -298,13 +300,14 @@ def _opened(
     if episode:
         raise InputError(f"{path}: --episode: expected a LeRobot data set, with meta/info.json and data")
     surgpose = path.is_dir() and is_surgpose(path)
-    clip = path.is_dir() and is_surgsync(path)
+    packed = path.is_dir() and is_packed(path)
+    clip = packed or (path.is_dir() and is_surgsync(path))
     stereo = surgpose or clip or (path.is_dir() and has_stereo_videos(path))
     bag = not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES)
     if arm is not None and not (clip or surgpose):
         raise InputError(
-            f"{path}: --arm: expected a clip in SurgSync's raw layout, with image and kinematic folders, or a folder "
-            "of SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
+            f"{path}: --arm: expected a clip of SurgSync, with image and kinematic folders or timestamp.parquet, or a "
+            "folder of SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
         )
     of_ros = bag and (path.is_file() or (path / "metadata.yaml").exists())
     if side not in (None, "left") and not (stereo or of_ros):
@@ -320,6 +323,8 @@ def _opened(
         """Open one eye; ``named`` tells whether the topic of its images has the eye in its name."""
         if surgpose:
             return open_surgpose(path, side=eye, arm=arm, camera=camera, joints=joints)
+        if packed:
+            return open_packed(path, side=eye, arm=arm, camera=camera, joints=joints)
         if clip:
             return open_surgsync(path, side=eye, arm=arm, camera=camera, joints=joints)
         if stereo:

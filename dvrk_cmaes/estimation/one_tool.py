@@ -81,10 +81,14 @@ def estimate(
     start
         An earlier result of the frame, from other evidence: its pose and its alternatives are refined instead of those
         of a search.
-    frame, time, warnings
-        The frame's name, the time of its image, s, and warnings to add; they are copied into the result.
+    frame
+        The frame's name, for the result.
+    time
+        The time of the image, s, for the result.
     config
         All settings. The defaults are chosen for images of 640 x 480 pixels.
+    warnings
+        Warnings to add to those of the result.
 
     Returns
     -------

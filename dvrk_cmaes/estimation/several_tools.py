@@ -61,8 +61,16 @@ def estimate_tools(
     ----------
     tools
         The instruments by a name, such as that of their arm.
-    camera, ignore, frame, time, config
-        As in `estimate`.
+    camera
+        The camera or a rig, as in `estimate`.
+    ignore
+        (H, W) bool, pixels that count neither way for any tool; by view with a rig.
+    frame
+        The frame's name, for the results.
+    time
+        The time of the image, s, for the results.
+    config
+        All settings, as in `estimate`.
 
     Returns
     -------

@@ -84,12 +84,24 @@ class FrameFiles:
         return self.image is not None or self.video is not None
 
     def of_views(self, rig: Rig) -> dict[str, FrameFiles]:
-        """Return the files of each view of a rig by name; there are none of a view that the frame does not have."""
+        """Return the files of each view of a rig by name; there are none of a view that the frame does not have.
+
+        Parameters
+        ----------
+        rig
+            The rig, which has the names of the views.
+        """
         others = {name: self.others.get(name, FrameFiles(self.name, None)) for name in rig.names[1:]}
         return {rig.names[0]: self, **others}
 
     def changed(self, **changes: Any) -> FrameFiles:
-        """Return the files with fields changed alike in all views."""
+        """Return the files with fields changed alike in all views.
+
+        Parameters
+        ----------
+        changes
+            Values of fields by name.
+        """
         others = {name: replace(other, **changes) for name, other in self.others.items()}
         return replace(self, **changes, others=others)
 
@@ -113,7 +125,21 @@ class FrameData:
         image: NDArray[np.uint8] | None = None,
         notes: tuple[str, ...] = (),
     ) -> FrameData:
-        """Return a frame that is given as arrays, as those of `estimate`; ``image`` is that of the reference view."""
+        """Return a frame that is given as arrays, as those of `estimate`; ``image`` is that of the reference view.
+
+        Parameters
+        ----------
+        mask
+            (H, W) bool, True on the instrument; with a rig, the masks by name of the view.
+        camera
+            The camera or the rig.
+        ignore
+            (H, W) bool, pixels that count neither way; by view with a rig.
+        image
+            (H, W, 3) uint8, BGR, of the reference view.
+        notes
+            What was done to make the parts fit, e.g. that the camera was rescaled.
+        """
         reference, *others = seen_views(mask, camera, ignore)
         return FrameData((replace(reference, image=image), *others), notes)
 
@@ -138,7 +164,13 @@ class FrameData:
         return self.views[0].image
 
     def with_camera(self, camera: Camera) -> FrameData:
-        """Return the frame with another reference camera, for images of the same size."""
+        """Return the frame with another reference camera, for images of the same size.
+
+        Parameters
+        ----------
+        camera
+            The reference camera.
+        """
         return replace(self, views=(replace(self.views[0], camera=camera), *self.views[1:]))
 
 
@@ -146,6 +178,15 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
     """Read a frame taken by a camera or a rig; the intrinsics are rescaled if a mask is of another size.
 
     With ``blank``, the mask may be empty or full. Of a rig, some masks may be missing or empty, but not all.
+
+    Parameters
+    ----------
+    files
+        The files of the frame, as a `Session` lists them.
+    camera
+        The camera, or the rig of a session with several views.
+    blank
+        Whether the mask may be empty or full.
 
     Raises
     ------

@@ -82,7 +82,13 @@ class Session:
             return None
 
     def with_prompts(self, prompts: FramePrompts) -> Session:
-        """Return the session with prompts for the frames that have neither a mask nor a row in boxes.csv."""
+        """Return the session with prompts for the frames that have neither a mask nor a row in boxes.csv.
+
+        Parameters
+        ----------
+        prompts
+            Box and points that show where the instrument is.
+        """
         frames = (
             files if files.mask is not None or files.prompts is not None else replace(files, prompts=prompts)
             for files in self.frames
@@ -93,6 +99,11 @@ class Session:
         """Return the session with each frame's readings of the time of its image less the lag.
 
         A frame without readings at that time has none, and a note that says so.
+
+        Parameters
+        ----------
+        lag
+            The lag of the images behind the readings.
 
         Raises
         ------
@@ -142,8 +153,10 @@ def read_session(
         left one; left.yaml and right.yaml by default, or camera.yaml if that has both eyes.
     camera_right
         The file of the right camera of a stereo session.
-    rectified, side
-        Whether the images are rectified, and which camera of a stereo pair, as in ``read_camera_file``.
+    rectified
+        Whether the images are rectified.
+    side
+        ``left`` or ``right``: the camera of a file of both eyes.
     known
         Names of the instrument's joints, as in ``read_joints``.
     joints

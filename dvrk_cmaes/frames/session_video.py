@@ -38,11 +38,30 @@ class SessionVideo:
 
     @staticmethod
     def open(path: Path, *, layout: Layout | None = None, side: Side = "left", start: int = 0) -> SessionVideo:
-        """Open a video; errors are those of `Video`."""
+        """Open a video; errors are those of `Video`.
+
+        Parameters
+        ----------
+        path
+            The video.
+        layout
+            Where its pictures have the two eyes; None for one camera.
+        side
+            The eye that is read.
+        start
+            Time of the first image on the clock of the readings, ns.
+        """
         return SessionVideo(Video(path), layout, side, start)
 
     def frames(self, files: Sequence[JointFile], masks: Sequence[str]) -> Mapping[str, VideoFrame]:
         """Return the frames by name: that of their masks, or of their rows in the readings, or else their numbers.
+
+        Parameters
+        ----------
+        files
+            The files of readings.
+        masks
+            Names of the masks, without suffix.
 
         Raises
         ------
@@ -62,15 +81,35 @@ class SessionVideo:
         return {name: VideoFrame(self.video, number, window) for number, name in enumerate(names)}
 
     def keeps_time(self, files: Sequence[JointFile]) -> bool:
-        """Whether the times of images are the video's: no readings have rows of named frames."""
+        """Whether the times of images are the video's: no readings have rows of named frames.
+
+        Parameters
+        ----------
+        files
+            The files of readings.
+        """
         return all(file.labels != "frame" for file in files)
 
     def time_of(self, frame: VideoFrame) -> int:
-        """Return the time of a frame, ns, on the clock of the readings."""
+        """Return the time of a frame, ns, on the clock of the readings.
+
+        Parameters
+        ----------
+        frame
+            A frame of the video.
+        """
         return self.start + self.video.times[frame.number]
 
     def fitted(self, frames: Sequence[FrameFiles], camera: Camera) -> tuple[FrameFiles, ...]:
-        """Return frames with the part of the picture that is one camera's; InputError as in `Video.window`."""
+        """Return frames with the part of the picture that is one camera's; InputError as in `Video.window`.
+
+        Parameters
+        ----------
+        frames
+            The frames.
+        camera
+            The camera, which has the size of the part.
+        """
         window = self.video.window(camera, self.layout, self.side)
         return tuple(
             files if files.video is None else replace(files, video=files.video.within(window)) for files in frames

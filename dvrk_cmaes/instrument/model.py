@@ -146,6 +146,11 @@ class Instrument:
 
         Joint values beyond the limits are not clipped.
 
+        Parameters
+        ----------
+        joints
+            Joint values, rad, in the order of `joint_names`, on the last axis.
+
         Raises
         ------
         InputError
@@ -157,6 +162,11 @@ class Instrument:
         """Compute the jaw tips in the root link's frame, m, from joint values (..., J).
 
         The result has the shape (..., 2, 3), or (..., 0, 3) for an instrument without a pair of jaws.
+
+        Parameters
+        ----------
+        joints
+            Joint values (..., J), rad, in the order of `joint_names`.
         """
         values = self._values(joints)
         return self._points(self.jaw_tips, values) if self.jaw_tips else np.empty((*values.shape[:-1], 0, 3))
@@ -165,6 +175,11 @@ class Instrument:
         """Compute the jaw tips (..., 2, 3) as `tips`, or for an instrument without a pair of jaws its end (..., 1, 3).
 
         The end is the vertex of the last link that is farthest from the root's origin with all joints at zero.
+
+        Parameters
+        ----------
+        joints
+            Joint values (..., J), rad, in the order of `joint_names`.
         """
         if self.jaw_tips:
             return self.tips(joints)
@@ -179,14 +194,26 @@ class Instrument:
         return np.asarray((poses[..., :3, :3] @ positions[:, :, None])[..., 0] + poses[..., :3, 3])
 
     def joint_index(self, name: str) -> int:
-        """Return the index of a joint in `joint_names`; InputError for an unknown name, with the known ones."""
+        """Return the index of a joint in `joint_names`; InputError for an unknown name, with the known ones.
+
+        Parameters
+        ----------
+        name
+            Name of the joint.
+        """
         if name not in self.joint_names:
             known = ", ".join(nearest_first(name, self.joint_names)) or "none"
             raise InputError(f"{self.name}: unknown joint {name!r}; expected one of: {known}")
         return self.joint_names.index(name)
 
     def describe_limits(self, arm: Arm) -> dict[str, Any]:
-        """Return the joint limits and the arm kinematics used for a result, for its ``config``; in rad and m."""
+        """Return the joint limits and the arm kinematics used for a result, for its ``config``; in rad and m.
+
+        Parameters
+        ----------
+        arm
+            ``classic`` or ``si``: the kinematics of the outer arm.
+        """
         return {
             "limits_from": self.limits_from,
             "limits": {name: pair.tolist() for name, pair in zip(self.joint_names, self.limits, strict=True)},

@@ -69,13 +69,35 @@ class Lag:
 
     @classmethod
     def of(cls, value: float, std: float, unit: Unit, interval: float, *, applied: bool) -> Lag:
-        """Create a lag from a value and standard deviation in a unit, and the time between images in that unit."""
+        """Create a lag from a value and standard deviation in a unit, and the time between images in that unit.
+
+        Parameters
+        ----------
+        value
+            The lag, in ``unit``.
+        std
+            Its standard deviation, in ``unit``.
+        unit
+            ``s`` or ``frames``.
+        interval
+            Time between images, in ``unit``.
+        applied
+            Whether it was taken out of the readings.
+        """
         seconds, std_seconds = (value, std) if unit == "s" else (None, None)
         return cls(value / interval, std / interval, seconds, std_seconds, applied)
 
     @classmethod
     def parse(cls, option: str, text: str) -> Lag:
-        """Parse a lag such as ``0.13``, in seconds, or ``4frames``; InputError names the option."""
+        """Parse a lag such as ``0.13``, in seconds, or ``4frames``; InputError names the option.
+
+        Parameters
+        ----------
+        option
+            Name of the option, for the message.
+        text
+            The lag as it was given.
+        """
         match = _TEXT.fullmatch(text.strip())
         expected = "a number of seconds such as 0.13, or of frames such as 4frames"
         if match is None:
@@ -132,7 +154,13 @@ class Lag:
         return {**numbers, "sign": SIGN, "applied": self.applied}
 
     def in_unit(self, unit: Unit) -> float:
-        """Return the lag at ``middle`` in a unit; InputError if it is not known in this unit."""
+        """Return the lag at ``middle`` in a unit; InputError if it is not known in this unit.
+
+        Parameters
+        ----------
+        unit
+            ``s`` or ``frames``.
+        """
         value = self.seconds if unit == "s" else self.frames
         if value is not None:
             return value
@@ -145,11 +173,25 @@ class Lag:
         )
 
     def in_seconds(self, rate: float) -> float:
-        """Return the lag at ``middle`` in seconds, for a recording with a number of frames a second."""
+        """Return the lag at ``middle`` in seconds, for a recording with a number of frames a second.
+
+        Parameters
+        ----------
+        rate
+            Frames a second.
+        """
         return self.seconds if self.seconds is not None else (self.frames or 0.0) / rate
 
     def at(self, times: Float64, unit: Unit) -> Float64:
-        """Return the lag at times (N,) of images, all in a unit; errors as `in_unit`."""
+        """Return the lag at times (N,) of images, all in a unit; errors as `in_unit`.
+
+        Parameters
+        ----------
+        times
+            Times (N,) of images, in ``unit``.
+        unit
+            ``s`` or ``frames``.
+        """
         return np.asarray(self.in_unit(unit) + self.drift * (times - self.middle))
 
     def describe(self) -> str:

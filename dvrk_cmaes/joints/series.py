@@ -41,6 +41,15 @@ class ReadingSeries:
 
         Returns (N, J), NaN outside the series, and in gaps of more than three times the usual spacing of the joint's
         readings and, with times, of more than a tenth of a second.
+
+        Parameters
+        ----------
+        names
+            Names of the J joints.
+        times
+            Times (N,) on the clock of the series.
+        smoothed
+            Whether to interpolate by a spline.
         """
         out = np.full((len(times), len(names)), np.nan)
         for k, name in enumerate(names):
@@ -52,6 +61,13 @@ class ReadingSeries:
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
         """Return the readings at the time of a frame's image less the lag, by joint; without those that are not there.
+
+        Parameters
+        ----------
+        name
+            Name of the frame.
+        lag
+            The lag of the images behind the readings.
 
         Raises
         ------
@@ -68,6 +84,13 @@ class ReadingSeries:
 
         They do unless the deviation of a row from the mean of its neighbours is, in the median over the rows, both more
         than ``tolerance`` (J,) and more than a third of the change between the neighbours.
+
+        Parameters
+        ----------
+        names
+            Names of the J joints.
+        tolerance
+            (J,), rad (insertion: m).
         """
         for name, most in zip(names, tolerance, strict=True):
             values = self.values.get(name, np.zeros(0))
@@ -80,7 +103,13 @@ class ReadingSeries:
         return True
 
     def spacing(self, name: str) -> float | None:
-        """Return the time between consecutive readings of a joint; None if it varies by more than a thousandth."""
+        """Return the time between consecutive readings of a joint; None if it varies by more than a thousandth.
+
+        Parameters
+        ----------
+        name
+            Name of the joint.
+        """
         gaps = np.diff(self.times.get(name, np.zeros(0)))
         return None if not len(gaps) or np.ptp(gaps) > 1e-3 * gaps.mean() else float(gaps.mean())
 
@@ -92,6 +121,13 @@ class ReadingSeries:
 
         The clock is that of ``times``, s, if all frames have one and these increase; otherwise the frames are counted.
         Returns None for fewer than two frames.
+
+        Parameters
+        ----------
+        readings
+            Readings by frame and joint, rad (insertion: m).
+        times
+            Time of each frame's image, s, or None.
         """
         names = list(readings)
         if len(names) < 2:
@@ -111,6 +147,13 @@ class ReadingSeries:
         rows of a single file that are labelled by frame are numbered by the numbers that end the labels, or if these
         are missing or do not increase, counted. Returns None where neither is possible. Rows with wrong cells raise
         `InputError`.
+
+        Parameters
+        ----------
+        files
+            The files of readings.
+        images
+            Times of the images by frame, ns, or None.
         """
         rows = {label: row for file in files if file.labels == "frame" for label, row in file.rows.items()}
         stamps = {name: rows[name].time if time is None and name in rows else time for name, time in images.items()}

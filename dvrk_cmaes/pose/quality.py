@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,10 @@ from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
 from dvrk_cmaes.pose.search.objective import pose_terms
-from dvrk_cmaes.pose.views import FrameView, overlap
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
@@ -60,63 +59,91 @@ def measure_quality(
     computed in a window around the mask and all silhouettes. Returns the quality of each pose and the number of rays
     traced.
     """
-    evidence, renderer, weights = view.evidence, view.renderer, config.weights
-    seen = at.seen_from(view.view_from_camera)
+    renderer, seen = view.renderer, at.seen_from(view.view_from_camera)
     masks, rays = trace_near_outlines(renderer, seen.pose, seen.joints, renderer.masks(seen.pose, seen.joints))
-    left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
-    window = np.s_[top : top + height, left : left + width]
+    terms = _losses(view, readings, seen, masks, config)
+    qualities = [
+        replace(
+            quality,
+            loss=float(of_pose.total(config.weights)[0]),
+            terms={name: float(value[0]) for name, value in asdict(of_pose).items()},
+        )
+        for quality, of_pose in zip(_without_losses(view, seen, masks), terms, strict=True)
+    ]
+    return qualities, rays
+
+
+def measure_overlap(view: FrameView, at: Posed) -> Quality:
+    """Measure overlap and contour distances of one pose in one view, without the losses of a search.
+
+    The silhouette is as rendered, without rays along its outline; loss and terms are 0 and none.
+    """
+    seen = at.seen_from(view.view_from_camera)
+    return _without_losses(view, Posed.stacked([seen]), view.silhouette(at)[None])[0]
+
+
+def _losses(
+    view: FrameView, readings: Readings, seen: Posed, masks: NDArray[np.bool_], config: EstimateConfig
+) -> list[Terms]:
+    """Return the terms of the loss of C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W)."""
+    evidence, weights = view.evidence, config.weights
+    window = _window(evidence, masks)
     mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
     around = np.pad(mask, 1)  # the distance field is undefined for a mask without background
     drawn_anywhere = np.pad(masks[:, window[0], window[1]].any(axis=0), 1)
     far = distance_field(around, config.distance_field, where=drawn_anywhere)[1:-1, 1:-1] / config.decay_px
     area = float((mask * weight).sum())
-    cylinder, keypoints, deviations = pose_terms(evidence, renderer.body.instrument, readings, weights, seen)
-    qualities = []
+    cylinder, keypoints, deviations = pose_terms(evidence, view.renderer.body.instrument, readings, weights, seen)
+    of_poses = []
     for i, silhouette in enumerate(masks[:, window[0], window[1]]):
         drawn = silhouette * weight
-        terms = Terms(
-            mse=mse_loss(np.array([drawn.sum()]), np.array([(drawn * mask).sum()]), area) / area,
-            dist=dist_loss(np.array([(drawn * far).sum()])) / area,
-            scale=scale_loss(np.array([drawn.sum()]), area) / area,
-            cylinder=cylinder[i : i + 1],
-            keypoints=keypoints[i : i + 1],
-            readings=deviations[i : i + 1],
+        of_poses.append(
+            Terms(
+                mse=mse_loss(np.array([drawn.sum()]), np.array([(drawn * mask).sum()]), area) / area,
+                dist=dist_loss(np.array([(drawn * far).sum()])) / area,
+                scale=scale_loss(np.array([drawn.sum()]), area) / area,
+                cylinder=cylinder[i : i + 1],
+                keypoints=keypoints[i : i + 1],
+                readings=deviations[i : i + 1],
+            )
         )
-        both, either = (drawn * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
-        signed = _contour_distances(silhouette, evidence.contour.pixels - [left, top])
+    return of_poses
+
+
+def _window(evidence: Evidence, masks: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the rows and columns of the window around a mask and silhouettes (C, H, W)."""
+    left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
+    return np.s_[top : top + height, left : left + width]
+
+
+def _without_losses(view: FrameView, seen: Posed, masks: NDArray[np.bool_]) -> list[Quality]:
+    """Measure C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W), but for their losses."""
+    evidence, renderer = view.evidence, view.renderer
+    window = _window(evidence, masks)
+    top, left = window[0].start, window[1].start
+    mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
+    qualities = []
+    for i, silhouette in enumerate(masks[:, window[0], window[1]]):
+        both = (silhouette * weight * mask).sum()
+        either = (np.maximum(silhouette, mask) * weight).sum()
+        # infinite for a silhouette outside the image: limited to the diagonal of the image
+        diagonal = float(np.hypot(*evidence.mask.shape))
+        signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -diagonal, diagonal)
+        distances = np.abs(signed) if len(signed) else np.array([diagonal])
+        shaft = shaft_width(renderer.body.instrument, evidence.camera, seen.pose[i])
         qualities.append(
             Quality(
                 iou=float(both / max(either, 1)),
-                loss=float(terms.total(weights)[0]),
-                terms={name: float(value[0]) for name, value in asdict(terms).items()},
-                **_of_contour(evidence, renderer.body.instrument, seen.pose[i], signed),
+                loss=0.0,
+                terms={},
+                contour_px_median=float(np.median(distances)),
+                contour_px_95=float(np.percentile(distances, 95)),
+                bend_px=0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
+                steady_share=float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
+                distal_px=_distal_error(evidence, seen.pose[i], signed),
             )
         )
-    return qualities, rays
-
-
-def outline_quality(view: FrameView, at: Posed) -> Quality:
-    """Measure overlap and contour distances of one pose in one view; the losses of the search are left out."""
-    silhouette, seen = view.silhouette(at), at.seen_from(view.view_from_camera)
-    signed = _contour_distances(silhouette, view.evidence.contour.pixels)
-    measured = _of_contour(view.evidence, view.renderer.body.instrument, seen.pose, signed)
-    return Quality(iou=overlap([view], [silhouette]), loss=0.0, terms={}, **measured)
-
-
-def _of_contour(evidence: Evidence, instrument: Instrument, pose: Float64, signed: Float64) -> dict[str, float]:
-    """Return the fields of `Quality` about the contour, whose distances (N,), px, to a pose's silhouette are given."""
-    # infinite for a silhouette outside the image: limited to the diagonal of the image
-    diagonal = float(np.hypot(*evidence.mask.shape))
-    signed = np.clip(signed, -diagonal, diagonal)
-    distances = np.abs(signed) if len(signed) else np.array([diagonal])
-    shaft = shaft_width(instrument, evidence.camera, pose)
-    return {
-        "contour_px_median": float(np.median(distances)),
-        "contour_px_95": float(np.percentile(distances, 95)),
-        "bend_px": 0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
-        "steady_share": float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
-        "distal_px": _distal_error(evidence, pose, signed),
-    }
+    return qualities
 
 
 def measure_views(

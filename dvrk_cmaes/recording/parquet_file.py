@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +27,26 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
     InputError
         pyarrow is not installed, the file is not readable or too large, or a column is missing.
     """
+    with _opened(path) as file:
+        there = list(file.schema_arrow.names)
+        missing = [name for name in names if name not in there]
+        if missing:
+            raise InputError(f"{path}: expected the fields {listed(missing)}, got {listed(there, 40)}")
+        taken = [name for name in dict.fromkeys((*names, *optional)) if name in there]
+        _check_size(path, file.metadata, taken)
+        columns: dict[str, list[Any]] = file.read(columns=taken).to_pydict()
+    return columns
+
+
+def field_names(path: Path) -> list[str]:
+    """Return the names of a parquet file's fields; InputError as `read_columns`."""
+    with _opened(path) as file:
+        return list(file.schema_arrow.names)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a parquet file; errors of pyarrow, also while it is read, become an InputError."""
     check_file(path, expected=_EXPECTED, largest=_LARGEST)
     try:
         import pyarrow as pa
@@ -34,18 +55,11 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
         raise InputError(f"{path}: parquet files need pyarrow: pip install '.[parquet]'") from None
     try:
         with pq.ParquetFile(path) as file:
-            there = list(file.schema_arrow.names)
-            missing = [name for name in names if name not in there]
-            if missing:
-                raise InputError(f"{path}: expected the fields {listed(missing)}, got {listed(there, 40)}")
-            taken = [name for name in (*names, *optional) if name in there]
-            _check_size(path, file.metadata, taken)
-            columns: dict[str, list[Any]] = file.read(columns=taken).to_pydict()
+            yield file
     except (pa.ArrowException, OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: expected {_EXPECTED}, got none ({' '.join(str(error).split())[:100]})") from None
-    return columns
 
 
 def _check_size(path: Path, metadata: Any, names: Sequence[str]) -> None:

@@ -37,9 +37,11 @@ from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_positions, read
 
 _CAMERAS: Final = "camera_calibration"
 _STEREO: Final = "stereo_calib_params.json"
-_REGISTRATIONS: Final = "hand_eye_calibration"
+REGISTRATIONS: Final = "hand_eye_calibration"
+"""Folder of the arms' registrations, in a clip and in a session."""
 _LARGEST: Final = 400_000_000  # bytes of an image
-_LARGEST_REGISTRATION: Final = 1_000_000  # bytes
+LARGEST_REGISTRATION: Final = 1_000_000
+"""Bytes of a registration."""
 _FARTHEST: Final = NANOSECONDS // 20  # of the readings of a frame from its image
 _WIDEST_GAP: Final = NANOSECONDS // 4  # between readings that are interpolated
 _IMAGES: Final = (".png", ".jpg")
@@ -79,7 +81,9 @@ def open_surgsync(
     """
     images = _images(path, side)
     lens = camera or path / _CAMERAS / f"{side}.yaml"
-    camera_bytes, source = _camera(lens, path / _CAMERAS / _STEREO if camera is None and side == "right" else None)
+    camera_bytes, source = camera_of_clip(
+        lens, path / _CAMERAS / _STEREO if camera is None and side == "right" else None
+    )
     chosen = None if joints is not None else _chosen_arm(path, arm)
     times = {number: read_times(path / "time_syn" / f"{number}.json", side, chosen) for number in images}
     notes = [f"images: image/{side}", f"camera: {source}", "times: those of the images in time_syn"]
@@ -90,8 +94,8 @@ def open_surgsync(
         readings = _readings(path / "kinematic" / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
     kept = {
-        f"{_REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=_LARGEST_REGISTRATION)
-        for file in sorted((path / _REGISTRATIONS).glob("*.json"))
+        f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=LARGEST_REGISTRATION)
+        for file in sorted((path / REGISTRATIONS).glob("*.json"))
     }
     if kept:
         notes.append(f"registrations, kept: {listed(kept, 8)}")
@@ -102,7 +106,7 @@ def open_surgsync(
     yield Recording(path, recorded, len(images), camera_bytes, readings, tuple(notes), kept)
 
 
-def _camera(lens: Path, stereo: Path | None) -> tuple[bytes, str]:
+def camera_of_clip(lens: Path, stereo: Path | None) -> tuple[bytes, str]:
     """Read a camera file, and say what was read; to that of a right eye without a pose, that of ``stereo`` is added."""
     data = read_camera_bytes(lens)
     if stereo is None or not stereo.is_file():
@@ -148,40 +152,41 @@ def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadi
         raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
     first = next(iter(rows.values()))
     arm, jaw = tuple(name for name in first if name != "jaw"), tuple(name for name in first if name == "jaw")
+    images = {number: frame.image for number, frame in times.items()}
     taken = {
         number: (frame.arm or frame.image, frame.jaw or frame.arm or frame.image) for number, frame in times.items()
     }
     return tuple(
-        _at_images(str(folder), joints, rows, times, {number: moments[part] for number, moments in taken.items()})
+        at_images(str(folder), joints, rows, images, {number: moments[part] for number, moments in taken.items()})
         for part, joints in enumerate((arm, jaw))
         if joints
     )
 
 
-def _at_images(
+def at_images(
     source: str,
     joints: tuple[str, ...],
     rows: Mapping[int, Mapping[str, float]],
-    times: Mapping[int, FrameTimes],
+    images: Mapping[int, int],
     taken: Mapping[int, int],
 ) -> TimedReadings:
-    """Interpolate readings that were ``taken`` near the images' times to these; where that is not possible, keep them.
+    """Interpolate readings that were ``taken`` near the images' times, ns, to these; where not possible, keep them.
 
     Readings that are farther from their image than the recorder allows are omitted.
     """
     values = {
         number: [row[name] for name in joints]
         for number, row in rows.items()
-        if set(joints) <= set(row) and abs(taken[number] - times[number].image) <= _FARTHEST
+        if set(joints) <= set(row) and abs(taken[number] - images[number]) <= _FARTHEST
     }
     if not values:
-        away = min(abs(taken[number] - times[number].image) for number in rows) / NANOSECONDS
+        away = min(abs(taken[number] - images[number]) for number in rows) / NANOSECONDS
         raise InputError(
             f"{source}: {', '.join(joints)}: expected readings within {_FARTHEST / NANOSECONDS:g} s of the images, "
             f"got none; the nearest is {away:.6g} s away"
         )
     series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
-    moments = [times[number].image for number in values]
+    moments = [images[number] for number in values]
     at, gaps = np.array(moments, dtype=np.int64), within(_WIDEST_GAP)
     known, interpolated = series.known(at, gaps), series.at(at, gaps, weighted_mean).tolist()
     at_images = [new if there else own for new, own, there in zip(interpolated, values.values(), known, strict=True)]

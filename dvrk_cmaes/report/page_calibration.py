@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.lag import Lag
@@ -210,7 +210,7 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         yield _rotation_figure(rotation)
         yield from _scale_figures(rotation)
     if calibration.masks is not None:
-        yield _margin_figure(calibration.masks)
+        yield from _mask_figures(calibration.masks)
     if calibration.masks_again is not None:
         yield _again_figure(calibration.masks_again)
 
@@ -251,6 +251,24 @@ def _rotation_figure(rotation: ViewRotation) -> KeyFigure:
     return KeyFigure(f"{rotation.view.capitalize()} eye turned, against its file", f"{turned}°", note)
 
 
+def _mask_figures(masks: SessionMasks) -> Iterator[KeyFigure]:
+    """Yield the margins by which all masks are too wide, what was done about them, and what lasts of other errors."""
+    margins = [("Masks", masks.margin_px, masks.std_margin_px, masks.applied)]
+    margins += [
+        (f"Masks of the {one.view} eye", one.margin_px, one.std_margin_px, one.applied) for one in masks.further_views
+    ]
+    for name, margin, std, applied in margins:
+        done = "taken off the masks" if applied else "zero within its error, not taken off"
+        note = f"all round, negative if too narrow; standard deviation {std:.2f} px; {done}"
+        yield KeyFigure(f"{name} too wide", f"{margin:+.2f} px", note)
+    if masks.side_px is not None:
+        note = f"of its whole length, in one frame; standard deviation {masks.std_side_px:.2f} px"
+        yield KeyFigure("Errors of a side of the shaft", f"{masks.side_px:.2f} px", note)
+    if masks.lasting_seconds is not None:
+        note = f"in which their correlation falls to 37 %; standard deviation {masks.std_lasting_seconds:.2f} s"
+        yield KeyFigure("These errors last", f"{masks.lasting_seconds:.2f} s", note)
+
+
 def _scale_figures(view: ViewRotation) -> Iterator[KeyFigure]:
     """Yield what is told of a further view's baseline and focal length, and what was done about it."""
     names = {"baseline": view.baseline, "focal length beside the first eye's": view.focal_length}
@@ -263,13 +281,6 @@ def _scale_figures(view: ViewRotation) -> Iterator[KeyFigure]:
                 f"{percent:+.1f} %",
                 f"standard deviation {std:.1f} %; {done}",
             )
-
-
-def _margin_figure(masks: SessionMasks) -> KeyFigure:
-    """Return the margin by which all masks are too wide, and what was done about it."""
-    done = "taken off the masks" if masks.applied else "zero within its error, not taken off"
-    note = f"all round, negative if too narrow; standard deviation {masks.std_margin_px:.2f} px; {done}"
-    return KeyFigure("Masks too wide", f"{masks.margin_px:+.2f} px", note)
 
 
 def _again_figure(again: MasksAgain) -> KeyFigure:

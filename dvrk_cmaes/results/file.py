@@ -13,6 +13,11 @@ _EXPECTED = "a frame's result (JSON)"
 def read_result(path: str | Path) -> Result:
     """Read a result; a frame without a name in the document gets the name of the file.
 
+    Parameters
+    ----------
+    path
+        The file, as ``frames/FRAME.json``.
+
     Raises
     ------
     InputError

@@ -42,6 +42,13 @@ def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
     The frames of a recording that `track` followed (tracks.jsonl) are read as results, too. Without ``summary``,
     summary.json is not read.
 
+    Parameters
+    ----------
+    folder
+        The folder that a command wrote.
+    summary
+        Whether to read summary.json.
+
     Raises
     ------
     InputError

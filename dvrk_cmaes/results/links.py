@@ -37,7 +37,13 @@ class LinkModel(Protocol):
         """The L links with geometry."""
 
     def forward(self, joints: ArrayLike) -> Float64:
-        """Compute root_from_link (L, 4, 4), m, from joint values (J,), rad."""
+        """Compute root_from_link (L, 4, 4), m, from joint values (J,), rad.
+
+        Parameters
+        ----------
+        joints
+            Joint values (J,), rad, in the order of the model's joints.
+        """
 
 
 def camera_from_links(

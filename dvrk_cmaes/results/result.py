@@ -147,7 +147,29 @@ class Result:
         seed: int = 0,
         config: Mapping[str, Any] | None = None,
     ) -> Result:
-        """Return the result of a frame without a pose; ``reason`` states why, on one line."""
+        """Return the result of a frame without a pose; ``reason`` states why, on one line.
+
+        Parameters
+        ----------
+        frame
+            Name of the frame.
+        reason
+            Why there is no pose, on one line.
+        readings
+            Readings by joint, rad (insertion: m).
+        instrument
+            Name of the instrument.
+        root_link
+            Name of its root link.
+        warnings
+            Warnings on the frame.
+        time
+            Time of the image, s.
+        seed
+            Seed of the search.
+        config
+            Settings of the estimate.
+        """
         return cls(
             frame=frame,
             status="failed",
@@ -170,6 +192,13 @@ class Result:
 
         ``camera_from_root`` (null for a failed frame) and ``joints`` are required; the other fields have defaults.
         Standard deviations follow from the covariance; unknown fields are ignored.
+
+        Parameters
+        ----------
+        document
+            The content of a result's JSON file.
+        where
+            Where it is from, for messages.
 
         Raises
         ------
@@ -218,6 +247,11 @@ class Result:
         """Return camera_from_link (4, 4), m, of each link with geometry by name; empty without a pose.
 
         ``instrument`` is needed for a result that was read from a file; by default it is the one that was estimated.
+
+        Parameters
+        ----------
+        instrument
+            The instrument of the result, for one that was read from a file.
 
         Raises
         ------

@@ -63,7 +63,15 @@ class TrackResult:
     base: BaseKnown | None = None
 
     def to_dict(self, frame: str, *, timed: bool = True) -> dict[str, Any]:
-        """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null."""
+        """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null.
+
+        Parameters
+        ----------
+        frame
+            Name of the frame.
+        timed
+            Whether the line has the image's time.
+        """
         std = None
         if self.covariance is not None:
             sigma = np.sqrt(np.diag(self.covariance))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.camera import Rig
@@ -20,6 +21,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
@@ -41,6 +43,8 @@ from dvrk_cmaes.track.still_readings import frozen_frames
 Float64 = NDArray[np.float64]
 
 KEYFRAMES: Final = "keyframes.json"
+_SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
+_OVERLAP_LOSS: Final = 0.06  # below the overlap of the frames that were searched for, from which on one is as well
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
 
 
@@ -128,17 +132,42 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 @dataclass(frozen=True, eq=False)
 class AloneTask:
-    """Arguments of `alone_task`."""
+    """Arguments of `alone_task`; ``start`` is where the instrument is expected, if that is known.
+
+    A pose found from there counts if its overlap with the mask is at least ``least_iou``.
+    """
 
     files: FrameFiles
     rig: Rig
     arm: Arm
+    start: Posed | None = None
+    least_iou: float = 0.0
 
 
 def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
-    """Estimate a keyframe by itself, as `batch` does."""
+    """Estimate a keyframe by itself, as `batch` does: from where it is expected, or else by a search."""
     data = read_frame(task.files.changed(image=None), task.rig)
+    if task.start is not None:
+        started = replace(task.files, start=_as_result(task.start, body, task.files.name))
+        result = estimate_frame(started, data, body, arm=task.arm, config=config)
+        if result.quality is not None and result.quality.iou >= task.least_iou:
+            return result
     return estimate_frame(task.files, data, body, arm=task.arm, config=config)
+
+
+def _as_result(at: Posed, body: Body, name: str) -> Result:
+    """Return an expected pose as a result that an estimate may start from."""
+    instrument = body.instrument
+    return Result(
+        frame=name,
+        status="doubtful",
+        reasons=("expected",),
+        instrument=instrument.name,
+        root_link=instrument.root_link,
+        camera_from_root=at.pose,
+        joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
+        readings={},
+    )
 
 
 def solve_keyframes(
@@ -155,19 +184,8 @@ def solve_keyframes(
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return f"{len(chosen)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
-    files = [recorded.files[i] for i in chosen]
-    progress("estimating keyframes", len(files))
-    alone: Sequence[Result] = run(alone_task, [AloneTask(own, recorded.rig, arm) for own in files])
-    frames = [
-        SessionFrame(
-            own.name,
-            partial(read_frame, own.changed(image=None), recorded.rig),
-            result,
-            own.keypoints,
-            None if recorded.series is None else recorded.series.frames.get(own.name),
-        )
-        for own, result in zip(files, alone, strict=True)
-    ]
+    progress("estimating keyframes", len(chosen))
+    frames = _estimated(recorded, chosen, body, arm, config, run)
     try:
         solved = calibrate_session(
             frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress
@@ -177,6 +195,34 @@ def solve_keyframes(
             raise  # a file that is missing or damaged
         return str(error).removeprefix(_REFUSED)
     return solved.calibration.doubt or solved.calibration
+
+
+def _estimated(
+    recorded: RecordedFrames, chosen: Sequence[int], body: Body, arm: Arm, config: EstimateConfig, run: Run[Any, Any]
+) -> list[SessionFrame]:
+    """Estimate the keyframes at some indices alone: some by a search, the others from where these expect them."""
+
+    def in_session(number: int, result: Result) -> SessionFrame:
+        own = recorded.files[number]
+        read = partial(read_frame, own.changed(image=None), recorded.rig)
+        time = None if recorded.series is None else recorded.series.frames.get(own.name)
+        return SessionFrame(own.name, read, result, own.keypoints, time)
+
+    searched = sorted(set(recorded.keyframes(_SEARCHED)) & set(chosen))
+    results = run(alone_task, [AloneTask(recorded.files[i], recorded.rig, arm) for i in searched])
+    first = {i: in_session(i, result) for i, result in zip(searched, results, strict=True)}
+    rest = [i for i in chosen if i not in first]
+    readings = {recorded.files[i].name: recorded.files[i].readings for i in rest}
+    expected = predict_from_first(
+        list(first.values()), readings, body.instrument, series=recorded.series, arm=arm, config=config
+    )
+    overlaps = [result.quality.iou for result in results if result.quality is not None]
+    least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
+    tasks = [
+        AloneTask(own, recorded.rig, arm, expected.get(own.name), least) for own in (recorded.files[i] for i in rest)
+    ]
+    others = {i: in_session(i, result) for i, result in zip(rest, run(alone_task, tasks), strict=True)}
+    return [frame for _, frame in sorted((first | others).items())]
 
 
 def read_keyframes(out: Path) -> SessionCalibration | str | None:

@@ -72,12 +72,11 @@ def smooth_frames(
 def judge_all(
     smoothed: SmoothedFrames,
     fits: Sequence[FittedFrame | None],
-    predicted: Prediction,
     run: Run[Any, Any],
 ) -> list[JudgedFrame | None]:
     """Judge the smoothed pose of every frame that shows the instrument."""
     tasks = [
-        JudgeTask(fitted.stored, smoothed.at[i], smoothed.covariance[i], predicted.readings[i])
+        JudgeTask(fitted.stored, smoothed.at[i], smoothed.covariance[i])
         for i, fitted in enumerate(fits)
         if fitted is not None
     ]

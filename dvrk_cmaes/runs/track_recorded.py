@@ -113,7 +113,7 @@ def follow_recorded(
             predicted = predict(recorded, calibration, body.instrument.joint_names)
             fits = fit_all(recorded, calibration, predicted, run)
             smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument)
-            judged = judge_all(smoothed, fits, predicted, run)
+            judged = judge_all(smoothed, fits, run)
         except _StoppedError:
             return None
     results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Int32 = NDArray[np.int32]
 
 _DIGIT_BITS = 16
-_LONG = 1 << 16  # crossings; the small images of the search of a single frame have fewer
+_LONG = 1 << 17  # crossings; the small images of the search of a single frame have fewer
 
 
 def ordered(

@@ -46,7 +46,7 @@ def _front_facing(topology: MeshTopology, camera_from_link: NDArray[np.float64],
 
 
 class OutlineEdges:
-    """The outline edges of a batch of poses (C, L, 4, 4), at most ``POSES_PER_BATCH``, for any grid of lines.
+    """The outline edges of a batch of poses (C, L, 4, 4), at most ``SUMMED_PER_BATCH``, for any grid of lines.
 
     ``scenes``, if given, are traced to decide what the instrument covers between the edges; otherwise layers count.
     """

@@ -2,8 +2,8 @@
 
 Arrays of faces, edges and vertices have the pose as their last axis, so that the values of all poses of a batch are
 adjacent in memory. The length of that axis, the batch size, is a power of two; entries beyond the number of poses are
-padding. The flags of one face for all poses fit into one or two machine words, so an edge is compared for all poses
-with one or two operations, and its faces and ends are looked up once per batch.
+padding. The flags of one face for all poses fit into a few machine words, so an edge is compared for all poses
+with a few operations, and its faces and ends are looked up once per batch.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.arguments import described
 
 POSES_PER_BATCH = 16
-"""Largest number of poses in a batch."""
+"""Largest number of poses in a batch whose images are drawn."""
+SUMMED_PER_BATCH = 64
+"""Largest number of poses in a batch of which only sums are computed, in arrays as large as the outlines are long."""
 
 Float32 = NDArray[np.float32]
 Words = NDArray[np.unsignedinteger[Any]]
@@ -32,24 +34,26 @@ _WORD_TYPES: dict[int, type[np.unsignedinteger[Any]]] = {
     4: np.uint32,
     8: np.uint64,
     16: np.uint64,
+    32: np.uint64,
+    64: np.uint64,
 }
 
 
 def batch_size_for(poses: int) -> int:
-    """Return the smallest batch size for a number of poses; ValueError beyond ``POSES_PER_BATCH``."""
-    if poses > POSES_PER_BATCH:
-        raise ValueError(f"at most {POSES_PER_BATCH} poses at a time, got {poses}")
+    """Return the smallest batch size for a number of poses; ValueError beyond ``SUMMED_PER_BATCH``."""
+    if poses > SUMMED_PER_BATCH:
+        raise ValueError(f"at most {SUMMED_PER_BATCH} poses at a time, got {poses}")
     return next(size for size in _WORD_TYPES if size >= poses)
 
 
-def batch_slices(poses: int) -> list[slice]:
-    """Divide poses into batches of nearly equal length, at most ``POSES_PER_BATCH`` each.
+def batch_slices(poses: int, most: int = POSES_PER_BATCH) -> list[slice]:
+    """Divide poses into batches of nearly equal length, at most ``most`` each.
 
-    More than ``POSES_PER_BATCH`` poses are divided into an even number of batches, so that two threads get equal
+    More than ``most`` poses are divided into an even number of batches, so that two threads get equal
     shares. The division does not depend on the number of threads.
     """
-    batches = max(-(-poses // POSES_PER_BATCH), 1)
-    if batches % 2 and poses > POSES_PER_BATCH:
+    batches = max(-(-poses // most), 1)
+    if batches % 2 and poses > most:
         batches += 1
     edges = [round(poses * i / batches) for i in range(batches + 1)]
     return [slice(begin, end) for begin, end in pairwise(edges)]
@@ -70,17 +74,17 @@ def matmul_in_blocks(rows: Float32, columns: Float32, out: Float32) -> None:
 
 
 def as_words(flags: NDArray[np.bool_]) -> Words:
-    """View contiguous flags (N, batch_size) as words (N, 1 or 2), one byte per pose."""
+    """View contiguous flags (N, batch_size) as words (N, 1 or more), one byte per pose."""
     return flags.view(_WORD_TYPES[flags.shape[1]])
 
 
 def as_flags(words: Words) -> NDArray[np.bool_]:
-    """View words (N, 1 or 2), whose bytes are 0 or 1, as flags (N, batch_size), one byte per pose."""
+    """View words (N, 1 or more), whose bytes are 0 or 1, as flags (N, batch_size), one byte per pose."""
     return words.view(np.bool_)
 
 
 def repeated_words(flags: NDArray[np.bool_]) -> dict[int, Words]:
-    """Repeat flags (N,) for every pose of a batch: words (N, 1 or 2) by batch size."""
+    """Repeat flags (N,) for every pose of a batch: words (N, 1 or more) by batch size."""
     return {size: as_words(np.repeat(flags[:, None], size, axis=1)) for size in _WORD_TYPES}
 
 

@@ -47,6 +47,11 @@ def prepare(instrument: Instrument | Body | str | Path) -> Body:
 
     A body is returned as it is.
 
+    Parameters
+    ----------
+    instrument
+        A bundled instrument's name, a URDF's path, a loaded `Instrument`, or a prepared `Body`.
+
     Raises
     ------
     InputError

@@ -23,7 +23,13 @@ from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.grid import LineGrid
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
-from dvrk_cmaes.silhouette.pose_batches import batch_slices, check_finite, check_poses
+from dvrk_cmaes.silhouette.pose_batches import (
+    POSES_PER_BATCH,
+    SUMMED_PER_BATCH,
+    batch_slices,
+    check_finite,
+    check_poses,
+)
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.shortened import ShortenedShaft
 from dvrk_cmaes.silhouette.sliced_call import worked
@@ -51,7 +57,13 @@ class Body:
 
     @staticmethod
     def prepare(instrument: Instrument) -> Body:
-        """Build the edge topology and the scenes of an instrument."""
+        """Build the edge topology and the scenes of an instrument.
+
+        Parameters
+        ----------
+        instrument
+            The instrument, whose meshes are prepared.
+        """
         return Body(instrument, build_topology(instrument), LinkScenes(instrument))
 
     @cached_property
@@ -60,14 +72,28 @@ class Body:
         return ShortenedShaft(self.instrument, self.topology)
 
     def decimated(self, cell: float) -> Body:
-        """Return a body with fewer faces for images of low resolution, decimated on a grid with cells of ``cell`` m."""
+        """Return a body with fewer faces for images of low resolution, decimated on a grid with cells of ``cell`` m.
+
+        Parameters
+        ----------
+        cell
+            Width of the grid's cells, m.
+        """
         instrument, error = decimate(self.instrument, cell)
         return Body(instrument, build_topology(instrument), LinkScenes(instrument), self.error_m + error, self.method)
 
     def camera_from_links(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Compute the poses of all links, (C, L, 4, 4), from those of the root, (C, 4, 4), and joints (C, J)."""
+        """Compute the poses of all links, (C, L, 4, 4), from those of the root, (C, 4, 4), and joints (C, J).
+
+        Parameters
+        ----------
+        camera_from_root
+            Poses of the root link in the camera, (C, 4, 4), m.
+        joints
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+        """
         return np.asarray(camera_from_root[:, None] @ self.instrument.forward(joints))
 
 
@@ -146,7 +172,15 @@ class Renderer:
         _keep_freed_memory()
 
     def at(self, width: int, height: int) -> Renderer:
-        """Return a renderer of the same body in the same camera, scaled to another image size in pixels."""
+        """Return a renderer of the same body in the same camera, scaled to another image size in pixels.
+
+        Parameters
+        ----------
+        width
+            Width of the images, px.
+        height
+            Height of the images, px.
+        """
         return Renderer(self.body, self.camera.scaled(width, height), threads=self.threads)
 
     def _map_batches(
@@ -154,11 +188,12 @@ class Renderer:
         camera_from_root: NDArray[np.float64],
         joints: NDArray[np.float64],
         use: Callable[[OutlineEdges], T],
+        most: int = POSES_PER_BATCH,
     ) -> list[T]:
-        """Apply ``use`` to the outline edges of each batch of poses, in ``threads`` threads."""
+        """Apply ``use`` to the outline edges of each batch of at most ``most`` poses, in ``threads`` threads."""
         check_poses(self.body.instrument.joint_names, camera_from_root, joints)
         links = self.body.camera_from_links(camera_from_root, joints)
-        batches = [links[part] for part in batch_slices(len(links))]
+        batches = [links[part] for part in batch_slices(len(links), most)]
 
         def work(batch: NDArray[np.float64]) -> T:
             topology = self.body.shortened.topology_for(self.camera, batch)
@@ -192,6 +227,19 @@ class Renderer:
 
         With ``to_pixel``, the sums are over the pixels whose centres are covered. Otherwise they are integrals over the
         area within the outline, which are continuous in the pose.
+
+        Parameters
+        ----------
+        camera_from_root
+            Poses of the root link in the camera, (C, 4, 4), m.
+        joints
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+        images
+            The K images whose pixels are summed.
+        lines_per_pixel
+            Lines of the image along which edges are found, for each row of pixels.
+        to_pixel
+            Whether to sum over whole pixels instead of integrating over areas.
         """
         width, grid = self.camera.width, LineGrid(self.camera.height, lines_per_pixel)
         flat = images.table.reshape(-1, images.table.shape[2])
@@ -218,12 +266,22 @@ class Renderer:
             columns = values.T[: images.count]
             return np.stack([np.bincount(pose, weights=column, minlength=edges.poses) for column in columns], axis=1)
 
-        return np.concatenate(self._map_batches(camera_from_root, joints, add)) / lines_per_pixel
+        return np.concatenate(self._map_batches(camera_from_root, joints, add, SUMMED_PER_BATCH)) / lines_per_pixel
 
     def coverage(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64], *, lines_per_pixel: int = 4
     ) -> NDArray[np.float32]:
-        """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W)."""
+        """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W).
+
+        Parameters
+        ----------
+        camera_from_root
+            Poses of the root link in the camera, (C, 4, 4), m.
+        joints
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+        lines_per_pixel
+            Lines of the image along which edges are found, for each row of pixels.
+        """
         grid = LineGrid(self.camera.height, lines_per_pixel)
 
         def draw(edges: OutlineEdges) -> NDArray[np.float32]:
@@ -255,7 +313,15 @@ class Renderer:
         return np.ascontiguousarray(columns.T).reshape(poses, height, width)
 
     def outlines(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> OutlinePoints:
-        """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns."""
+        """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns.
+
+        Parameters
+        ----------
+        camera_from_root
+            Poses of the root link in the camera, (C, 4, 4), m.
+        joints
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+        """
         grid = LineGrid(self.camera.height)
 
         def find(edges: OutlineEdges) -> OutlinePoints:
@@ -272,6 +338,15 @@ class Renderer:
 
         The points of the outlines lie on all lines of the coverage, ``lines_per_pixel`` per pixel row, and on the pixel
         columns.
+
+        Parameters
+        ----------
+        camera_from_root
+            Poses of the root link in the camera, (C, 4, 4), m.
+        joints
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+        lines_per_pixel
+            Lines of the image along which edges are found, for each row of pixels.
         """
         grid = LineGrid(self.camera.height, lines_per_pixel)
 
@@ -313,7 +388,15 @@ class Renderer:
         return np.concatenate(self._map_batches(camera_from_root, joints, draw))
 
     def trace(self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Trace one ray through the centre of every pixel: the reference for ``masks``, (C, H, W)."""
+        """Trace one ray through the centre of every pixel: the reference for ``masks``, (C, H, W).
+
+        Parameters
+        ----------
+        camera_from_root
+            Poses of the root link in the camera, (C, 4, 4), m.
+        joints
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+        """
         height, width = self.camera.height, self.camera.width
         v, u = np.mgrid[:height, :width]
         pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)

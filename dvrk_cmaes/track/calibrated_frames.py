@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig

@@ -69,7 +69,13 @@ class Keyframe:
         return f"{self.time:.6f}"
 
     def data(self, rig: Rig) -> FrameData:
-        """Return the frame as it was given."""
+        """Return the frame as it was given.
+
+        Parameters
+        ----------
+        rig
+            The rig whose views the keyframe has.
+        """
         return FrameData(seen_views(_unpacked(self.masks, rig), rig, _unpacked(self.ignored, rig) or None))
 
 
@@ -109,6 +115,13 @@ class KeyframeProblem:
         """Estimate the keyframes by themselves, and find base, lag and offsets from all of them.
 
         The solution does not depend on the number of threads.
+
+        Parameters
+        ----------
+        body
+            The instrument.
+        threads
+            Number of threads.
         """
         config = replace(self.config, threads=threads)
         alone: dict[str, Result] = {}

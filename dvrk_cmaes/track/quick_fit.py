@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
@@ -22,7 +23,7 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.quality import outline_quality, pooled_quality
+from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -84,7 +85,8 @@ def quick_fit(
     at, steps = _starts(expected, before, outline)
     fit = min(refine(coverage, terms, at, steps), key=lambda each: each.score)
     own = OwnEstimate.of(views, fit.at)
-    told = coverage.near_without_shared(fit.at, own.noises, stride=_STRIDE)
+    lasting = coverage.near_with_lasting(fit.at, own.noises, stride=_STRIDE)
+    told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)
     whole = told + sum_of_locals(terms, Posed.stacked([fit.at]))
     step = -np.linalg.solve(whole.information[0], whole.slope[0])
     step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
@@ -92,7 +94,7 @@ def quick_fit(
     for term in terms:
         end = term.allowed(Posed.stacked([end]))[0]
     slope = told.slope[0] + told.information[0] @ end.minus(fit.at)
-    found = FrameFit(end, told.information[0], slope, fit.score, coverage.silhouettes, own.iou)
+    found = FrameFit(end, told.information[0], slope, score=fit.score, evaluations=coverage.silhouettes, iou=own.iou)
     return QuickFit(tuple(views), found, own.lengths, own.noises[0].inflation)
 
 
@@ -100,7 +102,7 @@ def judged(
     views: Sequence[FrameView], at: Posed, covariance: Float64, body: Body, config: EstimateConfig
 ) -> JudgedFrame:
     """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
-    qualities = [outline_quality(view, at) for view in views]
+    qualities = [measure_overlap(view, at) for view in views]
     error = expected_error(body.instrument, at, covariance)
     doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust)
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))

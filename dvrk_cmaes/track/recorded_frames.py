@@ -7,7 +7,7 @@ Its pose, once smoothed over the recording, is judged by the rules of `estimate 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
@@ -105,19 +105,18 @@ def fit_followed(
     return FittedFrame(
         StoredFrame(tuple(stored), data.camera, own),
         fit,
-        views[0].noise_at(fit.at).inflation,
+        own.noises[0].inflation,
         time.perf_counter() - started,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class JudgeTask:
-    """Arguments of `judge_frame`: a frame's evidence, its pose and the covariance (D, D) of that, and its readings."""
+    """Arguments of `judge_frame`: a frame's evidence, its pose and the covariance (D, D) of that."""
 
     stored: StoredFrame
     at: Posed
     covariance: Float64
-    readings: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +131,7 @@ class JudgedFrame:
 def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFrame:
     """Measure how a frame's pose explains the masks, and list the reasons to doubt it."""
     views: Sequence[FrameView] = [view.restored(body) for view in task.stored.views]
-    readings = split_readings(body.instrument, dict(task.readings), config)[0]
-    of_views, _ = measure_views(views, readings, Posed.stacked([task.at]), config)
-    qualities = [of_view[0] for of_view in of_views]
+    qualities = [measure_overlap(view, task.at) for view in views]
     error = expected_error(body.instrument, task.at, task.covariance)
     doubts, remarks = doubts_in_views(task.at, views, qualities, error, config.trust)
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))

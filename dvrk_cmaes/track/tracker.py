@@ -162,6 +162,13 @@ class Tracker:
         """Return what was found as a session's calibration; None without readings of the outer joints.
 
         ``interval`` s is the time between images. If ``unit`` is frames, the lag is only given in frames.
+
+        Parameters
+        ----------
+        interval
+            Time between images, s.
+        unit
+            ``s`` or ``frames``: in which the lag is given.
         """
         if self._known is not None and self._known.calibration is not None:
             return self._known.calibration
@@ -195,6 +202,11 @@ class Tracker:
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from the state of another tracker with the same camera, instrument and settings.
 
+        Parameters
+        ----------
+        saved
+            What `checkpoint` returned.
+
         Raises
         ------
         InputError
@@ -213,6 +225,13 @@ class Tracker:
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s: joints by name, rad (insertion: m), any of which may be missing.
+
+        Parameters
+        ----------
+        time
+            Time of the readings, s.
+        joints
+            Readings by joint, rad (insertion: m).
 
         Raises
         ------
@@ -258,6 +277,11 @@ class Tracker:
     def use(self, solution: Solution) -> bool:
         """Follow by a solution from the next step on; returns whether it has a calibration that predicts its frames.
 
+        Parameters
+        ----------
+        solution
+            What `KeyframeProblem.solve` returned.
+
         Raises
         ------
         InputError
@@ -272,6 +296,15 @@ class Tracker:
         """Start, or start again, from the result of a single frame taken at a time, s.
 
         Colours are learned from its ``image`` (H, W, 3), BGR, or those of the views, if that is given.
+
+        Parameters
+        ----------
+        time
+            Time of the image, s; later than that of the step before.
+        result
+            The result of the frame.
+        image
+            (H, W, 3) uint8, BGR, or the images of the views by name.
 
         Raises
         ------

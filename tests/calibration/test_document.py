@@ -15,16 +15,17 @@ from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
-from dvrk_cmaes.calibration.session_rig import ViewRotation
+from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
 
 WORLD = make_world(4)
 OFFSETS = dict(zip(("insertion", "roll", *WORLD.model.names), WORLD.truth.offsets.tolist(), strict=True))
+SCALE = ViewScale(1.05, 0.01, applied=True)
 SPREADS = {
     "yaw": 0.002,
     "pitch": 0.002,
@@ -52,12 +53,17 @@ def calibration() -> SessionCalibration:
         frames=("0000", "0002"),
         left_out={"0001": "disagrees with the session"},
         leave_one_out={"0000": (0.93, 1.5), "0002": (0.9, 2.25)},
+        leave_one_out_of_views={"left": {"0000": (0.95, 1.25)}, "right": {"0000": (0.91, 1.75), "0002": (0.9, 2.25)}},
         iou=0.95,
         contour_px_95=2.5,
         lag=Lag(2.0, 0.25, 0.066667, 0.008),
         camera=SessionCamera(1.02, 0.01, (3.0, -4.5), (6.0, 7.0), contradicts=False, applied=True, width=640),
         masks=SessionMasks(0.4, 0.1, applied=True),
-        rig=(ViewRotation("right", np.array([0.1, 0.0, 0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True),),
+        rig=(
+            ViewRotation(
+                "right", np.array([0.1, 0.0, 0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True, baseline=SCALE
+            ),
+        ),
         untold=("offset of insertion",),
         warnings=("readings come 2 frames late",),
         arm="si",
@@ -84,6 +90,7 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
         "frames",
         "left_out",
         "leave_one_out",
+        "leave_one_out_of_views",
         "lag",
         "camera",
         "untold",
@@ -91,6 +98,18 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
         "arm",
     ):
         assert getattr(after, name) == getattr(before, name)
+
+
+def test_rig_is_read_back() -> None:
+    before = calibration()
+    (view,) = SessionCalibration.from_dict(before.to_dict()).rig
+    assert (view.view, view.frames, view.applied, view.focal_length) == ("right", 12, True, None)
+    assert view.baseline == SCALE
+    np.testing.assert_allclose(view.rotation_deg, before.rig[0].rotation_deg)
+    document = before.to_dict()
+    document["rig"][0]["baseline"]["scale"] = -1.0
+    with pytest.raises(InputError, match=r"^session: rig\[0\]\.baseline\.scale: expected a number above 0"):
+        SessionCalibration.from_dict(document)
 
 
 def test_document_has_documented_fields() -> None:

@@ -12,7 +12,7 @@ from helpers.session_worlds import make_frames_in_memory
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.mask_margin import SessionMasks
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.silhouette import Body
 

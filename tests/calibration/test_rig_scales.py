@@ -96,6 +96,12 @@ def test_frames_are_solved_with_the_rig_found(case: str, solved: dict[str, Solve
     by_wrong, by_right = solved[case], solved["right"]
     one, other = (np.mean([iou for iou, _ in each.calibration.leave_one_out.values()]) for each in (by_wrong, by_right))
     assert one > other - 0.005
+    of_views = by_wrong.calibration.leave_one_out_of_views
+    assert list(of_views) == ["left", "right"]
+    for name, (iou, contour_px) in by_wrong.calibration.leave_one_out.items():
+        pairs = [of_views[view][name] for view in of_views]
+        assert iou == pytest.approx(np.mean([pair[0] for pair in pairs]))
+        assert contour_px == pytest.approx(np.mean([pair[1] for pair in pairs]))
     for result in by_wrong.results.values():
         assert result.status == by_right.results[result.frame].status
 
@@ -114,7 +120,8 @@ def test_new_frame_is_seen_with_the_rig_found(
     masks = {view.name: view.mask for view in frame.data.views}
     found = estimate(masks, file_of(case), frame.result.readings, bundled_body, session=calibration, config=SETTINGS)
     assert found.source == "session"
-    assert found.view_fits[1].quality.iou > 0.95
+    assert found.quality is not None
+    assert found.quality.iou > 0.95
 
 
 def test_rig_that_was_used_is_written(solved: dict[str, SolvedSession], tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ class Block(NamedTuple):
     def commands(self) -> list[str]:
         """The lines that call the program, those that are continued joined, without comments."""
         lines = [line for line in self.text.replace("\\\n", " ").splitlines() if PROGRAM.match(line)]
-        return [shlex.join(shlex.split(line, comments=True)) for line in lines]
+        return [shlex.join(shlex.split(line.removeprefix("$ "), comments=True)) for line in lines]
 
 
 class Output(NamedTuple):
@@ -46,9 +46,9 @@ class Output(NamedTuple):
 def blocks(page: str) -> Iterator[Block]:
     """Give the indented blocks of a page; those of a shell end at an empty line."""
     for section in re.split(r"\n##+ ", page):
-        for match in re.finditer(r"(?:^    .*\n(?:\n(?=    ))?)+", section, flags=re.MULTILINE):
+        for match in re.finditer(r"(?:^    .*\n(?:\n+(?=    ))?)+", section, flags=re.MULTILINE):
             text = textwrap.dedent(match[0])
-            parts = text.split("\n\n") if PROGRAM.match(text) else [text]
+            parts = text.split("\n\n") if any(map(PROGRAM.match, text.splitlines())) else [text]
             yield from (Block(section.split("\n")[0], part) for part in parts)
 
 

@@ -11,7 +11,7 @@ from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.coverage import of_camera
-from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors, without_shared
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
@@ -31,15 +31,14 @@ def errors_of(body: Body, noise: OutlineNoise = NOISE) -> SharedErrors:
 
 
 def test_margin_displaces_the_whole_outline(bundled_body: Body) -> None:
-    np.testing.assert_array_equal(errors_of(bundled_body).columns[:, 0], 1.0)
+    np.testing.assert_array_equal(errors_of(bundled_body).columns[:, LASTING], 1.0)
 
 
 def test_nodes_of_a_side_of_the_shaft_add_up_to_the_side(bundled_body: Body) -> None:
     """The error between two nodes is linear; if both are off by a pixel, so is all of the contour between them."""
     outline, errors = outline_of(bundled_body), errors_of(bundled_body)
-    whole = [k for k in range(1, errors.columns.shape[1]) if set(np.unique(errors.columns[:, k])) == {0.0, 1.0}]
-    assert len(whole) == 2
-    sides = errors.columns[:, whole]
+    sides = errors.columns[:, :LASTING]
+    assert set(np.unique(sides)) == {0.0, 1.0}
     np.testing.assert_array_equal(sides.sum(axis=1), outline.link == 0)
     of_shaft = errors.columns[outline.link == 0]
     nodes = of_shaft[:, (errors.deviations == 0.2 * NOISE.sigma)]
@@ -50,7 +49,7 @@ def test_errors_of_other_links_do_not_touch_the_shaft(bundled_body: Body) -> Non
     outline, errors = outline_of(bundled_body), errors_of(bundled_body)
     for link in np.unique(outline.link[outline.link > 0]):
         touched = (errors.columns[outline.link == link] > 0).any(axis=0)
-        touched[0] = False  # the margin
+        touched[LASTING] = False  # the margin
         assert 2 <= touched.sum() <= 4
         assert not (errors.columns[outline.link != link][:, touched] > 0).any()
 
@@ -66,7 +65,7 @@ def test_elimination_leaves_the_marginal_of_the_pose() -> None:
     jacobian, residuals = rng.normal(size=(30, 7)), rng.normal(size=30)
     errors = SharedErrors(np.zeros((0, 3)), np.array([0.5, 1.0, 2.0]))
     terms = Quadratic((jacobian.T @ jacobian)[None], (jacobian.T @ residuals)[None])
-    left = without_shared(terms, errors)
+    left = without_last(terms, errors.information)
     whole = terms.information[0] + np.diag([0, 0, 0, 0, 4.0, 1.0, 0.25])
     covariance = np.linalg.inv(whole)
     np.testing.assert_allclose(np.linalg.inv(left.information[0]), covariance[:4, :4])

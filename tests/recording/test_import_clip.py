@@ -259,8 +259,8 @@ def test_camera_readings_and_start_of_stereo_videos_may_be_given(imported: Impor
 def test_wrong_stereo_folders_are_refused(refused: Refused, tmp_path: Path) -> None:
     folder = stereo_folder(tmp_path / "videos")
     assert refused(folder, "--arm", "PSM1") == (
-        f"{folder}: --arm: expected a clip in SurgSync's raw layout, with image and kinematic folders, or a folder of "
-        "SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
+        f"{folder}: --arm: expected a clip of SurgSync, with image and kinematic folders or timestamp.parquet, or a "
+        "folder of SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
     )
     write_video(folder / "left_2.avi")
     assert (

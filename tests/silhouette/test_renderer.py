@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.silhouette import NEAR, Body, Renderer
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
-from dvrk_cmaes.silhouette.pose_batches import POSES_PER_BATCH
+from dvrk_cmaes.silhouette.pose_batches import SUMMED_PER_BATCH
 
 CAMERAS = {
     "pinhole": Camera(160, 120, 220.7, 220.7, 110.9, 47.2),
@@ -277,8 +277,8 @@ def test_rescaled_renderer_gives_same_area(bundled_body: Body) -> None:
 
 
 def test_outline_edges_accept_limited_number_of_poses(bundled_body: Body) -> None:
-    too_many = np.zeros((POSES_PER_BATCH + 1, len(bundled_body.instrument.links), 4, 4))
-    with pytest.raises(ValueError, match=f"at most {POSES_PER_BATCH} poses at a time, got {POSES_PER_BATCH + 1}"):
+    too_many = np.zeros((SUMMED_PER_BATCH + 1, len(bundled_body.instrument.links), 4, 4))
+    with pytest.raises(ValueError, match=f"at most {SUMMED_PER_BATCH} poses at a time, got {SUMMED_PER_BATCH + 1}"):
         OutlineEdges(bundled_body.topology, CAMERAS["pinhole"], too_many)
 
 

@@ -49,7 +49,8 @@ class Steps:
     iterations : largest number of drawings of each pose. inner : steps on each approximation. tolerance : length of a
     step, in standard deviations per parameter, below which a refinement stops. tested : which steps are drawn, and
     undone if they raise the sum of squares: all; those longer than the tolerance; or none, which are then not damped
-    either, but at most ``largest`` standard deviations long.
+    either, but at most ``largest`` standard deviations long. continued : whether another refinement goes on from where
+    this one ends, which then finds what was drawn there.
     """
 
     iterations: int
@@ -57,17 +58,18 @@ class Steps:
     tolerance: float = 0.05
     tested: Literal["all", "long", "none"] = "all"
     largest: float = np.inf
+    continued: bool = False
 
     @staticmethod
-    def of(config: OutlineConfig, shrink: int, iterations: int | None = None) -> Steps:
+    def of(config: OutlineConfig, shrink: int, iterations: int | None = None, *, continued: bool = False) -> Steps:
         """Return the steps on the coverage at 1 / ``shrink`` of the image size, where modes only need to be told apart.
 
         ``iterations`` replaces the largest number of these.
         """
         most = config.iterations if iterations is None else iterations
         if shrink == 1:
-            return Steps(most, config.inner_steps, config.tolerance)
-        return Steps(most, max(config.inner_steps // 3, 1), 4 * config.tolerance)
+            return Steps(most, config.inner_steps, config.tolerance, continued=continued)
+        return Steps(most, max(config.inner_steps // 3, 1), 4 * config.tolerance, continued=continued)
 
 
 @dataclass(eq=False)
@@ -128,7 +130,7 @@ class _Refinement:
             if not active:
                 break
             self._approximate([state for state in active if state.moved])
-            self._advance(active, last=left == 0)
+            self._advance(active, last=left == 0 and not self.steps.continued)
             kept *= selection.share
         return [self._fit(state) for state in states]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
-from dvrk_cmaes.pose.terms.shared_errors import without_shared
+from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
@@ -88,7 +88,7 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Floa
     variance = _link_variances(outline, off, length * weight, noise.sigma)[outline.link]
     weighted = jacobian * (counts / (length * variance * _length_of_measurement(noise)))[:, None]
     both = Quadratic((jacobian.T @ weighted)[None], np.zeros((1, jacobian.shape[1])))
-    return np.asarray(without_shared(both, errors).information[0])
+    return np.asarray(without_last(both, errors.information).information[0])
 
 
 def _length_of_measurement(noise: OutlineNoise) -> float:

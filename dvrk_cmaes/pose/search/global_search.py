@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.search import minimise
+from dvrk_cmaes.pose.search import minimise_each
 from dvrk_cmaes.pose.search.modes import Candidate, best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.starts import draw_starts
 from dvrk_cmaes.silhouette import Renderer
-from dvrk_cmaes.silhouette.threads import map_threaded
 
 Float64 = NDArray[np.float64]
 
@@ -64,15 +64,15 @@ def find_candidates(
     unread_spares = best_per_mode(ranked_by_image, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
     scale = scale_of_change(readings)
 
-    def search(numbered: tuple[int, Candidate]) -> Candidate:
-        seed, start = numbered
+    begin = Posed.stacked([start.at for start in starts])
 
-        def loss(change: Float64) -> Float64:
-            return objective.cost(start.at.moved(change * scale))
+    def loss(index: NDArray[np.intp], change: Float64) -> Float64:
+        return objective.cost(begin[index].moved(change * scale))
 
-        least = minimise(config.search.method, loss, len(scale), config.search.evaluations, seed)
-        return start if least.loss >= start.score else Candidate(start.at.moved(least.best * scale), least.loss)
-
-    small.threads = 1  # each start has its own thread below
-    searched = map_threaded(search, list(enumerate(starts, start=config.seed)), config.threads)
+    known = [start.score for start in starts]
+    least = minimise_each(config.search.method, loss, known, len(scale), config.search.evaluations, config.seed)
+    searched = [
+        start if found.loss >= start.score else Candidate(start.at.moved(found.best * scale), found.loss)
+        for start, found in zip(starts, least, strict=True)
+    ]
     return [*sorted(searched, key=lambda candidate: candidate.score), *unread_spares, *spares], objective

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,11 @@ Loss = Callable[[Float64], Float64]
 NLOPT_GLOBAL = {"crs2": "GN_CRS2_LM", "esch": "GN_ESCH", "isres": "GN_ISRES", "direct-l": "GN_DIRECT_L"}
 METHODS = ("cmaes", *NLOPT_GLOBAL)
 """Names of the optimisers."""
+
+LossOfStarts = Callable[[NDArray[np.intp], Float64], Float64]
+"""A function of the index (n,) of a start, and of candidates (n, D) beside that start, that returns the losses (n,)."""
+_Search = Generator[Float64, Float64, "Found"]
+"""A search that gives candidates (n, D), takes their losses (n,), and returns what it found."""
 
 POPULATION = 16
 """Population size of CMA-ES."""
@@ -46,13 +51,57 @@ def minimise(method: str, loss: Loss, dimension: int, evaluations: int, seed: in
     Raises `InputError` for an unknown method.
     """
     if method == "cmaes":
-        return _cmaes(loss, dimension, evaluations, seed)
+        return _together([_cmaes(None, dimension, evaluations, seed)], lambda _, candidates: loss(candidates))[0]
     if method in NLOPT_GLOBAL:
         best, value, count = run_nlopt(
             NLOPT_GLOBAL[method], loss, np.zeros(dimension), BOX * np.ones(dimension), evaluations, seed
         )
         return Found(best, value, count)
     raise InputError(f"search: expected one of {', '.join(nearest_first(method, METHODS))}, got {method!r}")
+
+
+def minimise_each(
+    method: str, loss: LossOfStarts, starts: Sequence[float], dimension: int, evaluations: int, seed: int
+) -> list[Found]:
+    """Minimise a loss as `minimise` does, from each of several starts whose losses are known.
+
+    The seed of a start is ``seed`` plus its index. The populations of all starts are evaluated together, which costs
+    less than one after another: most of the time of a small population is that of calls.
+    """
+    if method == "cmaes":
+        searches = [_cmaes(known, dimension, evaluations, seed + k) for k, known in enumerate(starts)]
+        return _together(searches, loss)
+
+    def alone(start: int) -> Found:
+        def loss_of_start(candidates: Float64) -> Float64:
+            return loss(np.full(len(candidates), start), candidates)
+
+        return minimise(method, loss_of_start, dimension, evaluations, seed + start)
+
+    return [alone(start) for start in range(len(starts))]
+
+
+def _together(searches: Sequence[_Search], loss: LossOfStarts) -> list[Found]:
+    """Run several searches side by side; the candidates that they give are evaluated together."""
+    found: dict[int, Found] = {}
+    given: dict[int, Float64] = {}
+
+    def advance(number: int, losses: Float64 | None) -> None:
+        try:
+            search = searches[number]
+            given[number] = next(search) if losses is None else search.send(losses)
+        except StopIteration as stop:
+            given.pop(number, None)
+            found[number] = stop.value
+
+    for number in range(len(searches)):
+        advance(number, None)
+    while given:
+        numbers, counts = list(given), [len(candidates) for candidates in given.values()]
+        values = loss(np.repeat(numbers, counts), np.concatenate(list(given.values())))
+        for number, of_search in zip(numbers, np.split(values, np.cumsum(counts)[:-1]), strict=True):
+            advance(number, of_search)
+    return [found[number] for number in range(len(searches))]
 
 
 def _cma_class() -> Any:
@@ -74,17 +123,18 @@ def _cma_class() -> Any:
     return CMA
 
 
-def _cmaes(loss: Loss, dimension: int, evaluations: int, seed: int) -> Found:
+def _cmaes(known: float | None, dimension: int, evaluations: int, seed: int) -> _Search:
+    """Search by CMA-ES from 0, whose loss may be known."""
     bounds = np.tile([-BOX, BOX], (dimension, 1)).astype(np.float64)
     optimiser = _cma_class()(
         mean=np.zeros(dimension), sigma=0.6, bounds=bounds, seed=seed, population_size=POPULATION, n_max_resampling=10
     )
     start = np.zeros((1, dimension))
-    best, best_loss = start[0], float(loss(start)[0])
+    best, best_loss = start[0], float((yield start)[0]) if known is None else known
     count = 1
     while count + POPULATION <= evaluations and not optimiser.should_stop():
         candidates = np.stack([optimiser.ask() for _ in range(POPULATION)])
-        values = loss(candidates)
+        values = yield candidates
         count += POPULATION
         lowest = int(np.argmin(values))
         if values[lowest] < best_loss:

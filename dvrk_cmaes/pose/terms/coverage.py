@@ -25,7 +25,7 @@ from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles
-from dvrk_cmaes.pose.terms.shared_errors import without_shared
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
@@ -176,14 +176,14 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             )
         return Profiles.of_views(of_views, self._shares)
 
-    def near_without_shared(
+    def near_with_lasting(
         self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None, *, stride: int = 1
     ) -> Quadratic:
-        """Return the approximation near one pose, with what the errors of the masks share eliminated.
+        """Return the approximation near one pose, with most of what the errors of the masks share eliminated.
 
-        ``noises`` are those of the views' contours. ``kept`` gives E further unknowns, if any, which stay beside the
-        pose: (1, D + E), in standard deviations. Only every ``stride``-th point of the outlines is used, which stands
-        for those beside it.
+        The last unknowns, `LASTING` of each view, are the shared errors that last from frame to frame, in their
+        standard deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
+        gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
         """
         (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
@@ -194,14 +194,26 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
             errors = view.shared_errors(outline, at, noise)
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
+            lasting = np.zeros((len(of_errors), LASTING * len(self.views)))
+            lasting[:, LASTING * k : LASTING * (k + 1)] = of_errors[:, :LASTING] * errors.deviations[:LASTING]
             of_kept = [] if kept is None else [kept(k, outline, of_pose)]
-            jacobian = np.column_stack([of_pose, *of_kept, of_errors])
+            jacobian = np.column_stack([of_pose, *of_kept, lasting, of_errors[:, LASTING:]])
             profiles = Profiles.sampled(
                 [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
             )
             information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
-            parts.append(without_shared(Quadratic(weight * share * information, weight * share * slope), errors))
+            terms = Quadratic(weight * share * information, weight * share * slope)
+            parts.append(without_last(terms, errors.information[LASTING:, LASTING:]))
         return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
+
+    def near_without_shared(
+        self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None, *, stride: int = 1
+    ) -> Quadratic:
+        """Return the approximation near one pose, with all that the errors of the masks share eliminated: (1, D + E).
+
+        Arguments as of `near_with_lasting`.
+        """
+        return without_last(self.near_with_lasting(at, noises, kept, stride=stride), np.eye(LASTING * len(self.views)))
 
 
 def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:

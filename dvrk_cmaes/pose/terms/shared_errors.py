@@ -4,7 +4,8 @@ A segmenter's errors do not average out along the contour. What stretches of con
 outwards, that are normal with zero mean and independent of each other: a margin of the whole mask; the error of each
 side of the shaft, as a whole and at nodes every 8 mm between which it is linear; and for each other link the error of
 what faces forwards, backwards and to each side. These are consider parameters: nobody asks for their values, and they
-are eliminated, so that the pose is told only by what they cannot explain.
+are eliminated, so that the pose is told only by what they cannot explain. The errors of both sides of the shaft as a
+whole last for some tenths of a second: images of a session that follow each other share them, too.
 
 Their standard deviations are in proportion to the noise of the frame's contour. Noise that stays the same over more
 contour than a segmentation's usually does tells of shadows, which lie on the sides of the shaft above all. The factors
@@ -30,6 +31,9 @@ from dvrk_cmaes.silhouette import OutlinePoints
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+LASTING = 2
+"""Number of shared errors of a view, the first ones, that last from frame to frame: both sides of the shaft's."""
+
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
@@ -48,7 +52,8 @@ class SharedErrors:
     """M shared errors of the N points of an outline.
 
     ``columns`` (N, M) are the shares with which each displaces the points outwards; ``deviations`` (M,), px, are their
-    standard deviations.
+    standard deviations. The first `LASTING` are those of both sides of the shaft as a whole, also where the outline
+    has no such side.
     """
 
     columns: Float64
@@ -67,31 +72,43 @@ def shared_errors(
     normals = outline.normals / np.linalg.norm(outline.normals, axis=1)[:, None]
     axis = _image_axis(instrument, camera, seen)
     ahead, aside = normals @ axis, normals @ np.array([-axis[1], axis[0]])
-    long = noise.sigma * np.sqrt(max(noise.length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE)
-    side = np.sqrt((_SIDE * noise.sigma) ** 2 + (_SIDE_OF_LONG * long) ** 2 + _LEAST_SIDE**2)
-    link = np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * long)
+    side, link = side_deviation(noise), np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise))
     shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(ahead), dtype=np.bool_)
-    groups = [(np.ones((len(ahead), 1)), _MARGIN * noise.sigma)]
-    for sign in (1.0, -1.0):
-        of_side = shaft & (sign * aside > 0)
-        groups.append((of_side[:, None].astype(np.float64), side))
-        groups.append((_between_nodes(outline, instrument, of_side), _NODE * noise.sigma))
+    sides = [shaft & (sign * aside > 0) for sign in (1.0, -1.0)]
+    groups = [(np.column_stack(sides).astype(np.float64), side), (np.ones((len(ahead), 1)), _MARGIN * noise.sigma)]
+    groups += [(_between_nodes(outline, instrument, of_side), _NODE * noise.sigma) for of_side in sides]
     for number in np.unique(outline.link[~shaft]):
         facing = np.maximum(np.column_stack([ahead, -ahead, aside, -aside]), 0.0)
         groups.append((facing * (outline.link == number)[:, None], link))
     columns = np.concatenate([values for values, _ in groups], axis=1)
     deviations = np.concatenate([np.full(values.shape[1], deviation) for values, deviation in groups])
     counts = (columns > 0).sum(axis=0) >= _LEAST_POINTS
+    counts[:LASTING] = True
     return SharedErrors(columns[:, counts], deviations[counts])
 
 
-def without_shared(terms: Quadratic, errors: SharedErrors) -> Quadratic:
-    """Eliminate shared errors: from the terms (1, D + M) of one pose and of M errors to those of the pose, (1, D)."""
-    count = len(errors.deviations)
+def side_deviation(noise: OutlineNoise) -> float:
+    """Return the standard deviation, px, of the error of a side of the shaft as a whole."""
+    return float(np.sqrt((_SIDE * noise.sigma) ** 2 + (_SIDE_OF_LONG * _long(noise)) ** 2 + _LEAST_SIDE**2))
+
+
+def _long(noise: OutlineNoise) -> float:
+    """Return the standard deviation, px, of the part of the noise that stays the same over more contour than usual."""
+    return float(noise.sigma * np.sqrt(max(noise.length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
+
+
+def without_last(terms: Quadratic, information: Float64) -> Quadratic:
+    """Eliminate the last M unknowns of N quadratic terms, of which (M, M) is known beforehand, about zero.
+
+    From terms of D + M unknowns, (N, D + M), to those of the first D, (N, D).
+    """
+    count = len(information)
     own = terms.dimension - count
     order = np.r_[own : own + count, :own]
-    of_errors = Quadratic(terms.information[:, order][:, :, order], terms.slope[:, order])
-    left = eliminate(of_errors, np.zeros((1, count)), errors.information[None], np.zeros(own)).left
+    reordered = Quadratic(terms.information[:, order][:, :, order], terms.slope[:, order])
+    frames = len(terms.slope)
+    known = np.broadcast_to(information, (frames, count, count))
+    left = eliminate(reordered, np.zeros((frames, count)), known, np.zeros(own)).left
     return Quadratic(left.information[:, count:, count:], left.slope[:, count:])
 
 

@@ -20,7 +20,12 @@ from dvrk_cmaes.silhouette.moving_points import moving_points
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
+_REMEMBERED = 8_000_000  # px of the drawings that a view keeps
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
+
+
+Drawing = tuple[Float32, OutlinePoints | None]
+"""The blurred coverage (H, W) of a pose, and its outline where that was asked for."""
 
 
 class SizedView:
@@ -30,6 +35,8 @@ class SizedView:
     beside them, 1 for others. length : px of contour at this size. shrink, view_from_camera : as given. Poses are in
     the reference camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
     another body than that of the view, if given. ``margin``, px of the whole size, is taken off the mask all round.
+
+    The last drawings are kept: a refinement often begins where another one has drawn already.
     """
 
     def __init__(
@@ -64,6 +71,7 @@ class SizedView:
         self.shrink = shrink
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
+        self._remembered: dict[bytes, Drawing] = {}
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
@@ -77,6 +85,7 @@ class SizedView:
         other.__dict__ |= self.__dict__
         other.camera = self._in_window(camera)
         other._renderer = Renderer(self._renderer.body, other.camera, threads=self._renderer.threads)
+        other._remembered = {}
         return other
 
     def _in_window(self, camera: Camera) -> Camera:
@@ -97,14 +106,38 @@ class SizedView:
     def _blurred(self, image: Float32) -> Float32:
         return np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur, borderType=cv2.BORDER_REPLICATE))
 
-    def draw(self, at: Posed, lines_per_pixel: int, *, outlines: bool) -> list[tuple[Float32, OutlinePoints | None]]:
+    def draw(self, at: Posed, lines_per_pixel: int, *, outlines: bool) -> list[Drawing]:
         """Draw the blurred coverage (H, W) of each of C poses, and find its outline if ``outlines`` are asked for."""
         seen = at.seen_from(self.view_from_camera)
+        keys = [_key(seen, k, lines_per_pixel) for k in range(len(seen))]
+        known: dict[bytes, Drawing] = {}
+        for key in keys:
+            kept = self._remembered.get(key)
+            if kept is not None and (kept[1] is not None or not outlines):
+                known[key] = kept
+        missing = [k for k, key in enumerate(keys) if key not in known]
+        if missing:
+            drawn = self._draw(seen[missing], lines_per_pixel, outlines=outlines)
+            known |= zip([keys[k] for k in missing], drawn, strict=True)
+            self._remember(known)
+        return [known[key] for key in keys]
+
+    def _remember(self, drawn: dict[bytes, Drawing]) -> None:
+        """Keep drawings, and forget the oldest ones."""
+        most = max(_REMEMBERED // self.target.size, 1)
+        for key, one in drawn.items():
+            self._remembered.pop(key, None)
+            self._remembered[key] = one
+        for key in list(self._remembered)[:-most]:
+            del self._remembered[key]
+
+    def _draw(self, seen: Posed, lines_per_pixel: int, *, outlines: bool) -> list[Drawing]:
+        """Draw C poses in the view's own camera."""
         if not outlines:
             coverage = self._renderer.coverage(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
             return [(self._blurred(image), None) for image in coverage]
         coverage, points = self._renderer.coverage_and_outlines(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
-        pairs = zip(coverage, points.of_each(len(at)), strict=True)
+        pairs = zip(coverage, points.of_each(len(seen)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
     def outlines(self, at: Posed) -> list[OutlinePoints]:
@@ -122,3 +155,8 @@ class SizedView:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
         seen = at.seen_from(self.view_from_camera)
         return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
+
+
+def _key(at: Posed, index: int, lines_per_pixel: int) -> bytes:
+    """Return what tells the drawing of one of several poses from others."""
+    return bytes(at.pose[index].tobytes() + at.joints[index].tobytes() + bytes([lines_per_pixel]))

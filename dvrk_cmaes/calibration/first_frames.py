@@ -1,0 +1,89 @@
+"""Where the frames of a recording are expected, from a few of them that were estimated by themselves.
+
+The modes of those few agree on a camera_from_base and a lag, which is enough to start the others near their answer
+instead of searching for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dvrk_cmaes.calibration.alternation import Alternation
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.series import ReadingSeries
+
+_LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them
+
+
+def predict_from_first(
+    first: Sequence[SessionFrame],
+    others: Mapping[str, Mapping[str, float]],
+    instrument: Instrument,
+    *,
+    series: ReadingSeries | None,
+    arm: Arm,
+    config: EstimateConfig,
+) -> dict[str, Posed]:
+    """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
+
+    Parameters
+    ----------
+    first
+        Frames that were estimated by themselves.
+    others
+        The readings of the frames to predict, by name, rad and m.
+    instrument, series, arm, config
+        As in `calibrate_session`.
+
+    Returns
+    -------
+    dict of str to Posed
+        The root's pose in the reference camera and the joints, by name; without the frames that have no readings of
+        all outer joints at the time of their image less the lag. Empty if the first frames do not agree.
+    """
+    usable = [
+        frame
+        for frame in first
+        if frame.result.covariance is not None and not np.isnan(outer_readings([frame.result.readings])).any()
+    ]
+    try:
+        alternation = Alternation(usable, series, instrument, arm, config, _no_tasks, lambda stage, count: None)
+        alternation.initialise()
+    except InputError:  # too few frames, or they contradict each other: then they tell nothing about the others
+        return {}
+    misfit = alternation.solution.misfit / (6 + len(instrument.joint_names))
+    if float((misfit < INLIER_MISFIT).mean()) < _LEAST_AGREEING:
+        return {}
+    lag = alternation.lag.applied
+    readings = {
+        name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)
+        for name, own in others.items()
+    }
+    names = [name for name, own in readings.items() if not np.isnan(outer_readings([own])).any()]
+    if not names:
+        return {}
+    joints = np.array([[readings[name].get(joint, np.nan) for joint in instrument.joint_names] for name in names])
+    model = SessionModel(
+        outer_readings([readings[name] for name in names]),
+        joints,
+        instrument.joint_names,
+        Deviations.of(config.session, instrument.joint_names),
+        arm=arm,
+        roll_offset=instrument.roll_offset,
+    )
+    predicted = model.predict(alternation.solution.calibration)
+    return {name: predicted[i] for i, name in enumerate(names)}
+
+
+def _no_tasks(function: object, tasks: Sequence[object]) -> list[object]:
+    """Run no tasks: the first consensus of frames needs none."""
+    raise AssertionError(f"{function}: {len(tasks)} tasks before the frames are fitted")

@@ -1,0 +1,55 @@
+"""Lags at which a session is solved where its frames' own modes tell none, and the choice between the solutions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.lag_trials import MOST_LAGS, best_predicting, lags_to_try
+
+STEP = 1 / 30
+
+
+def curve(*misfit: float, first: float = -2.0) -> LagCurve:
+    """A curve with a misfit at each lag, a step apart, from ``first`` steps on."""
+    lags = STEP * (first + np.arange(len(misfit)))
+    return LagCurve("s", lags, np.array(misfit))
+
+
+def test_minima_of_the_curve_are_tried_the_lowest_first() -> None:
+    lags = lags_to_try(curve(3.0, 2.0, 2.5, 2.2, 2.4, 1.5, 2.6, 2.0))
+    np.testing.assert_allclose(lags, [3 * STEP, -STEP, STEP])
+
+
+def test_no_lag_and_the_ends_of_the_range_are_not_tried() -> None:
+    assert lags_to_try(curve(1.0, 2.0, 1.5, 2.0, 1.0)) == []
+    assert lags_to_try(None) == []
+
+
+def test_few_lags_are_tried() -> None:
+    assert len(lags_to_try(curve(*[2.0, 1.0] * 8, 2.0))) == MOST_LAGS
+
+
+def overlaps(mean: float, *, spread: float = 0.01, frames: int = 36, seed: int = 0) -> dict[str, float]:
+    """Overlaps of frames that scatter about a mean."""
+    values = mean + spread * np.random.default_rng(seed).normal(size=frames)
+    return {f"{i:04d}": float(value) for i, value in enumerate(values)}
+
+
+def test_the_solution_that_predicts_best_is_taken() -> None:
+    trials = [overlaps(0.7, seed=1), overlaps(0.87, seed=2), overlaps(0.75, seed=3)]
+    assert best_predicting(overlaps(0.62), trials) == 1
+
+
+def test_no_lag_is_kept_unless_another_predicts_clearly_better() -> None:
+    assert best_predicting(overlaps(0.9), [overlaps(0.903, spread=0.001, seed=1)]) is None
+    assert best_predicting(overlaps(0.9, spread=0.1), [overlaps(0.92, spread=0.1, seed=1)]) is None
+    assert best_predicting(overlaps(0.9), []) is None
+
+
+def test_only_frames_of_both_solutions_are_compared() -> None:
+    first = overlaps(0.9)
+    better = {name: value + 0.05 for name, value in list(first.items())[:20]}
+    worse = dict.fromkeys(("a", "b", "c"), 0.0)
+    assert best_predicting(first, [better | worse]) == 0
+    assert best_predicting(first, [worse]) is None
