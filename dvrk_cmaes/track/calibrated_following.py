@@ -108,7 +108,12 @@ class CalibratedFollowing:
     @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
-        return self._astray >= (_DISAGREES if self._tentative else _MOST_ASTRAY)
+        return self._astray >= _MOST_ASTRAY
+
+    @property
+    def tentative(self) -> bool:
+        """Whether the calibration is of few frames."""
+        return self._tentative
 
     @property
     def disagrees(self) -> bool:

@@ -154,12 +154,19 @@ class KnownBase:
         late = 0.0 if self.lag is None else self.lag.seconds
         return self._following.has_readings or readings.at(time - late).has_outer
 
-    def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
-        """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more."""
+    def follow(
+        self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight, *, alone: bool = False
+    ) -> TrackResult:
+        """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more.
+
+        Fewer are enough for one of an earlier run and, where the instrument can be followed ``alone`` from where it was
+        lately, for one of few keyframes.
+        """
         following, lag = self._following, self.lag
         assert following is not None
         result = following.follow(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, sight)
-        if following.contradicted or (self._agreeing is not None and following.disagrees):
+        at_once = self._agreeing is not None or (following.tentative and alone)
+        if following.contradicted or (at_once and following.disagrees):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
         kept = self.offer(time, readings.at(time), seen, sight)

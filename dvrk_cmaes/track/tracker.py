@@ -369,10 +369,12 @@ class Tracker:
         """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
         known, following = self._known, self._following
         if known is not None and known.can_follow(time, self._readings.buffer):
-            result = known.follow(time, self._readings.buffer, seen, self._sight)
+            lately = self._by_filter is not None and time - self._by_filter <= _LONGEST_GAP
+            alone = lately and following.best is not None
+            result = known.follow(time, self._readings.buffer, seen, self._sight, alone=alone)
             if known.calibration is None:  # contradicted
                 following.forget_calibration()
-                if self._by_filter is None or time - self._by_filter > _LONGEST_GAP:
+                if not alone:
                     following.forget()
             return result
         if following.sliced:

@@ -48,9 +48,9 @@ def test_solutions_are_used_a_fixed_time_of_images_later_in_their_order() -> Non
         for count in tracker.used[len(used) :]:
             used[count] = k
         if k in (9, 20, 45):
-            tracker.has({9: 4, 20: 8, 45: 16}[k])
+            tracker.has({9: 4, 20: 8, 45: 32}[k])
         schedule.after_step(time)
-    assert used == {4: 9 + 30 * SECONDS_OF_FEW, 8: 20 + 30 * SECONDS_OF_FEW, 16: 45 + 30 * SECONDS_OF_MANY}
+    assert used == {4: 9 + 30 * SECONDS_OF_FEW, 8: 20 + 30 * SECONDS_OF_FEW, 32: 45 + 30 * SECONDS_OF_MANY}
     assert not schedule.waiting
 
 

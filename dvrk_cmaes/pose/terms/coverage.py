@@ -190,8 +190,8 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         The last unknowns, `LASTING` of each view, are the shared errors that last from frame to frame, in their
         standard deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
         gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
-        ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the outlines
-        is used, which stands for those beside it.
+        ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
+        outlines is used, which stands for those beside it.
         """
         if drawn is None:
             (drawn,) = self.draw(Posed.stacked([at]))
