@@ -74,8 +74,6 @@ class CalibratedFollowing:
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
     lag_std
         Standard deviation of that lag, s.
-    tentative
-        Whether the calibration is of so few frames that masks which it does not explain speak against it.
     """
 
     def __init__(
@@ -86,12 +84,10 @@ class CalibratedFollowing:
         calibration: SessionCalibration,
         *,
         lag_std: float = 0.0,
-        tentative: bool = False,
     ) -> None:
         self.calibration = calibration
         self.misfit = 0.0
         self._lag_std = lag_std
-        self._tentative = tentative
         self._rig, self._body = rig, body
         self._config = replace(config, threads=1)
         self._images: deque[_Image] = deque(maxlen=_WINDOW)
@@ -99,6 +95,7 @@ class CalibratedFollowing:
         self._outer: Float64 | None = None
         self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
         self._astray = 0
+        self._unexplained = 0
 
     @property
     def has_readings(self) -> bool:
@@ -111,9 +108,9 @@ class CalibratedFollowing:
         return self._astray >= _MOST_ASTRAY
 
     @property
-    def tentative(self) -> bool:
-        """Whether the calibration is of few frames."""
-        return self._tentative
+    def explains_little(self) -> bool:
+        """Whether the last masks are not explained, as where a calibration of few frames is wrong, or masks are bad."""
+        return self._unexplained >= _DISAGREES
 
     @property
     def disagrees(self) -> bool:
@@ -157,8 +154,9 @@ class CalibratedFollowing:
             status, reasons = status_of(quality, told_by_fit.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
             disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
-            disagrees |= self._tentative and quality.quality.iou < self.calibration.iou - OVERLAP_LOSS
             self._astray = self._astray + 1 if disagrees and told else 0
+            explained = not disagrees and quality.quality.iou >= self.calibration.iou - OVERLAP_LOSS
+            self._unexplained = 0 if explained else self._unexplained + 1
         if not reading.has_outer:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
         elif reading.still and fitted is not None:
@@ -204,7 +202,7 @@ class CalibratedFollowing:
             "outer": None if self._outer is None else self._outer.tolist(),
             "lengths": dict(self._lengths),
             "astray": self._astray,
-            "tentative": self._tentative,
+            "unexplained": self._unexplained,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -218,7 +216,7 @@ class CalibratedFollowing:
         self._before = None if saved["before"] is None else np.array(saved["before"], dtype=np.float64)
         self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
         self._lengths = {name: float(length) for name, length in saved["lengths"].items()}
-        self._astray, self._tentative = int(saved["astray"]), bool(saved["tentative"])
+        self._astray, self._unexplained = int(saved["astray"]), int(saved["unexplained"])
 
     @property
     def _names(self) -> tuple[str, ...]:

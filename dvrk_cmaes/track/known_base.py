@@ -142,10 +142,7 @@ class KnownBase:
         written = SessionCalibration.from_dict(calibration.to_dict())
         lag = lag_of(written, self._config.track.lag_std)
         std = self._config.track.lag_std if lag is None else lag.std
-        tentative = self._own and self._solved < _OWN_IS_ENOUGH
-        self._following = CalibratedFollowing(
-            self._rig, self._body, self._config, written, lag_std=std, tentative=tentative
-        )
+        self._following = CalibratedFollowing(self._rig, self._body, self._config, written, lag_std=std)
 
     def can_follow(self, time: float, readings: ReadingBuffer) -> bool:
         """Whether there is a calibration, and the outer joints have been read at an image or are at a time, s."""
@@ -165,8 +162,8 @@ class KnownBase:
         following, lag = self._following, self.lag
         assert following is not None
         result = following.follow(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, sight)
-        at_once = self._agreeing is not None or (following.tentative and alone)
-        if following.contradicted or (at_once and following.disagrees):
+        wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
+        if wrong or (alone and self._is_of_few and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
         kept = self.offer(time, readings.at(time), seen, sight)
@@ -181,6 +178,11 @@ class KnownBase:
             result = replace(result, reasons=(*result.reasons, self._how_far()))
         return result
 
+    @property
+    def _is_of_few(self) -> bool:
+        """Whether the calibration is that of few keyframes."""
+        return self._own and self._solved < _OWN_IS_ENOUGH
+
     def _how_far(self) -> str:
         """Say how far the base is known by the last solution."""
         return f"base known to {self._known_mm:.2g} mm, {self._solved} keyframes"
@@ -191,7 +193,7 @@ class KnownBase:
         The base may have moved: the keyframes are forgotten. Those that are later than a calibration of an earlier run
         are not, nor those that are to be solved once more, since a solution of few may have been wrong itself.
         """
-        few = self._own and self._solved < _OWN_IS_ENOUGH and len(self.store) > self._solved
+        few = self._is_of_few and len(self.store) > self._solved
         self._following, self._reason, self._known_mm = None, "", np.inf
         self._solved = self._asked = 0
         if self._agreeing is None and not few:

@@ -11,10 +11,14 @@ import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.keyframe_store import Solution
+
+CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
+"""Settings for small images, which tell less about the depth."""
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +29,7 @@ def world() -> MovingWorld:
 @pytest.fixture(scope="module")
 def before(world: MovingWorld) -> tuple[Tracker, list[TrackResult]]:
     """A tracker that has followed until its keyframes are to be solved for the first time, and its results."""
-    tracker, results = Tracker(world.camera, world.body, keyframes=True), []
+    tracker, results = Tracker(world.camera, world.body, config=CONFIG, keyframes=True), []
     for k in range(len(world.masks)):
         tracker.add_readings(world.time(k), world.readings[k])
         results.append(tracker.step(world.time(k), world.masks[k]))
@@ -62,7 +66,7 @@ def test_solution_is_followed_within_the_error_that_it_states(
     assert max(errors) < 2.0
     assert np.mean([result.status == "ok" for result in followed]) > 0.5
 
-    again = Tracker(world.camera, world.body, keyframes=True)
+    again = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
     for k in range(len(results)):
         again.add_readings(world.time(k), world.readings[k])
     again.restore(saved)
@@ -86,7 +90,7 @@ def calibration(before: tuple[Tracker, list[TrackResult]], world: MovingWorld) -
 def test_earlier_calibration_is_ok_only_after_images_that_differ_agree(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, keyframes=True, earlier=True)
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
     results = world.follow(tracker)
     first = next(k for k, result in enumerate(results) if result.status == "ok")
     assert results[0].status == "doubtful"
@@ -97,7 +101,7 @@ def test_earlier_calibration_is_ok_only_after_images_that_differ_agree(
 
 def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
     elsewhere = moving_world(right=0.012)
-    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, keyframes=True, earlier=True, sliced=True)
+    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG, keyframes=True, earlier=True, sliced=True)
     results = elsewhere.follow(tracker, frames=range(12))
     assert all(result.status != "ok" for result in results)
     assert tracker.base_state.startswith("calibrating: ")
@@ -114,6 +118,6 @@ def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker,
 def test_instrument_whose_readings_are_missing_is_followed_without_the_calibration(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, keyframes=True, earlier=True)
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
     results = world.follow(tracker, frames=range(4), readings=lambda k: {})
     assert all(result.camera_from_root is not None for result in results)
