@@ -74,6 +74,9 @@ class CalibratedFollowing:
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
     lag_std
         Standard deviation of that lag, s.
+    uncertain
+        Whether the calibration is of so few frames that images are to correct what it predicts: its errors then count
+        as deviations that change slowly, and not as ones that all images share.
     """
 
     def __init__(
@@ -84,10 +87,12 @@ class CalibratedFollowing:
         calibration: SessionCalibration,
         *,
         lag_std: float = 0.0,
+        uncertain: bool = False,
     ) -> None:
         self.calibration = calibration
         self.misfit = 0.0
         self._lag_std = lag_std
+        self._uncertain = uncertain
         self._rig, self._body = rig, body
         self._config = replace(config, threads=1)
         self._images: deque[_Image] = deque(maxlen=_WINDOW)
@@ -137,6 +142,9 @@ class CalibratedFollowing:
             )
             prior = prior + np.outer(late, late)
         jacobian = model.jacobian(calibration)[0]
+        if self._uncertain:
+            prior = prior + jacobian @ calibration_covariance(self.calibration) @ jacobian.T
+            jacobian = np.zeros_like(jacobian)
         spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
         fitted = self._fitted(at, spread, seen, sight)
         told_by_fit = Told.of(fitted, at, spread)
@@ -203,6 +211,7 @@ class CalibratedFollowing:
             "lengths": dict(self._lengths),
             "astray": self._astray,
             "unexplained": self._unexplained,
+            "uncertain": self._uncertain,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -217,6 +226,7 @@ class CalibratedFollowing:
         self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
         self._lengths = {name: float(length) for name, length in saved["lengths"].items()}
         self._astray, self._unexplained = int(saved["astray"]), int(saved["unexplained"])
+        self._uncertain = bool(saved["uncertain"])
 
     @property
     def _names(self) -> tuple[str, ...]:

@@ -142,7 +142,9 @@ class KnownBase:
         written = SessionCalibration.from_dict(calibration.to_dict())
         lag = lag_of(written, self._config.track.lag_std)
         std = self._config.track.lag_std if lag is None else lag.std
-        self._following = CalibratedFollowing(self._rig, self._body, self._config, written, lag_std=std)
+        self._following = CalibratedFollowing(
+            self._rig, self._body, self._config, written, lag_std=std, uncertain=self._is_of_few
+        )
 
     def can_follow(self, time: float, readings: ReadingBuffer) -> bool:
         """Whether there is a calibration, and the outer joints have been read at an image or are at a time, s."""
