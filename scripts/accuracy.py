@@ -138,6 +138,7 @@ def _parser() -> argparse.ArgumentParser:
         "--calibrate-every", type=int, metavar="N", help="for fleet: calibrate every N-th frame of each recording, too"
     )
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
+    parser.add_argument("--first", type=int, default=0, help="for fleet: figures of the frames from this number on")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
 
@@ -220,7 +221,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "lag": lambda given, _: lag_report(find_lags(given)),
     "track": _track,
     "fleet": lambda given, options: fleet_report(
-        given, causal=options.causal, keep=options.keep, every=options.calibrate_every
+        given, causal=options.causal, keep=options.keep, every=options.calibrate_every, first=options.first
     ),
     "perturbed": lambda given, _: perturbed_report(given),
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),

@@ -126,7 +126,8 @@ def track(
     smooth
         Was replaced: without --causal, every result uses all frames.
     workers
-        Number of processes that fit the frames; by default the number of cores. --causal uses one.
+        Number of processes that fit the frames; by default the number of cores. With --causal, threads that solve
+        keyframes.
     resume
         --resume goes on after the keyframes or the last frames of an interrupted run; --overwrite begins anew.
     video

@@ -247,7 +247,8 @@ def _before_start(run: _Run, notice: Callable[[str], None]) -> list[dict[str, An
 def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
     """Follow the frames after those that have rows; add each row to them, and write it, when it is there.
 
-    The state is saved only where no keyframes are being solved: an interrupted run solves them again.
+    The state is saved only where no keyframes are being solved and no image is being searched: an interrupted run does
+    that again.
     """
     kept, total = len(rows), len(run.frames)
     run.progress(kept, total, None)
@@ -266,7 +267,8 @@ def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
             if len(rows) == total and schedule is not None and not run.stopped:
                 schedule.finish()
             due = run.stopped or len(rows) - saved >= _SAVED_EVERY or len(rows) == total
-            if due and (schedule is None or not schedule.waiting):
+            busy = tracker.searching or (schedule is not None and schedule.waiting)
+            if due and not busy:
                 write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
                 saved = len(rows)
             if run.stopped:

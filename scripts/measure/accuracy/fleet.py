@@ -98,11 +98,12 @@ def _share(which: Bool) -> float:
 
 
 def fleet_report(
-    given: Measurement, *, causal: bool = False, keep: Path | None = None, every: int | None = None
+    given: Measurement, *, causal: bool = False, keep: Path | None = None, every: int | None = None, first: int = 0
 ) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
 
-    With ``every``, every N-th frame of each is calibrated as well, which makes two more tables.
+    With ``every``, every N-th frame of each is calibrated as well, which makes two more tables. With ``first``,
+    figures are of the frames from that one on, and two more tables of those before it, and of their second half.
     """
     calibrations: dict[str, Any] = {}
     if every is not None:
@@ -112,13 +113,15 @@ def fleet_report(
             session = read_session(folder)
             each.append(calibrated(folder.name, session, golden, given.body, given.config, given.workers, every))
         calibrations = {"calibrated": [one.row for one in each], "all calibrated": [pooled(each)]}
-    return calibrations | _followed(given, causal=causal, keep=keep)
+    return calibrations | _followed(given, causal=causal, keep=keep, first=first)
 
 
-def _followed(given: Measurement, *, causal: bool, keep: Path | None) -> dict[str, Any]:
+def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all."""
     rows: list[dict[str, Any]] = []
     found: list[TipErrors] = []
+    early: list[TipErrors] = []
+    later: list[TipErrors] = []
     with tempfile.TemporaryDirectory() as temporary:
         for folder in recordings_in(given.folders):
             print(f"{folder.name}: following", file=sys.stderr, flush=True)
@@ -127,7 +130,10 @@ def _followed(given: Measurement, *, causal: bool, keep: Path | None) -> dict[st
             session, evidence = used_session(read_session(folder), None)
             settings = TrackSettings(given.config, causal=causal, evidence=evidence, workers=given.workers)
             done = track_folder(session, out, given.body, settings, video=False, page=False, notice=_notice)
-            found.append(TipErrors.of(read_tracks(out / TRACKS), golden["frames"]))
+            tracked = read_tracks(out / TRACKS)
+            found.append(TipErrors.of(tracked[first:], golden["frames"]))
+            early.append(TipErrors.of(tracked[:first], golden["frames"]))
+            later.append(TipErrors.of(tracked[first // 2 : first], golden["frames"]))
             row = {"recording": folder.name, **found[-1].figures(), "base, deg": None, "base, mm": None, "lag": None}
             if done.calibration is not None and golden.get("camera_from_base") is not None:
                 true = np.array(golden["camera_from_base"])
@@ -137,7 +143,11 @@ def _followed(given: Measurement, *, causal: bool, keep: Path | None) -> dict[st
             rows.append(row)
     total = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
     total["worst median"] = max(row["tips, mm"] for row in rows)
-    return {"recordings": rows, "all": [total]}
+    report: dict[str, Any] = {"recordings": rows, "all": [total]}
+    if first:
+        report[f"before frame {first}"] = [TipErrors.pooled(early).figures()]
+        report[f"from frame {first // 2} to {first}"] = [TipErrors.pooled(later).figures()]
+    return report
 
 
 def recordings_in(folders: Sequence[str | Path]) -> Iterator[Path]:
