@@ -52,7 +52,7 @@ from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, 
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.rig_estimate import RigOutlines, estimate_rig
 from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
-from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
+from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks, margins_of
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
@@ -496,8 +496,7 @@ class Alternation:
 
     def _taken_off(self, stored: StoredFrame) -> tuple[float, ...]:
         """Return the margins, px, that are taken off the masks of a frame's views."""
-        masks = self.masks
-        return tuple(0.0 if masks is None else masks.taken_off_in(view.name) for view in stored.views)
+        return margins_of(self.masks, [view.name for view in stored.views])
 
     def _outlines(self, view: str | None = None) -> SessionOutlines:
         """Return the outlines of all frames in a view, by default the reference camera's."""

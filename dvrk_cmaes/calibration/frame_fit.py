@@ -187,15 +187,15 @@ def fit_predicted(
     expected: Expected,
     starts: Sequence[Posed],
     *,
-    margin: float = 0.0,
+    margins: Sequence[float] = (),
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
 
-    ``margin`` is that of every view's mask. Few steps are taken, from the better start. The noise of the outlines is
-    measured where they end, and the errors that masks share are eliminated there. Also returns what was measured.
+    Few steps are taken, from the better start. The noise of the outlines is measured where they end, and the errors
+    that masks share are eliminated there. Also returns what was measured.
     """
     terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
-    coverage = _coverage(views, config, None, 1, [margin] * len(views))
+    coverage = _coverage(views, config, None, 1, margins)
     at = Posed.stacked([_better_start(coverage, terms, starts)])
     (fit,) = refine(coverage, terms, at, replace(_FEW_STEPS, tolerance=config.refine.outline.tolerance))
     own = OwnEstimate.of(views, fit.at)

@@ -11,6 +11,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -72,7 +73,7 @@ def fit_session_pose(
     jacobian = model.jacobian(calibration)[0]
     covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
     expected = Expected(start, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
-    margins = [0.0 if session.masks is None else session.masks.taken_off_in(view.name) for view in views]
+    margins = margins_of(session.masks, [view.name for view in views])
     first = fit_frame(views, readings, config, expected, (start,), None, margins=margins)
     fit = fit_frame(views, readings, config, expected, (first.at,), OwnEstimate.of(views, first.at), margins=margins)
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)

@@ -102,6 +102,19 @@ class SessionMasks(Document):
         return "; ".join(parts)
 
 
+def margins_of(masks: SessionMasks | None, views: Sequence[str]) -> tuple[float, ...]:
+    """Return the margins, px, that were taken off the masks of views, in their order; 0 if nothing is stated.
+
+    Parameters
+    ----------
+    masks
+        What a session states of its masks.
+    views
+        Names of the views.
+    """
+    return tuple(0.0 if masks is None else masks.taken_off_in(view) for view in views)
+
+
 def _in_words(view: str, margin: Margin) -> str:
     """Describe the margin of a view in words."""
     than = "wide" if margin.px > 0 else "narrow"

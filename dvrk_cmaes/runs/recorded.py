@@ -110,8 +110,7 @@ def fit_all(
         PredictedFrame(own.name, partial(_read, own, recorded, session), Expected(predicted.at[i], information[i]))
         for i, own in enumerate(recorded.files)
     ]
-    margin = 0.0 if session.masks is None else session.masks.taken_off
-    tasks = [BlockTask(tuple(frames[k : k + BLOCK]), margin) for k in range(0, len(frames), BLOCK)]
+    tasks = [BlockTask(tuple(frames[k : k + BLOCK]), session.masks) for k in range(0, len(frames), BLOCK)]
     return [fitted for block in run(fit_block, tasks) for fitted in block]
 
 

@@ -336,8 +336,8 @@ def fit_images(
         )
         for i, own in enumerate(recorded.files)
     ]
-    margin = 0.0 if session.masks is None else session.masks.taken_off
     blocks: Sequence[ImageBlockTask] = [
-        ImageBlockTask(tuple(frames[k : k + BLOCK]), margin, solution.colours) for k in range(0, len(frames), BLOCK)
+        ImageBlockTask(tuple(frames[k : k + BLOCK]), session.masks, solution.colours)
+        for k in range(0, len(frames), BLOCK)
     ]
     return [fitted for block in run(fit_image_block, blocks) for fitted in block]

@@ -240,8 +240,9 @@ class CalibratedFollowing:
             return None
         views = self.calibration.corrected_views(seen_views(masks, self._rig, sight.ignored(seen)))
         expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
-        margin = 0.0 if self.calibration.masks is None else self.calibration.masks.taken_off
-        fitted = quick_fit(self._body, self._config, views, expected, self._before, self._lengths, margin)
+        fitted = quick_fit(
+            self._body, self._config, views, expected, self._before, self._lengths, self.calibration.masks
+        )
         if fitted is not None and fitted.fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
         return fitted

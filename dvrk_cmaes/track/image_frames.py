@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.masks_again import PackedMask
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
@@ -72,13 +73,13 @@ def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str,
 
 @dataclass(frozen=True, eq=False)
 class ImageBlockTask:
-    """Arguments of `fit_image_block`: consecutive frames, the masks' margin, px, and the views' colours, by name.
+    """Arguments of `fit_image_block`: consecutive frames, the masks' margins, and the views' colours, by name.
 
     Views of a frame that have masks keep them.
     """
 
     frames: tuple[PredictedFrame, ...]
-    margin: float
+    masks: SessionMasks | None
     colours: Mapping[str, ColourModel]
 
 
@@ -133,7 +134,7 @@ def _fit_by_images(
         masked, unsupported = _masked(data, drawn, task.colours, spread)
         if masked is None:
             return None
-        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, task.margin)
+        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, task.masks)
         if fitted is None:
             return None
         seconds += fitted.seconds

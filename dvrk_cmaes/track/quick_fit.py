@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, shown_views
@@ -66,19 +67,20 @@ def quick_fit(
     expected: Expected,
     before: Float64 | None,
     lengths: Mapping[str, float],
-    margin: float,
+    masks: SessionMasks | None,
 ) -> QuickFit | None:
     """Fit an image; None if its masks show nothing.
 
     ``before`` (D,) is the deviation of the image before from its prediction, None without one; ``lengths`` are the
-    correlation lengths, px, of its contours by view. ``margin``, px, is taken off the masks.
+    correlation lengths, px, of its contours by view. ``masks`` states the margin that is taken off each view's mask.
     """
     shown = shown_views(seen)
     if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
         return None
     outline = replace(config.refine.outline, lines_per_pixel=_LINES_PER_PIXEL, cauchy=config.session.cauchy)
     views = [_frame_view(view, body) for view in shown]
-    sized = [SizedView(view, blur=outline.blur, margin=margin) for view in views]
+    margins = margins_of(masks, [view.name for view in views])
+    sized = [SizedView(view, blur=outline.blur, margin=margin) for view, margin in zip(views, margins, strict=True)]
     coverage = Coverage(sized, outline, correlations=[lengths.get(view.name, outline.correlation) for view in views])
     limits = split_readings(body.instrument, {}, config)[0]
     terms = terms_of_frame(views, limits, outline, expected)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_predicted
+from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
@@ -47,10 +48,10 @@ class PredictedFrame:
 
 @dataclass(frozen=True, eq=False)
 class BlockTask:
-    """Arguments of `fit_block`: consecutive frames, and the margin, px, that is taken off their masks."""
+    """Arguments of `fit_block`: consecutive frames, and the margins that are taken off their masks, by view."""
 
     frames: tuple[PredictedFrame, ...]
-    margin: float
+    masks: SessionMasks | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     found: list[FittedFrame | None] = []
     deviation: Float64 | None = None
     for frame in task.frames:
-        fitted = fit_followed(body, config, frame, deviation, task.margin)
+        fitted = fit_followed(body, config, frame, deviation, task.masks)
         found.append(fitted)
         deviation = None
         if fitted is not None and fitted.fit.explains_mask:
@@ -84,9 +85,12 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
 
 
 def fit_followed(
-    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, margin: float
+    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, masks: SessionMasks | None
 ) -> FittedFrame | None:
-    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
+    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction.
+
+    ``masks`` states the margin that is taken off each view's mask.
+    """
     started = time.perf_counter()
     data, expected = frame.read(), frame.expected
     if data is None:
@@ -104,7 +108,8 @@ def fit_followed(
         apart = float(np.sqrt(before @ expected.information @ before / len(before)))
         near = expected.mean.moved(before)
         starts = [near, expected.mean] if apart > _ANOTHER_START else [near]
-    fit, own = fit_predicted(views, limits, config, expected, starts, margin=margin)
+    margins = margins_of(masks, [view.name for view in views])
+    fit, own = fit_predicted(views, limits, config, expected, starts, margins=margins)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
     return FittedFrame(
         StoredFrame(tuple(stored), data.camera, own),

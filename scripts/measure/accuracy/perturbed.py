@@ -128,7 +128,7 @@ def _fitted(
     data = FrameData((view,))
     expected = Expected(_posed(start, body), np.asarray(np.linalg.inv(start.covariance), np.float64))
     frame = PredictedFrame(one.case.frame, lambda: data, expected)
-    (found,) = fit_image_block(body, config, ImageBlockTask((frame,), 0.0, {view.name: colours}))
+    (found,) = fit_image_block(body, config, ImageBlockTask((frame,), None, {view.name: colours}))
     if found is None:
         assert start.camera_from_root is not None
         return start.camera_from_root, False
