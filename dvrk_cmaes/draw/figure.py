@@ -7,6 +7,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
+import numpy as np
+
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.atomic import write_bytes
 
@@ -41,8 +44,18 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def write_figure(path: str | Path, figure: Figure, dots_per_inch: int = 110) -> None:
-    """Write a figure in the format of the file name's suffix; errors as in ``dvrk_cmaes.io.atomic.write_bytes``."""
+    """Write a figure in the format of the file name's suffix; errors as in ``dvrk_cmaes.io.atomic.write_bytes``.
+
+    A PNG has no alpha channel, which would take a sixth of its size.
+    """
     suffix = Path(path).suffix.lower()
     buffer = io.BytesIO()
     figure.savefig(buffer, format=suffix[1:], dpi=dots_per_inch, metadata=_STABLE.get(suffix))
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, _without_alpha(buffer.getvalue()) if suffix == ".png" else buffer.getvalue())
+
+
+def _without_alpha(picture: bytes) -> bytes:
+    """Return a PNG without its alpha channel."""
+    pixels = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert pixels is not None
+    return cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()

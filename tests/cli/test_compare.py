@@ -78,9 +78,10 @@ def test_files_are_written(run: Run, sets: tuple[Path, Path], tmp_path: Path) ->
     assert [row["frame"] for row in rows] == [*FRAMES, "0003"]
     assert float(rows[1]["B_tip_mm"]) == pytest.approx(4, abs=1e-4)
     assert (rows[3]["A_status"], rows[3]["B_status"]) == ("failed", "")
-    picture = cv2.imread(str(tmp_path / "differences.png"))
+    picture = cv2.imread(str(tmp_path / "differences.png"), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     assert picture.shape[1] > 1000
+    assert picture.shape[2] == 3, "without an alpha channel"
     page = Page((tmp_path / "out" / "compare.html").read_text(encoding="utf-8"))
     assert [address for address in page.addresses if not address.startswith("data:")] == []
     assert sum(address.startswith("data:image/webp") for address in page.addresses) == 3
