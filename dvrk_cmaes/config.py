@@ -88,7 +88,7 @@ class SearchConfig:
     method: str = "cmaes"
     samples: int = 768
     starts: int = 4
-    evaluations: int = 64
+    evaluations: int = 33
     spares: int = 22
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
@@ -293,7 +293,7 @@ class TrustConfig:
         batch whose frames scatter more, three times the median rotation counts.
     """
 
-    tip_mm: float = 1.8
+    tip_mm: float = 1.6
     least_mode_probability: float = field(default=0.8, metadata=_SHARE_OR_ZERO)
     least_iou: float = field(default=0.85, metadata=_SHARE_OR_ZERO)
     largest_distal_px: float = 2.8

@@ -10,7 +10,8 @@
     python scripts/accuracy.py session-lies SESSION... share of falsified sessions that are reported as such
     python scripts/accuracy.py lag SESSION...          error of the lag between images and readings of synthetic videos
     python scripts/accuracy.py track SESSION...        recordings followed frame by frame: errors, losses, overlaps
-    python scripts/accuracy.py fleet FOLDER...         recordings, or folders of them, followed with their calibration
+    python scripts/accuracy.py fleet FOLDER...         recordings, or folders of them, followed with their calibration;
+                                                       with --calibrate-every N each is calibrated, too
     python scripts/accuracy.py perturbed SESSION...    real images: back from poses that are moved and turned
     python scripts/accuracy.py cables SESSION...       recordings with and without a model of the cables: joints
     python scripts/accuracy.py rig SESSION...          stereo sessions: both eyes against one, and wrong rigs
@@ -133,7 +134,11 @@ def _parser() -> argparse.ArgumentParser:
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
     )
     parser.add_argument("--evidence", choices=KINDS, help="for track: follow by masks (default), images or both")
+    parser.add_argument(
+        "--calibrate-every", type=int, metavar="N", help="for fleet: calibrate every N-th frame of each recording, too"
+    )
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
+    parser.add_argument("--first", type=int, default=0, help="for fleet: figures of the frames from this number on")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
 
@@ -185,7 +190,7 @@ def _sessions(given: Measurement, _: argparse.Namespace) -> Report:
 
 def _halves(given: Measurement, _: argparse.Namespace) -> Report:
     """Report how far the bases of the halves of each session differ."""
-    return halves_report(solve(given, halved(original_trials(given.runs(truth=False)))))
+    return halves_report(solve(given, halved(original_trials(given.runs(truth=False))), timed=True))
 
 
 def _disparity(given: Measurement, options: argparse.Namespace) -> Report:
@@ -215,7 +220,9 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "session-lies": lambda given, _: measure_session_lies(given),
     "lag": lambda given, _: lag_report(find_lags(given)),
     "track": _track,
-    "fleet": lambda given, options: fleet_report(given, causal=options.causal, keep=options.keep),
+    "fleet": lambda given, options: fleet_report(
+        given, causal=options.causal, keep=options.keep, every=options.calibrate_every, first=options.first
+    ),
     "perturbed": lambda given, _: perturbed_report(given),
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),
     "rig": lambda given, options: rig_report(given, use_joints=not options.no_joints),

@@ -8,7 +8,7 @@
     python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
     python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
-    python scripts/bench.py checkouts    estimates, whole commands and a folder compared with another checkout
+    python scripts/bench.py checkouts    estimates, commands, a folder and its page compared with another checkout
     python scripts/bench.py folder       frames a second of a folder by workers, and memory over time
     python scripts/bench.py many         a calibration by its number of frames, with all files written
     python scripts/bench.py live         poses a second over a websocket, and their age from image to pose

@@ -73,6 +73,7 @@ LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
 
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
+_NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 
 
@@ -297,6 +298,9 @@ class Alternation:
         self.fits = [fit.with_size(self._size) for fit in self.fits]
         fits = self._frame_fits(keep_all=False)
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
+        expected = self.model.priors(self.solution.calibration)
+        pairs = zip(self.fits, expected, strict=True)
+        self.fits = [fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs]
         self.lag.estimate_joints(self.model, fits, self.solution.calibration, self._prior)
 
     def with_masks_again(self) -> Alternation:

@@ -330,7 +330,8 @@ def terms_of_rig(
     here = OwnEstimate.of(views, fitted)
     noises = [min(pair, key=lambda noise: noise.sigma) for pair in zip(own_estimate.noises, here.noises, strict=True)]
     coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
-    noise = coverage.noise_at(fitted)
+    (drawn,) = coverage.draw(Posed.stacked([fitted]))
+    noise = sum(drawn.final_losses)
     coverage = coverage.with_noise(noise if own_estimate.residual is None else min(noise, own_estimate.residual))
 
     def constants(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
@@ -346,7 +347,7 @@ def terms_of_rig(
             columns[:, first + 5] = of_mask
         return columns
 
-    return coverage.near_without_shared(fitted, noises, constants)
+    return coverage.near_without_shared(fitted, noises, constants, drawn)
 
 
 def _by_baseline(at: Posed, place: Float64) -> Float64:

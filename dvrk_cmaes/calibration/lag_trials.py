@@ -16,6 +16,7 @@ from dvrk_cmaes.calibration.lag import LagCurve
 MOST_LAGS: Final = 3
 """Largest number of lags at which a session is solved, beside none."""
 
+_LIKELY = 1.5  # largest ratio of the misfit at a lag that is tried to the least one
 _CLEAR = 2.0  # standard deviations of a mean difference, and ...
 _LEAST_GAIN = 0.005  # ... of overlap, by which a lag must predict better than none
 _ALIKE = 3.0  # frames near each other in time err alike, so that each counts as one of so many
@@ -24,7 +25,7 @@ _ALIKE = 3.0  # frames near each other in time err alike, so that each counts as
 def lags_to_try(curve: LagCurve | None) -> list[float]:
     """Return the lags, in the curve's unit, at which the frames' modes disagree least, the best first; without zero.
 
-    They are the minima of the curve between its ends.
+    They are the minima of the curve between its ends that are not much higher than its lowest point.
     """
     if curve is None or len(curve.lags) < 3:
         return []
@@ -33,7 +34,8 @@ def lags_to_try(curve: LagCurve | None) -> list[float]:
     minima = inner[(misfit[inner] <= misfit[inner - 1]) & (misfit[inner] <= misfit[inner + 1])]
     step = float(np.diff(curve.lags).min())
     order = minima[np.argsort(misfit[minima], kind="stable")]
-    return [float(curve.lags[k]) for k in order if abs(curve.lags[k]) > 0.5 * step][:MOST_LAGS]
+    likely = [k for k in order if misfit[k] <= _LIKELY * misfit.min()]
+    return [float(curve.lags[k]) for k in likely if abs(curve.lags[k]) > 0.5 * step][:MOST_LAGS]
 
 
 def best_predicting(first: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> int | None:

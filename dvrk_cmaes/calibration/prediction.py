@@ -72,8 +72,9 @@ def fit_session_pose(
     jacobian = model.jacobian(calibration)[0]
     covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
     expected = Expected(start, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
-    first = fit_frame(views, readings, config, expected, (start,), None)
-    fit = fit_frame(views, readings, config, expected, (first.at,), OwnEstimate.of(views, first.at))
+    margins = [0.0 if session.masks is None else session.masks.taken_off_in(view.name) for view in views]
+    first = fit_frame(views, readings, config, expected, (start,), None, margins=margins)
+    fit = fit_frame(views, readings, config, expected, (first.at,), OwnEstimate.of(views, first.at), margins=margins)
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)
     qualities = [of_view[0] for of_view in of_views]
     quality = pooled_quality(qualities)

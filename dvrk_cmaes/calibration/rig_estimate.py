@@ -37,13 +37,15 @@ _CAMERA = 4  # unknowns of the camera and the common margin, before those of the
 _TURN_STD, _BASELINE_STD, _FOCAL_STD = np.deg2rad(1.0), 0.2, 0.1
 _MARGIN_STD = 0.5  # px, of the difference of the margins of two eyes
 _PRIOR = np.array([_TURN_STD, _TURN_STD, _TURN_STD, _BASELINE_STD, _FOCAL_STD, _MARGIN_STD])
-_PINNED = 1e-6  # standard deviation of what stays as in the file, in those of the prior
+_PINNED = 1e-3  # standard deviation of what stays as in the file, in those of the prior
 _SHARED_ERRORS = 1.2  # factor on standard deviations, as of the camera
 _LEAST_SCALE_STD = {3: 0.008, 4: 0.003}  # of baseline and focal length, by their number among the unknowns
 _LEAST_SCALE = {3: 0.01, 4: 0.004}  # below which they stay as in the file
 _CLEAR = 3.0  # standard deviations
 _TOLD = 0.9  # of the prior's standard deviation, below which the session tells an unknown
+_Scales = dict[tuple[str, int], ViewScale | None]  # by view and number among its unknowns; None if not told
 _PASSES = 4  # largest number of linearisations of the outlines
+_FAR = 1.0  # standard deviations of a scale, up to which it is far from contradicting the file
 _SETTLED = 0.3  # standard deviations of the unknowns, below which the outlines are not linearised again
 
 
@@ -131,7 +133,7 @@ class RigOutlines:
 
 def change_of(constants: Float64, number: int) -> tuple[ViewChange, float]:
     """Return the change of a further view against the file among the constants, and by how much its margin is wider."""
-    own = constants[_CAMERA + PER_VIEW * number :][:PER_VIEW]
+    own = constants[_of_view(number)]
     return ViewChange(own[:3], float(own[3]), float(own[4])), float(own[5])
 
 
@@ -193,45 +195,84 @@ def estimate_rig(
     constants = np.zeros(len(deviations))
     constants[:_CAMERA] = [*(np.zeros(3) if camera is None else camera), margin]
     for number, name in enumerate(names):
-        constants[_CAMERA + PER_VIEW * number :][:3] = outlines.turned.get(name, 0.0)
-    free, there = np.ones(len(deviations), dtype=np.bool_), replace(calibration, further=constants)
+        constants[_of_view(number)][:3] = outlines.turned.get(name, 0.0)
+    there = replace(calibration, further=constants)
     solution, fits = _estimated(model, there, prior, deviations, at, outlines)
-    found, std = solution.calibration.further, _std(solution, len(prior))
-    scales = {name: _scales(found, std, number) for number, name in enumerate(names)}
-    views = tuple(_with_scales(each, scales.get(each.view, {})) for each in stated)
-    untold = tuple(text for each in views for text in _untold(each, scales.get(each.view)))
-    for number, name in enumerate(names):
-        for unknown, scale in scales[name].items():
-            free[_CAMERA + PER_VIEW * number + unknown] = scale is not None and scale.applied
-    if not any(scale is not None and scale.applied for of_view in scales.values() for scale in of_view.values()):
+    scales = _scales(solution, len(prior), names)
+    untold = tuple(text for each in stated for text in _untold(each, scales))
+    linearised = _Linearised(model, fits, prior, deviations)
+    solution, free = _with_clear_scales(linearised, solution, scales, names)
+    if not free[_are_scales(len(deviations))].any():
+        views = tuple(_with_scales(each, scales) for each in stated)
         return RigEstimate(views, untold, {}, calibration, at, moved=False)
-    solution = _pinned(model, fits, solution.calibration, prior, deviations, free)
+    turned: dict[str, dict[str, Any]] = {}
     for number, name in enumerate(names):
-        own = slice(_CAMERA + PER_VIEW * number, _CAMERA + PER_VIEW * number + 3)
-        of_turn = slice(len(prior) + own.start, len(prior) + own.stop)
-        covariance = _SHARED_ERRORS**2 * solution.covariance[of_turn, of_turn] + np.diag(np.deg2rad(LEAST_STD) ** 2)
-        turn = solution.calibration.further[own]
-        turned = is_turned(np.degrees(turn), np.degrees(1) ** 2 * covariance)
-        free[own] = turned
-        views = tuple(
-            replace(
-                each, rotation_deg=np.degrees(turn), std_deg=np.degrees(np.sqrt(np.diag(covariance))), applied=turned
-            )
-            if each.view == name
-            else each
-            for each in views
-        )
-    solution = _pinned(model, fits, solution.calibration, prior, deviations, free)
-    at = fits.at.moved(marginalise(model, fits, solution.calibration).own)
+        first = len(prior) + _of_view(number).start
+        covariance = _SHARED_ERRORS**2 * solution.covariance[first : first + 3, first : first + 3]
+        covariance = np.degrees(1.0) ** 2 * covariance + np.diag(LEAST_STD**2)
+        rotation = np.degrees(solution.calibration.further[_of_view(number)][:3])
+        free[_of_view(number)][:3] = applied = is_turned(rotation, covariance)
+        turned[name] = {"rotation_deg": rotation, "std_deg": np.sqrt(np.diag(covariance)), "applied": applied}
+    solution = linearised.solved(solution.calibration, free)
     found, std = solution.calibration.further, _std(solution, len(prior))
-    changes = {}
+    views, changes = tuple(_with_scales(each, scales) for each in stated), {}
     for number, name in enumerate(names):
-        change, _ = change_of(found, number)
-        of_view = next(each for each in views if each.view == name)
-        of_view = of_view.with_values(change, std[_CAMERA + PER_VIEW * number :][3:5])
-        views = tuple(of_view if each.view == name else each for each in views)
-        changes[name] = of_view.change
+        view = next(each for each in views if each.view == name)
+        view = replace(view, **turned[name]).with_values(change_of(found, number)[0], std[_of_view(number)][3:5])
+        views = tuple(view if each.view == name else each for each in views)
+        changes[name] = view.change
+    at = fits.at.moved(marginalise(model, fits, solution.calibration).own)
     return RigEstimate(views, untold, changes, replace(solution.calibration, further=np.zeros(0)), at, moved=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The session's model and its frames' outlines near the estimate, with what is known beforehand, as of `solve`."""
+
+    model: SessionModel
+    fits: FrameFits
+    prior: Float64
+    deviations: Float64
+
+    def solved(self, there: Calibration, free: NDArray[np.bool_]) -> Solution:
+        """Return the solution where unknowns that are not free are as in the file."""
+        start = replace(there, further=np.where(free, there.further, 0.0))
+        deviations = np.where(free, self.deviations, _PINNED * self.deviations)
+        return solve(self.model, self.fits, start, _padded(self.prior, deviations))
+
+
+def _with_clear_scales(
+    linearised: _Linearised, solution: Solution, scales: _Scales, names: Sequence[str]
+) -> tuple[Solution, NDArray[np.bool_]]:
+    """Return the solution with those baselines and focal lengths that are clear of the file, and what is free in it.
+
+    What is not clear any more once the others are as in the file stays as there, too; ``scales`` is brought up to date.
+    """
+    count = len(linearised.prior)
+    free = ~_are_scales(len(linearised.deviations))
+    clear = {key for key, scale in scales.items() if scale is not None and scale.applied}
+    while clear:
+        for number, name in enumerate(names):
+            for unknown in _LEAST_SCALE_STD:
+                free[_of_view(number).start + unknown] = (name, unknown) in clear
+        solution = linearised.solved(solution.calibration, free)
+        scales |= {key: scale for key, scale in _scales(solution, count, names).items() if key in clear}
+        still = {key for key in clear if (scale := scales[key]) is not None and scale.applied}
+        if still == clear:
+            return solution, free
+        clear = still
+    return solution, ~_are_scales(len(linearised.deviations))
+
+
+def _of_view(number: int) -> slice:
+    """Return where the unknowns of a further view are among the constants."""
+    return slice(_CAMERA + PER_VIEW * number, _CAMERA + PER_VIEW * (number + 1))
+
+
+def _are_scales(count: int) -> NDArray[np.bool_]:
+    """Return which of the constants are baselines and focal lengths."""
+    number = np.arange(count) - _CAMERA
+    return np.asarray((number >= 0) & np.isin(number % PER_VIEW, list(_LEAST_SCALE_STD)))
 
 
 def _deviations(config: SessionConfig, views: int, *, refined: bool) -> Float64:
@@ -248,30 +289,22 @@ def _estimated(
     at: Posed,
     outlines: RigOutlines,
 ) -> tuple[Solution, FrameFits]:
-    """Estimate calibration and constants, linearising the outlines until the views' unknowns do not change any more."""
+    """Estimate calibration and constants, linearising the outlines until the views' unknowns do not change any more.
+
+    One linearisation suffices where baselines and focal lengths are far from contradicting the file.
+    """
     padded = _padded(prior, deviations)
     for _ in range(_PASSES):
         before = there.further
         fits = outlines.near(at, before)
         solution = solve(model, fits, there, padded)
         there = solution.calibration
-        if (np.abs(there.further - before) < _SETTLED * _std(solution, len(prior)))[_CAMERA:].all():
+        std = _std(solution, len(prior))
+        settled = (np.abs(there.further - before) < _SETTLED * std)[_CAMERA:].all()
+        if settled or not (np.abs(there.further) > _FAR * std)[_are_scales(len(deviations))].any():
             break
         at = at.moved(marginalise(model, fits, there).own)
     return solution, fits
-
-
-def _pinned(
-    model: SessionModel,
-    fits: FrameFits,
-    there: Calibration,
-    prior: Float64,
-    deviations: Float64,
-    free: NDArray[np.bool_],
-) -> Solution:
-    """Return the solution by the same linearisation where unknowns that are not free are as in the file."""
-    start = replace(there, further=np.where(free, there.further, 0.0))
-    return solve(model, fits, start, _padded(prior, np.where(free, deviations, _PINNED * deviations)))
 
 
 def _padded(prior: Float64, deviations: Float64) -> Float64:
@@ -285,30 +318,29 @@ def _std(solution: Solution, count: int) -> Float64:
     return np.asarray(_SHARED_ERRORS * np.sqrt(np.diag(solution.covariance)[count:]))
 
 
-def _scales(found: Float64, std: Float64, number: int) -> dict[int, ViewScale | None]:
-    """Return what is told of baseline and focal length of a further view, by their number; None if it is not told."""
-    out: dict[int, ViewScale | None] = {}
-    for unknown, least in _LEAST_SCALE_STD.items():
-        value, own = (float(each[_CAMERA + PER_VIEW * number + unknown]) for each in (found, std))
-        own = float(np.hypot(own, least))
-        told = own < _TOLD * _PRIOR[unknown]
-        clear = abs(value) > max(_CLEAR * own, _LEAST_SCALE[unknown])
-        out[unknown] = ViewScale(float(np.exp(value)), own, clear) if told else None
+def _scales(solution: Solution, count: int, names: Sequence[str]) -> _Scales:
+    """Return what is told of the further views' baselines and focal lengths; None where it is not told."""
+    found, std = solution.calibration.further, _std(solution, count)
+    out: _Scales = {}
+    for number, name in enumerate(names):
+        for unknown, least in _LEAST_SCALE_STD.items():
+            value, own = (float(each[_of_view(number)][unknown]) for each in (found, std))
+            own = float(np.hypot(own, least))
+            told = own < _TOLD * _PRIOR[unknown]
+            clear = abs(value) > max(_CLEAR * own, _LEAST_SCALE[unknown])
+            out[name, unknown] = ViewScale(float(np.exp(value)), own, clear) if told else None
     return out
 
 
-def _with_scales(stated: ViewRotation, scales: Mapping[int, ViewScale | None]) -> ViewRotation:
+def _with_scales(stated: ViewRotation, scales: _Scales) -> ViewRotation:
     """Return what is stated of a view with its baseline and focal length."""
-    return replace(stated, baseline=scales.get(3), focal_length=scales.get(4))
+    baseline, focal_length = (scales.get((stated.view, unknown)) for unknown in _LEAST_SCALE_STD)
+    return replace(stated, baseline=baseline, focal_length=focal_length)
 
 
-def _untold(stated: ViewRotation, scales: Mapping[int, ViewScale | None] | None) -> list[str]:
+def _untold(stated: ViewRotation, scales: _Scales) -> list[str]:
     """Describe what of a view's baseline and focal length is not told."""
-    if scales is None:
-        return []
-    parts = {
-        3: f"baseline of the {stated.view} eye",
-        4: f"focal length of the {stated.view} eye beside the first one's",
-    }
-    untold = [text for unknown, text in parts.items() if scales.get(unknown) is None]
-    return [f"{text}: its standard deviation is as wide as expected beforehand" for text in untold]
+    names = dict(zip(_LEAST_SCALE_STD, ("baseline", "relative focal length"), strict=True))
+    untold = [name for unknown, name in names.items() if scales.get((stated.view, unknown), stated) is None]
+    wide = "its standard deviation is as wide as expected beforehand"
+    return [f"{name} of the {stated.view} eye: {wide}" for name in untold]

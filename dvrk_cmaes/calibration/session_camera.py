@@ -28,6 +28,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 """
 
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
+_HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
 _NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
 _CAUSES = (
@@ -59,12 +60,12 @@ class SessionCamera(Document):
     def of(cls, estimate: CameraEstimate, config: SessionConfig, width: int, *, applied: bool) -> SessionCamera:
         """Decide whether an estimate contradicts the camera file, and state it.
 
-        What the frames tell near the camera of the file must contradict it as well as what they tell at the change that
-        they fit: where they hardly determine the camera, linearisations far away from it tell less.
+        Where the frames hardly determine the principal point, as those of a short recording, each linearisation may be
+        farther away than the one before. What they tell at the camera of the file must then contradict it as well.
         """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
         contradicts = _distance(change, covariance, config) > _CONTRADICTION
-        if not applied:
+        if not applied and np.sqrt(np.diag(covariance)[1:].max()) > _HARDLY_TOLD * config.principal_point_px:
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > _CONTRADICTION
         if not (contradicts or applied):

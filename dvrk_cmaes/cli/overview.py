@@ -46,7 +46,7 @@ Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
 With --debug, any command shows where in the program an error was raised."""
 
 _OPTIONS: Final = {"--version": "Display application version."}
-_ASKED: Final = ([], ["--help"], ["-h"])
+_ASKED: Final[tuple[list[str], ...]] = ([], ["--help"], ["-h"])
 _NARROW: Final = 80
 """As in ``layout``, which has more to import."""
 _LEAST: Final = 30

@@ -85,8 +85,9 @@ def track(
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
     lost, 130 interrupted; the same command then goes on.
 
-    Without masks, the instrument is segmented in the first frame alone; the others are followed by the colours along
-    its outline, which are learned on the way.
+    Without masks, those of the keyframes are found in their images, and those of all frames by the colours that the
+    keyframes tell. With --causal, the instrument is segmented in the first frame alone; the others are followed by the
+    colours along its outline, which are learned on the way.
 
     Example:
 
@@ -120,12 +121,13 @@ def track(
     fps
         Frames a second of a session whose images have no times.
     causal
-        Follow from image to image: no frame's result uses later ones. So are recordings without masks or readings, and
-        those of which fewer than 12 keyframes are usable or agree.
+        Follow from image to image: no frame's result uses later ones. So are recordings without readings, and those
+        of which fewer than 12 keyframes are usable or agree.
     smooth
         Was replaced: without --causal, every result uses all frames.
     workers
-        Number of processes that fit the frames; by default the number of cores. --causal uses one.
+        Number of processes that fit the frames; by default the number of cores. With --causal, threads that solve
+        keyframes.
     resume
         --resume goes on after the keyframes or the last frames of an interrupted run; --overwrite begins anew.
     video

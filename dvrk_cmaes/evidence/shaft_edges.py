@@ -128,13 +128,13 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     support = votes.sum(axis=0)
     middle = (votes.T @ points) / np.maximum(support, 1e-9)[:, None]
     kept: list[int] = []
-    for i in np.argsort(-support, kind="stable"):
-        better = lines[kept]
-        same = (better[:, :2] @ lines[i, :2] > 0.9985) & (np.abs(better[:, :2] @ middle[i] + better[:, 2]) < 3)
-        if not same.any():
-            kept.append(int(i))
-        if len(kept) == _KEPT_LINES:
-            break
+    left = np.argsort(-support, kind="stable")
+    while len(left) and len(kept) < _KEPT_LINES:
+        best = lines[left[0]]
+        kept.append(int(left[0]))
+        same = (lines[left, :2] @ best[:2] > 0.9985) & (np.abs(middle[left] @ best[:2] + best[2]) < 3)
+        same[0] = True
+        left = left[~same]
     return np.asarray(lines[kept])
 
 

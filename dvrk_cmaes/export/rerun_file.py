@@ -101,6 +101,7 @@ class RerunFile:
         self._rerun, self._stream, self._instrument = _library(), stream, instrument
         self._entities = _camera_entities(rig)
         self._status: str | None = None
+        self._solved = 0
         rr = self._rerun
         self._static("/", rr.ViewCoordinates.RDF)
         for entity, view in zip(self._entities, rig.views, strict=True):
@@ -152,7 +153,22 @@ class RerunFile:
             self._scalar(f"offsets/{_part(name)}", np.degrees(value))
         if row["std"] and row["std"].get("tip_mm") is not None:
             self._scalar("std/tips_mm", row["std"]["tip_mm"])
+        self._base(row)
         self._say(row)
+
+    def _base(self, row: Mapping[str, Any]) -> None:
+        """Log how far the base is known, and each new solution of keyframes, where it was found on the way."""
+        base = row.get("base")
+        if base is None:
+            return
+        for name in ("keyframes", "solved", "tip_mm"):
+            self._scalar(f"base/{name}", np.nan if base[name] is None else base[name])
+        if base["solved"] != self._solved:
+            far = "" if base["tip_mm"] is None else f", tips to {base['tip_mm']:.1f} mm"
+            used = "base known" if base["used"] else "base not known yet"
+            text = f"{row['frame']}: {base['solved']} keyframes solved{far}: {used}"
+            self._log("reasons", self._rerun.TextLog(text, level="INFO"))
+        self._solved = base["solved"]
 
     def _pictures(self, entity: str, view: ViewPictures) -> None:
         """Log image, mask and outline below a camera's entity; those that are missing are cleared."""
@@ -240,6 +256,7 @@ def _blueprint(rig: Rig) -> Any:
     curves = [
         views.TimeSeriesView(origin="joints", name="joints, deg"),
         views.TimeSeriesView(origin="offsets", name="offsets, deg: true = reading + offset"),
+        views.TimeSeriesView(origin="base", name="keyframes; error that the base leaves, mm"),
         views.StateTimelineView(origin="status", name="status"),
     ]
     eye = views.EyeControls3D(position=_EYE, look_target=_LOOKED_AT, eye_up=(0, -1, 0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -82,6 +83,10 @@ class Video:
         self._capture: Any = None
         self._next = 0
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Send the video to another process, which opens the file once for all frames that it is sent."""
+        return _sent_video, (self.path, self.size, self.times)
+
     def image(self, number: int) -> NDArray[np.uint8]:
         """Decode a frame, (H, W, 3) uint8 BGR; InputError if that is not possible."""
         if self._capture is None or number < self._next:
@@ -130,6 +135,15 @@ class Video:
             f"{self.path}: expected the calibration's {camera.width} x {camera.height}, or two such pictures side by "
             f"side or one above the other, got {width} x {height}"
         )
+
+
+@lru_cache(maxsize=4)
+def _sent_video(path: Path, size: tuple[int, int], times: tuple[int, ...]) -> Video:
+    """Return the video of a file whose size and times were read in another process."""
+    video = Video.__new__(Video)
+    video.path, video.size, video.times = path, size, times
+    video._capture, video._next = None, 0
+    return video
 
 
 @dataclass(frozen=True, eq=False)

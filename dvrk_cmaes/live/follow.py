@@ -82,6 +82,7 @@ def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event
             lag=setup.lag,
             keyframes=solutions is not None,
             earlier=taken_up,
+            sliced=True,
         )
         if solutions is not None:
             solutions.tracker = tracker

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,12 +9,13 @@ import cv2
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.report.page_thumbnails import webp_address
 from dvrk_cmaes.results.layers import Outline, read_layers
 
-EMBEDDED = 6_000_000
+EMBEDDED = 1_150_000
 """Size in bytes from which on no more full pictures are put into the page, about 40 frames of 640 x 480 px."""
 
-_QUALITY = 60  # of JPEG
+_QUALITY = 50  # of WebP
 _COLOURS = 6  # in the style sheet
 
 
@@ -44,7 +44,7 @@ class DrawnLayers:
 
 
 def embedded_picture(path: Path, widest: int = 1280) -> str | None:
-    """Return a picture of at most ``widest`` px as a ``data:`` address of a JPEG; None if it cannot be read."""
+    """Return a picture of at most ``widest`` px as a ``data:`` address of WebP; None if it cannot be read."""
     try:
         picture = read_image(path)
     except InputError:
@@ -53,8 +53,7 @@ def embedded_picture(path: Path, widest: int = 1280) -> str | None:
     if width > widest:
         size = widest, max(1, round(height * widest / width))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(picture.dtype)
-    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])[1]
-    return _jpeg_address(base64.b64encode(data.tobytes()).decode("ascii"))
+    return webp_address(picture, _QUALITY)
 
 
 def embedded_layers(path: Path) -> DrawnLayers | None:

@@ -118,9 +118,22 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     searched = sum(bool(row.get("searched")) for row in rows)
     note = f"99 % within {np.percentile(seconds, 99):.0f} ms; {searched} global searches"
     yield KeyFigure("Time a step, median", f"{np.median(seconds):.0f} ms", note)
+    yield from _base(rows)
     lag = None if recording.calibration is None else recording.calibration.lag
     if lag is not None:
         yield KeyFigure("Lag", lag.text, lag.describe())
+
+
+def _base(rows: Sequence[Mapping[str, Any]]) -> Iterator[KeyFigure]:
+    """Yield the key figure of the arm's base where it was found while following."""
+    known = [row.get("base") for row in rows]
+    last = known[-1]
+    if last is None:
+        return
+    first = next((k for k, each in enumerate(known) if each is not None and each["used"]), None)
+    value = "not known" if first is None else f"from frame {rows[first]['frame']}"
+    far = "" if last["tip_mm"] is None else f", tips to {last['tip_mm']:.1f} mm by the last solution"
+    yield KeyFigure("Base known", value, f"{last['keyframes']} keyframes at the end, {last['solved']} solved{far}")
 
 
 def _residual(rows: Sequence[Mapping[str, Any]], residuals: Mapping[str, Float64]) -> Iterator[KeyFigure]:

@@ -16,7 +16,7 @@ from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.json_file import parse_json
-from dvrk_cmaes.io.typed_document import Number, Point, Texts, Transform, convert_document, refused
+from dvrk_cmaes.io.typed_document import Count, Number, Point, Texts, Transform, convert_document, refused
 from dvrk_cmaes.results.tracked import TrackStatus
 
 TRACKS = "tracks.jsonl"
@@ -60,6 +60,13 @@ class _Std(Struct):
     tip_mm: Number | None = None
 
 
+class _Base(Struct):
+    keyframes: Count
+    solved: Count
+    tip_mm: Number | None
+    used: bool
+
+
 class _Row(Struct):
     """Fields of a line that are used after it is read."""
 
@@ -75,6 +82,7 @@ class _Row(Struct):
     offsets: dict[str, Number] = {}
     searched: bool = False
     residual_px: Number | None = None
+    base: _Base | None = None
 
 
 def _check_row(where: str, document: dict[str, Any]) -> None:

@@ -14,6 +14,23 @@ from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
 Float64 = NDArray[np.float64]
 TrackStatus = Literal["ok", "doubtful", "lost"]
 
+_OF_BASE = ("keyframes", "solved", "tip_mm", "used")
+
+
+@dataclass(frozen=True)
+class BaseKnown:
+    """How far the arm's base is known from keyframes.
+
+    keyframes : number of those that are kept. solved : keyframes of the last solution, 0 before the first. tip_mm :
+    error of the tips, mm, that the last solution leaves; None if it has none. used : whether poses are those of a
+    calibration.
+    """
+
+    keyframes: int
+    solved: int
+    tip_mm: float | None
+    used: bool
+
 
 @dataclass(frozen=True, eq=False)
 class TrackResult:
@@ -26,7 +43,8 @@ class TrackResult:
     without tips. camera_from_base : (4, 4) m, None without readings of the outer joints. offsets : of roll and the
     joints, if they were read, rad: true = reading + offset. seconds : of this step. searched : whether the step
     included a global search. residual_px : standard deviation, px, of the distances between the outline and the edges
-    that support it; None where none do, and in images that were searched globally.
+    that support it; None where none do, and in images that were searched globally. base : how far the base is known, of
+    a tracker that keeps keyframes.
     """
 
     time: float
@@ -42,6 +60,7 @@ class TrackResult:
     seconds: float = 0.0
     searched: bool = False
     residual_px: float | None = None
+    base: BaseKnown | None = None
 
     def to_dict(self, frame: str, *, timed: bool = True) -> dict[str, Any]:
         """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null.
@@ -70,4 +89,9 @@ class TrackResult:
             **encoded_fields(self, "offsets", "tips"),
             "seconds": round(self.seconds, 5),
             **encoded_fields(self, "searched", "residual_px"),
+            **(
+                {}
+                if self.base is None
+                else {"base": encoded_fields(self.base, "keyframes", "solved", "tip_mm", "used")}
+            ),
         }

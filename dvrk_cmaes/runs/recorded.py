@@ -30,6 +30,7 @@ Float64 = NDArray[np.float64]
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
 
+_CONTINUED: Final = 6  # frames beyond the first or last readings, as far as these are taken to go on
 _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
@@ -54,7 +55,8 @@ class Prediction:
 def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: tuple[str, ...]) -> Prediction:
     """Predict all frames from their readings less the lag.
 
-    A frame without readings is predicted by those nearest in time, with a wide standard deviation.
+    A frame without readings is predicted by those nearest in time, with a wide standard deviation; near the beginning
+    and the end of the readings, by what they did there.
     """
     readings = _late_readings(recorded.files, recorded.series, session)
     outer = outer_readings(readings)
@@ -62,7 +64,8 @@ def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: 
     told = np.asarray(~np.isnan(outer).any(axis=1))
     known = np.flatnonzero(told)
     nearest = known[np.abs(np.arange(len(told))[:, None] - known).argmin(axis=1)]
-    model, calibration = session.model(outer[nearest], joints[nearest], joint_names)
+    outer, joints = (_continued(values, recorded.times, told, nearest) for values in (outer, joints))
+    model, calibration = session.model(outer, joints, joint_names)
     prior = model.covariance(calibration)
     wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
     trusted = told & ~recorded.frozen
@@ -70,6 +73,19 @@ def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: 
     return Prediction(
         model, calibration, model.predict(calibration), prior, model.jacobian(calibration), readings, told
     )
+
+
+def _continued(values: Float64, times: Float64, told: NDArray[np.bool_], nearest: NDArray[np.intp]) -> Float64:
+    """Return the readings (N, K) at all frames: those of the nearest one that has any, or as they go on from there."""
+    found = values[nearest]
+    for i in np.flatnonzero(~told):
+        near = int(nearest[i])
+        inner = near + (1 if near > i else -1)
+        if abs(i - near) > _CONTINUED or not 0 <= inner < len(told) or not told[inner]:
+            continue
+        rate = (values[near] - values[inner]) / (times[near] - times[inner])
+        found[i] += rate * (times[i] - times[near])
+    return found
 
 
 def _late_readings(
@@ -89,9 +105,7 @@ def fit_all(
     run: Run[Any, Any],
 ) -> list[FittedFrame | None]:
     """Fit every frame with the prediction as its prior."""
-    jacobian = predicted.jacobian
-    spread = predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2)
-    information = np.linalg.inv(spread)
+    information = np.linalg.inv(spread_of(predicted, session))
     frames = [
         PredictedFrame(own.name, partial(_read, own, recorded, session), Expected(predicted.at[i], information[i]))
         for i, own in enumerate(recorded.files)
@@ -99,6 +113,14 @@ def fit_all(
     margin = 0.0 if session.masks is None else session.masks.taken_off
     tasks = [BlockTask(tuple(frames[k : k + BLOCK]), margin) for k in range(0, len(frames), BLOCK)]
     return [fitted for block in run(fit_block, tasks) for fitted in block]
+
+
+def spread_of(predicted: Prediction, session: SessionCalibration) -> Float64:
+    """Return the covariances (N, D, D) of the frames about their predictions, with that of the calibration."""
+    jacobian = predicted.jacobian
+    return np.asarray(
+        predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2), np.float64
+    )
 
 
 def _read(files: FrameFiles, recorded: RecordedFrames, session: SessionCalibration) -> FrameData | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
@@ -30,6 +30,8 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.track_clock import series_of
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.image_masks import colours_document, read_colours
 from dvrk_cmaes.track.keyframes import (
     LEAST_KEYFRAMES,
     MOST_KEYFRAMES,
@@ -43,6 +45,10 @@ from dvrk_cmaes.track.still_readings import frozen_frames
 Float64 = NDArray[np.float64]
 
 KEYFRAMES: Final = "keyframes.json"
+"""Solution of keyframes with masks."""
+KEYFRAMES_BY_IMAGES: Final = "keyframes_images.json"
+"""Solution of keyframes whose masks were found in their images, and the colours that they tell."""
+_EXPECTED: Final = "the solution of a recording's keyframes"
 _SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
 _OVERLAP_LOSS: Final = 0.06  # below the overlap of the frames that were searched for, from which on one is as well
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
@@ -78,11 +84,23 @@ class RecordedFrames:
             if mask is not None and mask.any():
                 rows, columns = np.nonzero(mask)
                 centres[i] = columns.mean(), rows.mean()
+        return cls.of_readings(files, rig, series, times).measured(shapes, centres)
+
+    @classmethod
+    def of_readings(
+        cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
+    ) -> RecordedFrames:
+        """Return frames of whose masks nothing is known."""
         names = tuple(dict.fromkeys(name for own in files for name in own.readings))
         readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in files])
-        outer = outer_readings([own.readings for own in files])
-        frozen = frozen_frames(outer, centres, rig.views[0].camera.width)
-        return cls(files, rig, series, times, shapes, names, readings, frozen)
+        shapes, still = [MaskShape(0.0, 1.0)] * len(files), np.zeros(len(files), np.bool_)
+        return cls(files, rig, series, times, shapes, names, readings, still)
+
+    def measured(self, shapes: list[MaskShape], centres: Float64) -> RecordedFrames:
+        """Return the frames with the shapes of their masks, and the centres (N, 2) px of these, NaN without one."""
+        outer = outer_readings([own.readings for own in self.files])
+        frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
+        return replace(self, shapes=shapes, frozen=frozen)
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
@@ -131,14 +149,25 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 
 @dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A keyframe: its number in the recording, its files, and the function that reads its data without images.
+
+    That function is picklable.
+    """
+
+    number: int
+    files: FrameFiles
+    read: Callable[[], FrameData]
+
+
+@dataclass(frozen=True, eq=False)
 class AloneTask:
-    """Arguments of `alone_task`; ``start`` is where the instrument is expected, if that is known.
+    """Arguments of `alone_task`; ``start`` is where the instrument of a keyframe is expected, if that is known.
 
     A pose found from there counts if its overlap with the mask is at least ``least_iou``.
     """
 
-    files: FrameFiles
-    rig: Rig
+    keyframe: Keyframe
     arm: Arm
     start: Posed | None = None
     least_iou: float = 0.0
@@ -146,13 +175,13 @@ class AloneTask:
 
 def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
     """Estimate a keyframe by itself, as `batch` does: from where it is expected, or else by a search."""
-    data = read_frame(task.files.changed(image=None), task.rig)
+    files, data = task.keyframe.files, task.keyframe.read()
     if task.start is not None:
-        started = replace(task.files, start=_as_result(task.start, body, task.files.name))
+        started = replace(files, start=_as_result(task.start, body, files.name))
         result = estimate_frame(started, data, body, arm=task.arm, config=config)
         if result.quality is not None and result.quality.iou >= task.least_iou:
             return result
-    return estimate_frame(task.files, data, body, arm=task.arm, config=config)
+    return estimate_frame(files, data, body, arm=task.arm, config=config)
 
 
 def _as_result(at: Posed, body: Body, name: str) -> Result:
@@ -179,13 +208,34 @@ def solve_keyframes(
     progress: Callable[[str, int], None],
 ) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
-    chosen = recorded.keyframes()
-    if len(chosen) < LEAST_KEYFRAMES:
+    keyframes = [
+        Keyframe(i, own, partial(read_frame, own.changed(image=None), recorded.rig))
+        for i, own in ((i, recorded.files[i]) for i in recorded.keyframes())
+    ]
+    solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
+    return solved if isinstance(solved, str) else solved.calibration
+
+
+def solve_together(
+    recorded: RecordedFrames,
+    keyframes: Sequence[Keyframe],
+    body: Body,
+    arm: Arm,
+    config: EstimateConfig,
+    run: Run[Any, Any],
+    progress: Callable[[str, int], None],
+    least: int = LEAST_KEYFRAMES,
+) -> SolvedSession | str:
+    """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
+
+    ``least`` is the number of keyframes that are needed.
+    """
+    if len(keyframes) < least:
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
-        return f"{len(chosen)} frames are well in view and have readings{frozen}, fewer than {LEAST_KEYFRAMES}"
-    progress("estimating keyframes", len(chosen))
-    frames = _estimated(recorded, chosen, body, arm, config, run)
+        return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
+    progress("estimating keyframes", len(keyframes))
+    frames = _estimated(recorded, keyframes, body, arm, config, run)
     try:
         solved = calibrate_session(
             frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress
@@ -194,43 +244,43 @@ def solve_keyframes(
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged
         return str(error).removeprefix(_REFUSED)
-    return solved.calibration.doubt or solved.calibration
+    return solved.calibration.doubt or solved
 
 
 def _estimated(
-    recorded: RecordedFrames, chosen: Sequence[int], body: Body, arm: Arm, config: EstimateConfig, run: Run[Any, Any]
+    recorded: RecordedFrames,
+    keyframes: Sequence[Keyframe],
+    body: Body,
+    arm: Arm,
+    config: EstimateConfig,
+    run: Run[Any, Any],
 ) -> list[SessionFrame]:
-    """Estimate the keyframes at some indices alone: some by a search, the others from where these expect them."""
+    """Estimate keyframes alone: some by a search, the others from where these expect them."""
 
-    def in_session(number: int, result: Result) -> SessionFrame:
-        own = recorded.files[number]
-        read = partial(read_frame, own.changed(image=None), recorded.rig)
-        time = None if recorded.series is None else recorded.series.frames.get(own.name)
-        return SessionFrame(own.name, read, result, own.keypoints, time)
+    def in_session(one: Keyframe, result: Result) -> SessionFrame:
+        time = None if recorded.series is None else recorded.series.frames.get(one.files.name)
+        return SessionFrame(one.files.name, one.read, result, one.files.keypoints, time)
 
-    searched = sorted(set(recorded.keyframes(_SEARCHED)) & set(chosen))
-    results = run(alone_task, [AloneTask(recorded.files[i], recorded.rig, arm) for i in searched])
-    first = {i: in_session(i, result) for i, result in zip(searched, results, strict=True)}
-    rest = [i for i in chosen if i not in first]
-    readings = {recorded.files[i].name: recorded.files[i].readings for i in rest}
+    searched = set(recorded.keyframes(_SEARCHED))
+    some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))
+    results = run(alone_task, [AloneTask(one, arm) for one in some])
+    first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}
+    readings = {one.files.name: one.files.readings for one in rest}
     expected = predict_from_first(
         list(first.values()), readings, body.instrument, series=recorded.series, arm=arm, config=config
     )
     overlaps = [result.quality.iou for result in results if result.quality is not None]
     least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
-    tasks = [
-        AloneTask(own, recorded.rig, arm, expected.get(own.name), least) for own in (recorded.files[i] for i in rest)
-    ]
-    others = {i: in_session(i, result) for i, result in zip(rest, run(alone_task, tasks), strict=True)}
+    tasks = [AloneTask(one, arm, expected.get(one.files.name), least) for one in rest]
+    others = {one.number: in_session(one, result) for one, result in zip(rest, run(alone_task, tasks), strict=True)}
     return [frame for _, frame in sorted((first | others).items())]
 
 
-def read_keyframes(out: Path) -> SessionCalibration | str | None:
-    """Read what an interrupted run has found in a folder; None if there is nothing."""
-    path = out / KEYFRAMES
+def read_keyframes(path: Path) -> SessionCalibration | str | None:
+    """Read what an interrupted run has found, from its file; None if there is nothing."""
     if not path.exists():
         return None
-    document = read_json_object(path, expected="the solution of a recording's keyframes (keyframes.json)")
+    document = read_json_object(path, expected=_EXPECTED)
     if isinstance(refused := document.get("refused"), str):
         return refused
     if not isinstance(calibration := document.get("calibration"), dict):
@@ -238,11 +288,24 @@ def read_keyframes(out: Path) -> SessionCalibration | str | None:
     return SessionCalibration.from_dict(calibration, where=str(path))
 
 
-def write_keyframes(out: Path, found: SessionCalibration | str) -> SessionCalibration | str:
-    """Write what was found, and return it as it is read again."""
+def write_keyframes(
+    path: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
+) -> SessionCalibration | str:
+    """Write what was found, with the colours of a recording's images by view, and return it as it is read again."""
     if isinstance(found, str):
-        write_json(out / KEYFRAMES, {"refused": found, "calibration": None})
+        write_json(path, {"refused": found, "calibration": None})
         return found
     document = found.to_dict()
-    write_json(out / KEYFRAMES, {"refused": None, "calibration": document})
+    more = {} if colours is None else {"colours": colours_document(colours)}
+    write_json(path, {"refused": None, "calibration": document, **more})
     return SessionCalibration.from_dict(document)
+
+
+def read_kept_colours(path: Path) -> dict[str, ColourModel]:
+    """Read the colours that were written with a solution; InputError if there are none."""
+    document = read_json_object(path, expected=_EXPECTED)
+    try:
+        colours = read_colours(document["colours"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError(f"{path}: colours: expected those of a recording's views: begin with --overwrite") from None
+    return colours

@@ -45,14 +45,26 @@ class SmoothedFrames:
     misfit: Float64
 
 
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Fits of N frames by other evidence, and its weight beside the first one, at most 1."""
+
+    fits: Sequence[FittedFrame | None]
+    weight: float
+
+
 def smooth_frames(
     recorded: RecordedFrames,
     predicted: Prediction,
     fits: Sequence[FittedFrame | None],
     session: SessionCalibration,
     instrument: Instrument,
+    beside: Beside | None = None,
 ) -> SmoothedFrames:
-    """Smooth the deviations of N frames from their predictions; a fit that disagrees counts less, or not at all."""
+    """Smooth the deviations of N frames from their predictions; a fit that disagrees counts less, or not at all.
+
+    ``beside`` are fits of the same frames by other evidence.
+    """
     count, size = predicted.prior.shape[:2]
     information, optimum, misfit = np.zeros((count, size, size)), np.zeros((count, size)), np.zeros(count)
     calibrated = calibration_covariance(session)
@@ -60,6 +72,10 @@ def smooth_frames(
     for i, fitted in enumerate(fits):
         told = Told.of(fitted, predicted.at[i], spread[i])
         information[i], optimum[i], misfit[i] = told.information, told.optimum, told.misfit
+        if beside is not None:
+            other = Told.of(beside.fits[i], predicted.at[i], spread[i])
+            information[i] += beside.weight * other.information
+            optimum[i] += beside.weight * other.optimum
     smoothed = smooth(recorded.times, predicted.prior, information, optimum, predicted.jacobian)
     response = smoothed.response
     covariance = smoothed.covariance + response @ calibrated @ np.swapaxes(response, 1, 2)
@@ -93,13 +109,16 @@ def results_of(
     judged: Sequence[JudgedFrame | None],
     body: Body,
     config: EstimateConfig,
+    source: str = "mask",
 ) -> list[TrackResult]:
-    """Describe the frames as results, in order."""
+    """Describe the frames as results, in order; ``source`` is what the evidence is taken from, for reasons."""
     frozen = describe_frozen(recorded.frozen, [own.name for own in recorded.files])
     base_from_root = predicted.model.base_from_root(predicted.calibration.offsets)
     results = []
     for i, one in enumerate(judged):
-        status, reasons = status_of(one, smoothed.misfit[i], session, config)
+        status, reasons = status_of(one, smoothed.misfit[i], session, config, source)
+        if (of_image := fits[i]) is not None:
+            reasons += of_image.doubts
         if not predicted.told[i]:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
         if (text := frozen[i]) is not None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from types import TracebackType
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 from dvrk_cmaes.silhouette.prepare import body_by
@@ -35,7 +38,8 @@ class SolverProcess:
         self._key = instrument_digest(instrument)
         self._driver = ThreadPoolExecutor(1)
         self._process: WorkerProcess | None = None
-        self._future: Future[Solution] | None = None
+        self._futures: deque[Future[Solution]] = deque()
+        self._alone: dict[str, Result] = {}
         self._closed = False
 
     def __enter__(self) -> SolverProcess:
@@ -47,24 +51,23 @@ class SolverProcess:
         self.close()
 
     def begin(self, problem: KeyframeProblem) -> None:
-        """Begin with a problem; returns at once."""
-        self._future = self._driver.submit(self._solved, problem)
+        """Begin with a problem, after those before it; returns at once."""
+        self._futures.append(self._driver.submit(self._solved, problem))
 
     @property
     def ready(self) -> bool:
-        """Whether the solution of the last problem is there."""
-        return self._future is not None and self._future.done()
+        """Whether the next solution is there."""
+        return bool(self._futures) and self._futures[0].done()
 
     def solution(self) -> Solution:
-        """Return the solution of the last problem, for which this waits.
+        """Return the next solution, for which this waits.
 
         Raises
         ------
         DvrkCmaesError
             The process died twice on it.
         """
-        assert self._future is not None
-        return self._future.result()
+        return self._futures.popleft().result()
 
     def close(self) -> None:
         """End the process, whatever it is at."""
@@ -77,7 +80,13 @@ class SolverProcess:
             process.close()
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
-        """Solve a problem in the process, and once more in a new one if that dies."""
+        """Solve a problem in the process, and once more in a new one if that dies.
+
+        No keyframe is solved by itself twice, where problems were given before the solutions of others were there.
+        """
+        names = {keyframe.name for keyframe in problem.keyframes}
+        known = {name: result for name, result in self._alone.items() if name in names}
+        problem = replace(problem, alone={**known, **problem.alone})
         for _ in range(_TRIES):
             if self._closed:
                 break
@@ -85,7 +94,9 @@ class SolverProcess:
                 if self._process is None:
                     self._process = process = WorkerProcess()
                     process.call(_prepare, self._instrument, self._background)
-                return self._process.call(_solve, self._key, problem, self._threads)
+                solution = self._process.call(_solve, self._key, problem, self._threads)
+                self._alone = dict(solution.alone)
+                return solution
             self._process = None
         raise DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?")
 

@@ -30,6 +30,7 @@ from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.runs.image_start import mirrored, starting_frame
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     check_same_frames,
@@ -41,13 +42,14 @@ from dvrk_cmaes.runs.manifest import (
 from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.ownership import check_owned
 from dvrk_cmaes.runs.processes import usable_cores
-from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES
+from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
 from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal
 from dvrk_cmaes.runs.worker import BatchSetup
+from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
@@ -181,7 +183,8 @@ def track_folder(
         run = _Run(session, out, body, settings, frames, clock, stop, progress)
         kept = old is not None and resume
         if not kept:
-            (out / KEYFRAMES).unlink(missing_ok=True)
+            for name in (KEYFRAMES, KEYFRAMES_BY_IMAGES):
+                (out / name).unlink(missing_ok=True)
         followed = _finished(run) if kept else None
         tracker = settings.tracker(session.rig, body)
         rows = _restored(out, tracker, body.instrument.joint_names) if kept and followed is None else []
@@ -189,6 +192,7 @@ def track_folder(
         write_manifest(out, manifest)
         followed = followed or _by_keyframes(run, notice)
         if followed is None:
+            rows = rows or _before_start(run, notice)
             _forwards(run, tracker, rows)
             calibration = tracker.calibration(clock.interval, clock.unit)
             late = 0.0 if tracker.lag is None else tracker.lag.seconds
@@ -211,10 +215,40 @@ def track_folder(
     return TrackSummary(dict(counts), interrupted, calibration, run.frames_a_second, readings)
 
 
+def _before_start(run: _Run, notice: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return the rows of the frames before the one from which a recording without masks is followed: backwards.
+
+    There are none with ``--causal``, nor where a mask or a prompt tells where the instrument is at first. Without a
+    given lag, which is negative on a clock that runs backwards, the readings are not used.
+    """
+    settings, rig = run.settings, run.session.rig
+    if settings.causal or settings.hints not in (None, Hints()):
+        return []
+    config, arm = replace(settings.config, threads=usable_cores()), settings.arm
+    start = starting_frame(run.frames, rig, run.body, arm, config, use_joints=settings.use_joints)
+    if start == 0:
+        return []
+    name = run.frames[start].name
+    notice(f"the images before frame {name} do not show the instrument clearly: followed from there in both directions")
+    read = settings.use_joints and settings.lag is not None
+    clock = mirrored(run.clock if read else replace(run.clock, readings=()))
+    lag = None if settings.lag is None else -settings.lag
+    tracker = replace(settings, lag=lag if read else None, use_joints=read).tracker(rig, run.body)
+    found = []
+    for files, result in followed(tracker, run.frames[start::-1], clock, rig, with_images=True):
+        if run.stopped:
+            return []
+        if not read and run.body.instrument.has_twin and result.status == "ok":
+            result = replace(result, status="doubtful", reasons=(UNREAD,))
+        found.append(run.row(files, replace(result, time=run.clock.times[files.name])))
+    return found[:0:-1]
+
+
 def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
     """Follow the frames after those that have rows; add each row to them, and write it, when it is there.
 
-    The state is saved only where no keyframes are being solved: an interrupted run solves them again.
+    The state is saved only where no keyframes are being solved and no image is being searched: an interrupted run does
+    that again.
     """
     kept, total = len(rows), len(run.frames)
     run.progress(kept, total, None)
@@ -233,7 +267,8 @@ def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
             if len(rows) == total and schedule is not None and not run.stopped:
                 schedule.finish()
             due = run.stopped or len(rows) - saved >= _SAVED_EVERY or len(rows) == total
-            if due and (schedule is None or not schedule.waiting):
+            busy = tracker.searching or (schedule is not None and schedule.waiting)
+            if due and not busy:
                 write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
                 saved = len(rows)
             if run.stopped:

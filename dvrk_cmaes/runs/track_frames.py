@@ -68,6 +68,7 @@ class TrackSettings:
             evidence=self.evidence,
             hints=self.hints,
             keyframes=self.keeps_keyframes,
+            sliced=self.keeps_keyframes,
         )
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.joints.lag import Lag
@@ -20,18 +23,24 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
-from dvrk_cmaes.runs.recorded import fit_all, predict
+from dvrk_cmaes.runs.recorded import Prediction, fit_all, predict
+from dvrk_cmaes.runs.recorded_images import ImageSolution, fit_images, solve_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
+    KEYFRAMES_BY_IMAGES,
     RecordedFrames,
+    read_kept_colours,
     read_keyframes,
     solve_keyframes,
     write_keyframes,
 )
-from dvrk_cmaes.runs.recorded_results import judge_all, results_of, smooth_frames
+from dvrk_cmaes.runs.recorded_results import Beside, judge_all, results_of, smooth_frames
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.recorded_frames import FittedFrame
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
 
@@ -50,8 +59,6 @@ class RecordedTracks:
 
 def why_causal(settings: TrackSettings) -> str | None:
     """Say why a recording cannot be solved by its keyframes at all; None if it can be tried."""
-    if settings.evidence != "masks":
-        return "without masks of all frames"
     if not settings.use_joints:
         return "without readings"
     return None
@@ -99,55 +106,169 @@ def follow_recorded(
     if settings.lag is not None:
         frames, series = _less_lag(frames, series, clock, settings.lag)
     times = np.array([clock.times[files.name] for files in frames])
-    recorded = RecordedFrames.of(frames, session.rig, series, times)
     workers = settings.workers or usable_cores()
     config = replace(settings.config, threads=1)
     with instrument_processes(body.instrument, workers, frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         run = partial(_in_groups, by_body, stop)
+        of = _Recording(frames, session.rig, series, times, body, settings, out, run, notice)
         try:
-            calibration = _calibration(recorded, body, settings, out, run, notice)
-            if isinstance(calibration, str):
-                return calibration
+            solved = of.solved()
+            if isinstance(solved, str):
+                return solved
+            recorded, calibration = solved.recorded, solved.calibration
             notice(f"fitting {len(frames)} frames")
             predicted = predict(recorded, calibration, body.instrument.joint_names)
-            fits = fit_all(recorded, calibration, predicted, run)
-            smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument)
+            fits, beside = solved.fits(predicted, run)
+            smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument, beside)
             judged = judge_all(smoothed, fits, run)
         except _StoppedError:
             return None
-    results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config)
+    results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config, solved.source)
     return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
 
 
-def _calibration(
-    recorded: RecordedFrames,
-    body: Body,
-    settings: TrackSettings,
-    out: Path,
-    run: Callable[..., list[Any]],
-    notice: Callable[[str], None],
-) -> SessionCalibration | str:
-    """Return the calibration that was given, that an interrupted run has found, or that of the keyframes."""
-    if settings.calibration is not None:
-        given = settings.calibration
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A recording's frames and their calibration; with ``colours``, masks are found in the images.
+
+    ``beside`` is the same recording by its other evidence, with a weight beside this one.
+    """
+
+    recorded: RecordedFrames
+    calibration: SessionCalibration
+    colours: Mapping[str, ColourModel] | None = None
+    beside: _Solved | None = None
+    weight: float = 0.0
+
+    def fits(
+        self, predicted: Prediction, run: Callable[..., list[Any]]
+    ) -> tuple[list[FittedFrame | None], Beside | None]:
+        """Fit all frames to what the calibration predicts, by each evidence; of the first, a missing fit is filled."""
+        own = self._own_fits(predicted, self.calibration, run)
+        if self.beside is None:
+            return own, None
+        other = self.beside._own_fits(predicted, self.calibration, run)
+        filled = [second if first is None else first for first, second in zip(own, other, strict=True)]
+        others = [None if first is None else second for first, second in zip(own, other, strict=True)]
+        return filled, Beside(others, self.weight)
+
+    def _own_fits(
+        self, predicted: Prediction, calibration: SessionCalibration, run: Callable[..., list[Any]]
+    ) -> list[FittedFrame | None]:
+        if self.colours is None:
+            return fit_all(self.recorded, calibration, predicted, run)
+        return fit_images(self.recorded, ImageSolution(calibration, self.colours), predicted, run)
+
+    @property
+    def source(self) -> str:
+        """What the evidence is taken from, for reasons."""
+        return "mask" if self.colours is None and self.beside is None else "image"
+
+    @property
+    def contour(self) -> float:
+        """Median distance, px, of the contours of keyframes from the silhouettes that the others predict."""
+        return float(np.median([px for _, px in self.calibration.leave_one_out.values()]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """A recording that is followed: its frames, their readings and times (N,) s, and how that is done."""
+
+    frames: tuple[FrameFiles, ...]
+    rig: Rig
+    series: ReadingSeries | None
+    times: NDArray[np.float64]
+    body: Body
+    settings: TrackSettings
+    out: Path
+    run: Callable[..., list[Any]]
+    notice: Callable[[str], None]
+
+    def solved(self) -> _Solved | str:
+        """Solve the keyframes by the evidence that is used; a text says why that is not possible."""
+        if self.settings.evidence == "masks":
+            return self.by_masks()
+        return self.by_both() if self.settings.evidence == "both" else self.by_images(self.frames)
+
+    def by_both(self) -> _Solved | str:
+        """Solve the keyframes by masks and by images: that which predicts them better is used, the other one beside it.
+
+        The other one's weight is the square of the ratio of the distances of their contours from those predicted.
+        """
+        without = tuple(own.changed(mask=None) for own in self.frames)
+        masks, images = self.by_masks(), self.by_images(without)
+        if isinstance(masks, str):
+            return images
+        if isinstance(images, str):
+            self.notice(f"by masks alone: {images}")
+            return masks
+        first, second = (masks, images) if masks.contour <= images.contour else (images, masks)
+        weight = (first.contour / max(second.contour, 1e-9)) ** 2
+        names = ("masks", "images") if first is masks else ("images", "masks")
+        self.notice(f"{names[0]} predict keyframes better: weight of {names[1]} beside them {weight:.2f}")
+        return replace(first, beside=second, weight=weight)
+
+    @property
+    def config(self) -> EstimateConfig:
+        """The settings of a process."""
+        return replace(self.settings.config, threads=1)
+
+    def by_masks(self) -> _Solved | str:
+        """Return the calibration that was given, that an interrupted run has found, or that of the keyframes."""
+        recorded = RecordedFrames.of(self.frames, self.rig, self.series, self.times)
+        path = self.out / KEYFRAMES
+        found = self._given(recorded) or self._kept(path)
+        if found is None:
+            found = solve_keyframes(recorded, self.body, self.settings.arm, self.config, self.run, self._progress)
+            found = write_keyframes(path, found)
+        return found if isinstance(found, str) else _Solved(recorded, found)
+
+    def by_images(self, frames: tuple[FrameFiles, ...]) -> _Solved | str:
+        """Return the same of frames without masks, with the colours of instrument and surroundings."""
+        recorded = RecordedFrames.of_readings(frames, self.rig, self.series, self.times)
+        path = self.out / KEYFRAMES_BY_IMAGES
+        given = self._given(recorded)
+        if isinstance(given, str):
+            return given
+        kept = self._kept(path)
+        if kept is None:
+            recorded, found = solve_images(
+                recorded,
+                given,
+                self.settings.hints or Hints(),
+                self.body,
+                self.settings.arm,
+                self.config,
+                self.run,
+                self._progress,
+            )
+            if isinstance(found, str):
+                kept = write_keyframes(path, found)
+            else:
+                kept = write_keyframes(path, found.calibration, found.colours)
+        if isinstance(kept, str):
+            return kept
+        return _Solved(recorded, kept if given is None else given, read_kept_colours(path))
+
+    def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
+        """Return the calibration that was given; a text says why it cannot be used."""
+        given = self.settings.calibration
+        if given is None:
+            return None
         if not recorded.trusted.any():
             return "no frame has readings of the outer joints that are not frozen"
-        return given if settings.lag is None else replace(given, lag=None)
-    found = read_keyframes(out)
-    if found is None:
-        found = solve_keyframes(
-            recorded,
-            body,
-            settings.arm,
-            replace(settings.config, threads=1),
-            run,
-            lambda stage, count: notice(f"{stage}: {count} frames"),
-        )
-        found = write_keyframes(out, found)
-    else:
-        notice(f"keyframes: solved by an interrupted run ({out / KEYFRAMES})")
-    return found
+        return given if self.settings.lag is None else replace(given, lag=None)
+
+    def _kept(self, path: Path) -> SessionCalibration | str | None:
+        """Return what an interrupted run has found, from its file."""
+        kept = read_keyframes(path)
+        if kept is not None:
+            self.notice(f"keyframes: solved by an interrupted run ({path})")
+        return kept
+
+    def _progress(self, stage: str, count: int) -> None:
+        self.notice(f"{stage}: {count} frames")
 
 
 def _in_groups(

@@ -56,6 +56,14 @@ class OutlinePoints:
                 self.pose[part], self.link[part], self.pixels[part], self.normals[part], self.points[part]
             )
 
+    def every(self, stride: int) -> OutlinePoints:
+        """Return every ``stride``-th point, which represents the pieces of outline of those beside it, too."""
+        if stride == 1:
+            return self
+        part = slice(None, None, stride)
+        normals = stride * self.normals[part]
+        return OutlinePoints(self.pose[part], self.link[part], self.pixels[part], normals, self.points[part])
+
 
 @dataclass(frozen=True, eq=False)
 class _LinePoints:

@@ -32,6 +32,7 @@ from dvrk_cmaes.silhouette.pose_batches import (
 )
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.shortened import ShortenedShaft
+from dvrk_cmaes.silhouette.sliced_call import worked
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
 
@@ -202,6 +203,7 @@ class Renderer:
             if edges.rays is not None:
                 with self._counting:
                     self.rays += edges.rays.count
+            worked(len(batch) * self.camera.height)
             return done
 
         if self.threads == 1 or len(batches) == 1:

@@ -67,12 +67,14 @@ def _paired_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], ...]:
     forward = start < end
     low, high = np.minimum(start, end), np.maximum(start, end)
     # At each edge, faces of either winding alternate as far as possible, so that faces of opposite winding are paired.
-    order = np.lexsort((forward, high, low))
-    key_low, key_high, direction = low[order], high[order], forward[order]
-    new_run = np.r_[True, (np.diff(key_low) != 0) | (np.diff(key_high) != 0) | (direction[1:] != direction[:-1])]
+    # The keys of each sort are one number: sorting by several is two to three times slower.
+    edge = low * (int(high.max(initial=0)) + 1) + high
+    order = (edge * 2 + forward).argsort(kind="stable")
+    edge, direction = edge[order], forward[order]
+    new_run = np.r_[True, (np.diff(edge) != 0) | (direction[1:] != direction[:-1])]
     run_start = np.flatnonzero(new_run)
     rank = np.arange(len(order)) - run_start[np.cumsum(new_run) - 1]
-    order = order[np.lexsort((direction, rank, key_high, key_low))]
+    order = order[((edge * (int(rank.max(initial=0)) + 1) + rank) * 2 + direction).argsort(kind="stable")]
     low, high, face, forward = low[order], high[order], face[order], forward[order]
     new_edge = np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)]
     edge_first = np.flatnonzero(new_edge)

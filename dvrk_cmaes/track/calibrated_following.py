@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -26,24 +25,19 @@ from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_frames import (
     MEDIAN_TO_STD,
+    OVERLAP_LOSS,
     Told,
     calibration_covariance,
     covariance_of_margin,
     describe,
     status_of,
 )
+from dvrk_cmaes.track.calibration_lag import predicted_with_lag
 from dvrk_cmaes.track.describe import without_pose
 from dvrk_cmaes.track.offset_smoother import smooth
+from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import (
-    EMPTY,
-    FittedFrame,
-    JudgedFrame,
-    JudgeTask,
-    PredictedFrame,
-    fit_followed,
-    judge_frame,
-)
+from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
 from dvrk_cmaes.track.sight import Seen, Sight
 
 Float64 = NDArray[np.float64]
@@ -55,7 +49,6 @@ BASE_MOVED: Final = (
 _WINDOW = 15  # images whose deviations are estimated together
 _MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
 _DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
-_LAG_STEP = 1e-3  # s, of the difference by which the change of the pose by the lag is found
 _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
@@ -81,25 +74,48 @@ class CalibratedFollowing:
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
     lag_std
         Standard deviation of that lag, s.
+    uncertain
+        Whether the calibration is of so few frames that images are to correct what it predicts: its errors then count
+        as deviations that change slowly, and not as ones that all images share.
     """
 
     def __init__(
-        self, rig: Rig, body: Body, config: EstimateConfig, calibration: SessionCalibration, lag_std: float = 0.0
+        self,
+        rig: Rig,
+        body: Body,
+        config: EstimateConfig,
+        calibration: SessionCalibration,
+        *,
+        lag_std: float = 0.0,
+        uncertain: bool = False,
     ) -> None:
         self.calibration = calibration
         self.misfit = 0.0
         self._lag_std = lag_std
+        self._uncertain = uncertain
         self._rig, self._body = rig, body
         self._config = replace(config, threads=1)
         self._images: deque[_Image] = deque(maxlen=_WINDOW)
         self._before: Float64 | None = None
         self._outer: Float64 | None = None
+        self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
         self._astray = 0
+        self._unexplained = 0
+
+    @property
+    def has_readings(self) -> bool:
+        """Whether the outer joints have been read at an image so far."""
+        return self._outer is not None
 
     @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
         return self._astray >= _MOST_ASTRAY
+
+    @property
+    def explains_little(self) -> bool:
+        """Whether the last masks are not explained, as where a calibration of few frames is wrong, or masks are bad."""
+        return self._unexplained >= _DISAGREES
 
     @property
     def disagrees(self) -> bool:
@@ -119,27 +135,36 @@ class CalibratedFollowing:
         if not told:
             prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(self._names)))
         if self._lag_std > 0:
-            late = self._lag_std * self._by_lag(reading, at)
+            rates = np.concatenate([reading.outer_rate, reading.joint_rate])
+            instrument = self._body.instrument
+            late = (
+                self._lag_std * predicted_with_lag(self.calibration, self._outer, reading.joints, rates, instrument)[1]
+            )
             prior = prior + np.outer(late, late)
         jacobian = model.jacobian(calibration)[0]
+        if self._uncertain:
+            prior = prior + jacobian @ calibration_covariance(self.calibration) @ jacobian.T
+            jacobian = np.zeros_like(jacobian)
         spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
         fitted = self._fitted(at, spread, seen, sight)
         told_by_fit = Told.of(fitted, at, spread)
         self.misfit = told_by_fit.misfit
         self._images.append(_Image(time, at, prior, jacobian, told_by_fit))
         followed, covariance = self._filtered()
-        judged: JudgedFrame | None = None
+        quality: JudgedFrame | None = None
         status: TrackStatus
         if fitted is None:
             problem = seen.problem if seen.masks[seen.main] is None else None
-            status, reasons = ("lost", [EMPTY]) if problem is None else ("doubtful", [problem])
+            status, reasons = ("lost", [EMPTY.format(source="mask")]) if problem is None else ("doubtful", [problem])
             self._before = None
         else:
-            judged = judge_frame(self._body, self._config, JudgeTask(fitted.stored, followed, covariance))
-            status, reasons = status_of(judged, told_by_fit.misfit, self.calibration, self._config)
+            quality = judged(fitted.views, followed, covariance, self._body, self._config)
+            status, reasons = status_of(quality, told_by_fit.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
             disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
             self._astray = self._astray + 1 if disagrees and told else 0
+            explained = not disagrees and quality.quality.iou >= self.calibration.iou - OVERLAP_LOSS
+            self._unexplained = 0 if explained else self._unexplained + 1
         if not reading.has_outer:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
         elif reading.still and fitted is not None:
@@ -161,7 +186,7 @@ class CalibratedFollowing:
             self._body.instrument,
             self._rig.views[0].camera,
             seconds=clock.perf_counter() - started,
-            residual=None if judged is None else MEDIAN_TO_STD * judged.quality.contour_px_median,
+            residual=None if quality is None else MEDIAN_TO_STD * quality.quality.contour_px_median,
         )
 
     def checkpoint(self) -> dict[str, Any]:
@@ -183,7 +208,10 @@ class CalibratedFollowing:
             "images": images,
             "before": None if self._before is None else self._before.tolist(),
             "outer": None if self._outer is None else self._outer.tolist(),
+            "lengths": dict(self._lengths),
             "astray": self._astray,
+            "unexplained": self._unexplained,
+            "uncertain": self._uncertain,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -196,33 +224,27 @@ class CalibratedFollowing:
             )
         self._before = None if saved["before"] is None else np.array(saved["before"], dtype=np.float64)
         self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
-        self._astray = int(saved["astray"])
+        self._lengths = {name: float(length) for name, length in saved["lengths"].items()}
+        self._astray, self._unexplained = int(saved["astray"]), int(saved["unexplained"])
+        self._uncertain = bool(saved["uncertain"])
 
     @property
     def _names(self) -> tuple[str, ...]:
         return self._body.instrument.joint_names
 
-    def _by_lag(self, reading: ReadingAt, at: Posed) -> Float64:
-        """Return the change (D,) of the predicted pose ``at`` and joints by the lag, per s: minus their velocity."""
-        assert self._outer is not None
-        read = np.where(np.isnan(reading.joints), 0.0, 1.0)
-        outer = self._outer - _LAG_STEP * np.nan_to_num(reading.outer_rate)
-        joints = reading.joints - _LAG_STEP * read * np.nan_to_num(reading.joint_rate)
-        model, calibration = self.calibration.model(outer[None], joints[None], self._names)
-        return np.asarray(model.predict(calibration)[0].minus(at) / _LAG_STEP)
-
-    def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> FittedFrame | None:
+    def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> QuickFit | None:
         """Fit an image's masks; None if they show nothing, or there is none."""
         names = self._rig.names
         masks = {names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
         if not masks:
             return None
         views = self.calibration.corrected_views(seen_views(masks, self._rig, sight.ignored(seen)))
-        frame = PredictedFrame(
-            "", lambda: FrameData(views), Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
-        )
+        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
         margin = 0.0 if self.calibration.masks is None else self.calibration.masks.taken_off
-        return fit_followed(self._body, self._config, frame, self._before, margin)
+        fitted = quick_fit(self._body, self._config, views, expected, self._before, self._lengths, margin)
+        if fitted is not None and fitted.fit.explains_mask:
+            self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
+        return fitted
 
     def _filtered(self) -> tuple[Posed, Float64]:
         """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""

@@ -17,6 +17,7 @@ from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.track.quick_fit import QuickFit
 from dvrk_cmaes.track.recorded_frames import EMPTY, FittedFrame, JudgedFrame
 
 Float64 = NDArray[np.float64]
@@ -24,8 +25,11 @@ Float64 = NDArray[np.float64]
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
-_OVERLAP_LOSS = 0.1  # below that of the keyframes, from which on a mask is not explained; neighbours support the pose,
-_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0  # so the limits are wider than those of a single frame
+OVERLAP_LOSS = 0.1
+"""Loss of overlap from that of the keyframes, from which on a mask is not explained."""
+
+# Neighbours support the pose, so these limits are wider than those of a single frame.
+_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _CALIBRATION_ERROR = 2.0  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
@@ -45,7 +49,7 @@ class Told:
     misfit: float
 
     @classmethod
-    def of(cls, fitted: FittedFrame | None, predicted: Posed, spread: Float64) -> Told:
+    def of(cls, fitted: FittedFrame | QuickFit | None, predicted: Posed, spread: Float64) -> Told:
         """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D)."""
         size = len(spread)
         if fitted is None:
@@ -87,17 +91,21 @@ def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, 
 
 
 def status_of(
-    judged: JudgedFrame | None, misfit: float, session: SessionCalibration, config: EstimateConfig
+    judged: JudgedFrame | None,
+    misfit: float,
+    session: SessionCalibration,
+    config: EstimateConfig,
+    source: str = "mask",
 ) -> tuple[TrackStatus, list[str]]:
-    """Return the status of a frame by its mask alone, and the reasons."""
+    """Return the status of a frame by its mask alone, and the reasons; ``source`` names the evidence."""
     if judged is None:
-        return "lost", [EMPTY]
+        return "lost", [EMPTY.format(source=source)]
     quality = judged.quality
     if quality.iou < _LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
     reasons = list(judged.reasons)
     largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
-    if quality.iou < session.iou - _OVERLAP_LOSS or quality.contour_px_95 > largest_px:
+    if quality.iou < session.iou - OVERLAP_LOSS or quality.contour_px_95 > largest_px:
         reasons.append(
             f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, of "
             f"keyframes {session.iou:.3f} and {session.contour_px_95:.1f} px"

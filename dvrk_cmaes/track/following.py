@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Final
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
@@ -20,12 +20,22 @@ from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_suppo
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.readings import LaggedReadings
-from dvrk_cmaes.track.recovery import GlobalSearch, explains, has_jumped, is_certain, same_base, search_around
+from dvrk_cmaes.track.recovery import (
+    GlobalSearch,
+    explains,
+    has_jumped,
+    is_certain,
+    same_base,
+    search_around,
+)
 from dvrk_cmaes.track.searching import WORSE, Searching, is_better
 from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.sliced_search import CAUGHT_UP, Purpose, SlicedSearch
 from dvrk_cmaes.track.smoother import FilterStep
 from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
+
+NOT_FOUND: Final = "not found: the first image could not be solved"
 
 
 @dataclass(eq=False)
@@ -33,7 +43,8 @@ class Following:
     """The modes that are followed, and how far they are believed.
 
     ``hypotheses`` are the modes, the one that is believed first; none before the first pose. ``last_step`` is the
-    prediction and correction of the last image, None where the pose was found otherwise.
+    prediction and correction of the last image, None where the pose was found otherwise. ``sliced`` tells to search
+    images in slices, in the steps after them.
     """
 
     follower: Follower
@@ -43,10 +54,23 @@ class Following:
     readings: LaggedReadings
     config: EstimateConfig
     calibration: SessionCalibration | None
+    sliced: bool = False
     hypotheses: list[Hypothesis] = field(default_factory=list)
     last_step: FilterStep | None = None
     _search: Searching = field(default_factory=Searching)
     _confirmation: Confirmation = field(default_factory=Confirmation)
+    _running: SlicedSearch | None = None
+    _behind: list[tuple[float, Seen]] = field(default_factory=list)  # images after the one that is followed
+    _followed: float = 0.0  # s, the time of that one
+
+    @property
+    def searching(self) -> bool:
+        """Whether the search of an image goes on in the next steps, or images that came during one are behind."""
+        return self._running is not None or bool(self._behind)
+
+    def followed_until(self, last: float | None) -> float | None:
+        """Return the time, s, of the image that the modes are of; ``last`` is that of the last step."""
+        return self._followed if self._behind else last
 
     @property
     def best(self) -> Hypothesis | None:
@@ -67,6 +91,7 @@ class Following:
         unsupported, wait, usual, astray = saved["search"]
         usual = None if usual is None else float(usual)
         self._search = Searching(float(unsupported), float(wait), usual, int(astray))
+        self._running, self._behind = None, []
         credit, left, wait = saved["confirmation"]
         self._confirmation = Confirmation(float(credit), int(left), int(wait))
 
@@ -81,7 +106,7 @@ class Following:
             return without_pose(time, seen.problem)
         result = self.solve(seen, anchor, first=True)
         if result is None or result.camera_from_root is None:
-            return without_pose(time, "not found: the first image could not be solved", searched=True)
+            return without_pose(time, NOT_FOUND, searched=True)
         self.begin(result, self.starts(anchor, result))
         self._expect(seen)
         self.learn(seen)
@@ -103,7 +128,7 @@ class Following:
 
     def forget(self) -> None:
         """Forget what was followed; the next image is solved by itself."""
-        self.hypotheses, self.last_step = [], None
+        self.hypotheses, self.last_step, self._running, self._behind = [], None, None, []
         self._search = Searching()
         self.readings.forget_poses()
 
@@ -147,7 +172,7 @@ class Following:
             seen = seen.without_frozen()
         if seen.problem is not None:
             return self._unseen(time, seen.problem)
-        evidence = self.sight.evidence(seen)
+        evidence, predicted = self.sight.evidence(seen), self.hypotheses
         if evidence is None:
             return self._unsupported(time, "lost: no instrument was found in the image")
         fits = [self.follower.corrected(mode, evidence) for mode in self.hypotheses]
@@ -159,6 +184,9 @@ class Following:
             in_view = main is not None or self.follower.outline(self.hypotheses[0], seen.clear) is not None
             gone = seen.source == "image" and not in_view
             searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
+            if searched and self.sliced:
+                self._begin_search("lost", time, anchor, seen, predicted, fit if supported else None)
+                searched = False
             result = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
             if result is not None:
                 return result
@@ -168,7 +196,91 @@ class Following:
                 result = self._confirmed(time, anchor, seen, result)
         else:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
-        return replace(result, searched=searched or result.searched)
+        return replace(result, searched=searched or result.searched or self.searching)
+
+    def step_in_slices(self, time: float, before: float | None, seen: Seen) -> TrackResult:
+        """Follow to an image, ``before`` s being the time of the last, and do a slice of what is searched for.
+
+        What the search of an image finds is followed through the images after it, a few in each step, until the present
+        one is reached.
+        """
+        search = self._running
+        if search is None and not self._behind:
+            if self.best is not None and before is not None:
+                return self.follow(time, time - before, seen)
+            if seen.problem is not None:
+                return without_pose(time, seen.problem)
+            search = self._running = SlicedSearch.of(self.solve, "first", time, self.anchor(time), seen, [])
+            if not search.advance():
+                return without_pose(time, search.reason, searched=True)
+        result = None
+        if search is not None:
+            if time > search.time and not search.add(time, seen):
+                self._running = None
+            elif search.advance():
+                self._running = None
+                result = self._decided(search, time)
+            if not self._behind and result is None:
+                if self.best is None or before is None:
+                    reason = search.reason if self._running is not None else NOT_FOUND
+                    return without_pose(time, reason, searched=True)
+                return replace(self.follow(time, time - before, seen), searched=True)
+            if result is not None and not self._behind:
+                return result
+        else:
+            self._behind.append((time, seen.copied()))
+        for _ in range(CAUGHT_UP):
+            at, image = self._behind.pop(0)
+            result = self.follow(at, at - self._followed, image)
+            self._followed = at
+            if not self._behind:
+                return replace(result, searched=True)
+        reason = f"searching: an image of {self._followed:.3f} s is followed to this one, {len(self._behind)} behind"
+        return without_pose(time, reason, searched=True)
+
+    def _begin_search(
+        self, purpose: Purpose, time: float, anchor: Anchor, seen: Seen, modes: list[Hypothesis], fit: Fit | None
+    ) -> None:
+        """Begin to search an image in slices, unless another one is being searched or followed to the present."""
+        if not self.searching:
+            self._running = SlicedSearch.of(self.solve, purpose, time, anchor, seen, modes, fit)
+
+    def _decided(self, search: SlicedSearch, time: float) -> TrackResult | None:
+        """Decide whether to go on from what the search of an image has found; None to go on as before.
+
+        If so, and it is not the image of this ``time``, s, the images after it are to be followed.
+        """
+        solved, present, last = search.call.value(), self.hypotheses, self.last_step
+        found: TrackResult | None = None
+        if search.purpose == "first":
+            if solved is not None and solved.camera_from_root is not None:
+                self.begin(solved, self.starts(search.anchor, solved))
+                self._expect(search.seen)
+                self.learn(search.seen)
+                status: TrackStatus = "ok" if solved.status == "ok" else "doubtful"
+                found = replace(self._result(search.time, status, solved.reasons), searched=True)
+        elif solved is not None and self.best is not None:
+            self.hypotheses = list(search.hypotheses)
+            if search.purpose == "confirm":
+                found = self._confirmed_by(search, solved)
+            else:
+                evidence = self.sight.evidence(search.seen)
+                if evidence is not None:
+                    found = self._searched(search.time, search.anchor, search.seen, evidence, search.fit, solved=solved)
+            if found is None:
+                self.hypotheses, self.last_step = present, last
+        if found is not None:
+            self._behind, self._followed = list(search.later), search.time
+        return found
+
+    def _confirmed_by(self, search: SlicedSearch, solved: Result) -> TrackResult | None:
+        """Count an image solved by itself for or against the mode that was followed to it; None to go on with that."""
+        if not self._confirmation.needed or self._confirmation.add(self.follower, self.hypotheses[0], solved):
+            return None
+        if solved.status != "ok":
+            return None
+        self._begin_anew(search.seen, solved, self.starts(search.anchor, solved), changed=True)
+        return self._result(search.time, "doubtful", (CHANGED,))
 
     def _found_around(
         self,
@@ -201,6 +313,9 @@ class Following:
         """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
         doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
         if not self._confirmation.due():
+            return doubtful
+        if self.sliced:
+            self._begin_search("confirm", time, anchor, seen, self.hypotheses, None)
             return doubtful
         solved = self.solve(seen, anchor)
         if solved is not None:
@@ -248,14 +363,21 @@ class Following:
         return result if certain else replace(result, status="lost")
 
     def _searched(
-        self, time: float, anchor: Anchor, seen: Seen, evidence: Evidence, fit: Fit | None
+        self,
+        time: float,
+        anchor: Anchor,
+        seen: Seen,
+        evidence: Evidence,
+        fit: Fit | None,
+        *,
+        solved: Result | None = None,
     ) -> TrackResult | None:
         """Search an image globally, and go on from what is found; None if that does not explain the image.
 
         What is found must be clearly better supported than the followed pose, whose ``fit`` is given if the image
-        supports it at all.
+        supports it at all. ``solved`` is the result of the search, if it was done before.
         """
-        result = self.solve(seen, anchor)
+        result = self.solve(seen, anchor) if solved is None else solved
         reason = "found again by a global search"
         if result is None or not explains(result, self.config.trust):
             return None

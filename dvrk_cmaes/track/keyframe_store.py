@@ -25,10 +25,14 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.calibrated_frames import calibration_covariance
+from dvrk_cmaes.track.calibration_lag import lag_of, predicted_with_lag
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, well_in_view
 
 Bool = NDArray[np.bool_]
@@ -48,12 +52,16 @@ _PRUNED_EVERY = 2000  # readings
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings."""
+    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings.
+
+    ``rates`` are those of the readings, per s.
+    """
 
     time: float
     masks: Mapping[str, NDArray[np.uint8]]
     ignored: Mapping[str, NDArray[np.uint8]]
     readings: Mapping[str, float]
+    rates: Mapping[str, float]
 
     @property
     def name(self) -> str:
@@ -76,7 +84,8 @@ class Solution:
     """What keyframes tell together: the calibration, or why there is none.
 
     ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice. ``base`` counts
-    the bases of the tracker before the one that the keyframes are of.
+    the bases of the tracker before the one that the keyframes are of. ``tip_mm`` is the expected error of the tips, mm,
+    that the calibration and its lag leave where the keyframes are, in the median: how far the base is known.
     """
 
     calibration: SessionCalibration | None
@@ -84,6 +93,7 @@ class Solution:
     keyframes: int
     alone: Mapping[str, Result]
     base: int = 0
+    tip_mm: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +140,26 @@ class KeyframeProblem:
             solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=config)
         except InputError as error:
             return Solution(None, str(error), len(frames), alone, self.base)
-        return Solution(solved.calibration, solved.calibration.doubt, len(frames), alone, self.base)
+        found = SessionCalibration.from_dict(solved.calibration.to_dict())  # in the digits of its document
+        tip_mm = self._tip_error(found, body.instrument)
+        return Solution(found, found.doubt, len(frames), alone, self.base, tip_mm)
+
+    def _tip_error(self, calibration: SessionCalibration, instrument: Instrument) -> float:
+        """Return the expected error of the tips, mm, in the median of the keyframes by the calibration alone."""
+        names, errors = (*OUTER_JOINTS, *instrument.joint_names), []
+        lag = lag_of(calibration, self.config.track.lag_std)
+        std = self.config.track.lag_std if lag is None else lag.std
+        for keyframe in self.keyframes:
+            values = np.array([keyframe.readings.get(name, np.nan) for name in names])
+            rates = np.array([keyframe.rates.get(name, 0.0) for name in names])
+            outer = len(OUTER_JOINTS)
+            at, by_lag = predicted_with_lag(calibration, values[:outer], values[outer:], rates, instrument)
+            model, own = calibration.model(values[None, :outer], values[None, outer:], instrument.joint_names)
+            jacobian = model.jacobian(own)[0]
+            late = std * by_lag
+            covariance = jacobian @ calibration_covariance(calibration) @ jacobian.T + np.outer(late, late)
+            errors.append(expected_error(instrument, at, covariance).of_tips_mm)
+        return float(np.median(errors)) if errors else np.inf
 
 
 class KeyframeStore:
@@ -165,9 +194,17 @@ class KeyframeStore:
             self._prune()
 
     def offer(
-        self, time: float, masks: Mapping[str, Bool], ignored: Mapping[str, Bool], readings: Mapping[str, float]
+        self,
+        time: float,
+        masks: Mapping[str, Bool],
+        ignored: Mapping[str, Bool],
+        readings: Mapping[str, float],
+        rates: Mapping[str, float],
     ) -> bool:
-        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept; whether it is."""
+        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept; whether it is.
+
+        ``readings`` are those at its ``time``, s, and ``rates`` theirs per s.
+        """
         if self._last is not None:
             self._interval = [*self._interval[-50:], time - self._last]
         self._last = time
@@ -185,7 +222,7 @@ class KeyframeStore:
             return False
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
             return False
-        self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings)))
+        self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings), dict(rates)))
         self._places = np.vstack([self._places, place])
         return True
 
@@ -226,7 +263,8 @@ class KeyframeStore:
         """Return the state as plain values."""
         return {
             "keyframes": [
-                [one.time, _written(one.masks), _written(one.ignored), dict(one.readings)] for one in self._kept
+                [one.time, _written(one.masks), _written(one.ignored), dict(one.readings), dict(one.rates)]
+                for one in self._kept
             ],
             "places": self._places.tolist(),
             "shapes": [[shape.area, shape.on_border] for shape in self._shapes],
@@ -238,8 +276,8 @@ class KeyframeStore:
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
         self._kept = [
-            Keyframe(float(time), _read(masks), _read(ignored), dict(readings))
-            for time, masks, ignored, readings in saved["keyframes"]
+            Keyframe(float(time), _read(masks), _read(ignored), dict(readings), dict(rates))
+            for time, masks, ignored, readings, rates in saved["keyframes"]
         ]
         self._places = np.array(saved["places"], dtype=np.float64).reshape(len(self._kept), len(self._names) + 1)
         self._shapes = [MaskShape(float(area), float(share)) for area, share in saved["shapes"]]

@@ -14,10 +14,11 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
+from dvrk_cmaes.track.calibration_lag import lag_of
 from dvrk_cmaes.track.keyframe_store import SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
@@ -26,6 +27,7 @@ from dvrk_cmaes.track.sight import Seen, Sight
 _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _AGREES = 4.0  # largest squared misfit per parameter of such an image
+_BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
@@ -50,8 +52,10 @@ class KnownBase:
         self.store = KeyframeStore(rig, body.instrument.joint_names)
         self._rig, self._body, self._arm, self._config = rig, body, arm, config
         self._alone: dict[str, Result] = {}
-        self._solved = 0  # keyframes when they were last solved
+        self._solved = 0  # keyframes of the last solution
+        self._asked = 0  # keyframes when they were last given to be solved
         self._reason = ""
+        self._known_mm = np.inf  # as `Solution.tip_mm`, of the last solution
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
@@ -67,26 +71,25 @@ class KnownBase:
     @property
     def lag(self) -> FoundLag | None:
         """The lag of the calibration; None if it does not tell one."""
-        return None if self.calibration is None else _lag_of(self.calibration)
+        return None if self.calibration is None else lag_of(self.calibration, self._config.track.lag_std)
 
     @property
-    def base_std_mm(self) -> float | None:
-        """Standard deviation of the base's position, the norm over three axes, mm; None while it is not known."""
-        if self.calibration is None:
-            return None
-        return float(1e3 * np.sqrt(np.trace(calibration_covariance(self.calibration)[:3, :3])))
+    def known(self) -> BaseKnown:
+        """How far the base is known, in numbers."""
+        tip_mm = self._known_mm if np.isfinite(self._known_mm) else None
+        return BaseKnown(len(self.store), self._solved, tip_mm, self.calibration is not None)
 
     @property
     def state(self) -> str:
-        """How far the base is known, in words."""
+        """How far the base is known, in words: by the error of the tips that it leaves."""
         count = f"{len(self.store)} keyframe{'' if len(self.store) == 1 else 's'}"
-        if self.base_std_mm is None:
-            return f"calibrating: {count}, base not known yet"
-        known = f"base +- {self.base_std_mm:.2g} mm"
+        known = f"base +- {self._known_mm:.2g} mm" if np.isfinite(self._known_mm) else "base not known yet"
+        if self.calibration is None:
+            return f"calibrating: {count}, {known}"
         if self._agreeing is not None:
-            return f"checking an earlier calibration: {self._agreeing} of {_CONFIRMING} images agree, {known}"
+            return f"checking an earlier calibration: {self._agreeing} of {_CONFIRMING} images agree"
         if not self._own:
-            return f"calibration given: {known}"
+            return f"calibration given: {count}"
         return f"{'calibrated' if self._solved >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
 
     @property
@@ -95,12 +98,14 @@ class KnownBase:
 
         Where the last images disagree with the calibration, one more is enough.
         """
-        if self._following is not None and self._following.disagrees and len(self.store) > max(self._solved, 2):
+        given = max(self._solved, self._asked)
+        if self._following is not None and self._following.disagrees and len(self.store) > max(given, SOLVED_AT[0]):
             return True
-        return any(self._solved < count <= len(self.store) for count in SOLVED_AT)
+        return any(given < count <= len(self.store) for count in SOLVED_AT)
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved."""
+        self._asked = len(self.store)
         return self.store.problem(self._arm, self._config, self._alone, self._bases)
 
     def use(self, solution: Solution) -> bool:
@@ -108,15 +113,18 @@ class KnownBase:
 
         One of keyframes of a base that was given up since is not used.
         """
-        if solution.base != self._bases:
+        if solution.base != self._bases or solution.keyframes < self._solved:
             return False
         self._alone.update(solution.alone)
         self._solved = max(self._solved, solution.keyframes)
         self._reason = solution.reason
+        self._known_mm = solution.tip_mm
         if solution.calibration is None or solution.reason or not self._is_better(solution):
             return False
-        self._begin(solution.calibration)
+        if solution.tip_mm > self._config.trust.tip_mm * _BY_THE_BASE and self.calibration is None:
+            return False
         self._own, self._agreeing = True, None
+        self._begin(solution.calibration)
         return True
 
     def _is_better(self, solution: Solution) -> bool:
@@ -132,16 +140,32 @@ class KnownBase:
     def _begin(self, calibration: SessionCalibration) -> None:
         """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
         written = SessionCalibration.from_dict(calibration.to_dict())
-        lag = _lag_of(written)
+        lag = lag_of(written, self._config.track.lag_std)
         std = self._config.track.lag_std if lag is None else lag.std
-        self._following = CalibratedFollowing(self._rig, self._body, self._config, written, std)
+        self._following = CalibratedFollowing(
+            self._rig, self._body, self._config, written, lag_std=std, uncertain=self._is_of_few
+        )
 
-    def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
-        """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more."""
+    def can_follow(self, time: float, readings: ReadingBuffer) -> bool:
+        """Whether there is a calibration, and the outer joints have been read at an image or are at a time, s."""
+        if self._following is None:
+            return False
+        late = 0.0 if self.lag is None else self.lag.seconds
+        return self._following.has_readings or readings.at(time - late).has_outer
+
+    def follow(
+        self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight, *, alone: bool = False
+    ) -> TrackResult:
+        """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more.
+
+        Fewer are enough for one of an earlier run and, where the instrument can be followed ``alone`` from where it was
+        lately, for one of few keyframes.
+        """
         following, lag = self._following, self.lag
         assert following is not None
         result = following.follow(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, sight)
-        if following.contradicted or (self._agreeing is not None and following.disagrees):
+        wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
+        if wrong or (alone and self._is_of_few and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
         kept = self.offer(time, readings.at(time), seen, sight)
@@ -153,9 +177,17 @@ class KnownBase:
                 result = replace(result, status="doubtful", reasons=(self.state,))
         uncertain = result.tip_std_mm is not None and result.tip_std_mm > self._config.trust.tip_mm
         if result.status == "doubtful" and uncertain and self._own:
-            known = f"base known to {self.base_std_mm:.2g} mm, {self._solved} keyframes"
-            result = replace(result, reasons=(*result.reasons, known))
+            result = replace(result, reasons=(*result.reasons, self._how_far()))
         return result
+
+    @property
+    def _is_of_few(self) -> bool:
+        """Whether the calibration is that of few keyframes."""
+        return self._own and self._solved < _OWN_IS_ENOUGH
+
+    def _how_far(self) -> str:
+        """Say how far the base is known by the last solution."""
+        return f"base known to {self._known_mm:.2g} mm, {self._solved} keyframes"
 
     def _give_up(self) -> None:
         """Follow by the calibration no longer: images contradict it.
@@ -163,8 +195,9 @@ class KnownBase:
         The base may have moved: the keyframes are forgotten. Those that are later than a calibration of an earlier run
         are not, nor those that are to be solved once more, since a solution of few may have been wrong itself.
         """
-        few = self._own and self._solved < _OWN_IS_ENOUGH and len(self.store) > self._solved
-        self._following, self._solved, self._reason = None, 0, ""
+        few = self._is_of_few and len(self.store) > self._solved
+        self._following, self._reason, self._known_mm = None, "", np.inf
+        self._solved = self._asked = 0
         if self._agreeing is None and not few:
             self._bases += 1
             self._alone.clear()
@@ -178,9 +211,9 @@ class KnownBase:
         if not masks or reading.still:
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
-        return self.store.offer(
-            time, masks, sight.ignored(seen), {name: value for name, value in values if not np.isnan(value)}
-        )
+        readings = {name: value for name, value in values if not np.isnan(value)}
+        rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
+        return self.store.offer(time, masks, sight.ignored(seen), readings, rates)
 
     def unconfirmed(self, result: TrackResult, *, told: bool) -> TrackResult:
         """Return the result of an image before a calibration: where the base could be ``told``, it is not ok."""
@@ -188,7 +221,8 @@ class KnownBase:
             return result
         known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
         why = f" ({self._reason})" if self._reason else ""
-        reason = f"base not known yet: {len(self.store)} keyframes{known}{why}"
+        far = f" ({self._how_far()})" if np.isfinite(self._known_mm) and not why else ""
+        reason = f"base not known yet: {len(self.store)} keyframes{known}{why}{far}"
         return replace(result, status="doubtful", reasons=(reason,))
 
     def checkpoint(self) -> dict[str, Any]:
@@ -197,7 +231,9 @@ class KnownBase:
             "store": self.store.checkpoint(),
             "alone": {name: result.to_dict() for name, result in self._alone.items()},
             "solved": self._solved,
+            "asked": self._asked,
             "reason": self._reason,
+            "known_mm": self._known_mm if np.isfinite(self._known_mm) else None,
             "bases": self._bases,
             "own": self._own,
             "agreeing": self._agreeing,
@@ -209,6 +245,8 @@ class KnownBase:
         self.store.restore(saved["store"])
         self._alone = {name: Result.from_dict(document) for name, document in saved["alone"].items()}
         self._solved, self._reason = int(saved["solved"]), str(saved["reason"])
+        self._asked = int(saved["asked"])
+        self._known_mm = np.inf if saved["known_mm"] is None else float(saved["known_mm"])
         self._bases, self._own = int(saved["bases"]), bool(saved["own"])
         self._agreeing = None if saved["agreeing"] is None else int(saved["agreeing"])
         self._following = None
@@ -216,13 +254,3 @@ class KnownBase:
             self._begin(SessionCalibration.from_dict(saved["following"]["calibration"]))
             assert self._following is not None
             self._following.restore(saved["following"])
-
-
-def _lag_of(calibration: SessionCalibration) -> FoundLag | None:
-    """Return the lag that is taken out of the readings, and its standard deviation; None if it is not determined."""
-    found = calibration.lag
-    if found is None or found.seconds is None:
-        return None
-    interval = found.seconds / found.frames if found.frames else 0.0
-    std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
-    return FoundLag(found.seconds if found.applied else 0.0, std if found.applied else max(std, abs(found.seconds)))

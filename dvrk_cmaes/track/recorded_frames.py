@@ -31,7 +31,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
 
-EMPTY = "lost: the mask shows nothing of the instrument"
+EMPTY = "lost: the {source} shows nothing of the instrument"
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
 
@@ -55,12 +55,16 @@ class BlockTask:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance."""
+    """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance.
+
+    ``doubts`` are reasons to doubt the masks that were found in its images.
+    """
 
     stored: StoredFrame
     fit: FrameFit
     inflation: float
     seconds: float
+    doubts: tuple[str, ...] = ()
 
 
 def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
 from dvrk_cmaes.track.mask_evidence import MaskEvidence
 
+A = TypeVar("A", bound=NDArray[Any])
 Float64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Masks = Mask | Mapping[str, Mask | None] | Sequence[Mask | None]
@@ -76,6 +77,16 @@ class Seen:
     def any_same(self) -> bool:
         """Whether the image of a view without a problem is that of the time before."""
         return any(self.same[view] for view in self.clear)
+
+    def copied(self) -> Seen:
+        """Return the same with arrays of its own, which the caller of the tracker does not change."""
+
+        def own(arrays: tuple[A | None, ...]) -> tuple[A | None, ...]:
+            return tuple(None if array is None else array.copy() for array in arrays)
+
+        masks = own(self.masks)
+        given = masks if self.given is self.masks else own(self.given)
+        return replace(self, masks=masks, images=own(self.images), ignored=own(self.ignored), given=given)
 
     def without_frozen(self) -> Seen:
         """Return the same with a problem of each view whose image is that of the time before although the arm moved."""

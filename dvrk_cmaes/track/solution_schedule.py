@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
 from dvrk_cmaes.track.tracker import Tracker
 
-_FEW: Final = 8
+_FEW: Final = 16
 SECONDS_OF_FEW: Final = 1.0
-"""Time, s, from the image after which up to 8 keyframes are given to be solved to the one that their solution is used
+"""Time, s, from the image after which up to 16 keyframes are given to be solved to the one that their solution is used
 from."""
 SECONDS_OF_MANY: Final = 2.0
 """The same of more keyframes."""
 
 
 class Solver(Protocol):
-    """Solves keyframes beside the steps, one problem at a time."""
+    """Solves keyframes beside the steps: what is asked for first is solved first."""
 
     def begin(self, problem: KeyframeProblem) -> None:
-        """Begin with a problem; returns at once."""
+        """Begin with a problem, after those before it; returns at once."""
 
     @property
     def ready(self) -> bool:
-        """Whether the solution of the last problem is there."""
+        """Whether the next solution is there."""
 
     def solution(self) -> Solution:
-        """Return the solution of the last problem, for which this waits."""
+        """Return the next solution, for which this waits."""
 
 
 @dataclass
@@ -40,27 +41,31 @@ class SolutionSchedule:
 
     tracker: Tracker
     solver: Solver
-    _due: float | None = None
+    _due: deque[float] = field(default_factory=deque)
 
     @property
     def waiting(self) -> bool:
         """Whether keyframes are being solved whose solution is not used yet."""
-        return self._due is not None
+        return bool(self._due)
 
     def before_step(self, time: float) -> None:
-        """Use a solution whose time has come, before the step to the image of a time, s."""
-        if self._due is not None and time >= self._due:
-            self.finish()
+        """Use the solutions whose time has come, before the step to the image of a time, s."""
+        while self._due and time >= self._due[0]:
+            self._use_next()
 
     def after_step(self, time: float) -> None:
         """Begin to solve the keyframes if that is due after the step to the image of a time, s."""
-        if self._due is None and self.tracker.solution_due:
+        if self.tracker.solution_due:
             problem = self.tracker.problem()
             self.solver.begin(problem)
-            self._due = time + (SECONDS_OF_FEW if len(problem.keyframes) <= _FEW else SECONDS_OF_MANY)
+            due = time + (SECONDS_OF_FEW if len(problem.keyframes) <= _FEW else SECONDS_OF_MANY)
+            self._due.append(max(due, self._due[-1]) if self._due else due)
 
     def finish(self) -> None:
-        """Wait for the solution, if keyframes are being solved, and use it."""
-        if self._due is not None:
-            self._due = None
-            self.tracker.use(self.solver.solution())
+        """Wait for the solutions of all keyframes that are being solved, and use them."""
+        while self._due:
+            self._use_next()
+
+    def _use_next(self) -> None:
+        self._due.popleft()
+        self.tracker.use(self.solver.solution())

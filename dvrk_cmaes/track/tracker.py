@@ -40,12 +40,14 @@ from dvrk_cmaes.track.smoother import Recorder
 
 Float64 = NDArray[np.float64]
 
+_LONGEST_GAP = 1.0  # s, over which what was followed is gone on with after a calibration that did not hold
+
 
 class Tracker:
     """Follows one instrument by masks, images and joint readings.
 
-    It reads no files, starts no threads, and forgets the past. The same images, readings and settings give the same
-    results.
+    It reads no files, does nothing between its steps, and forgets the past. The same images, readings and settings give
+    the same results.
 
     Parameters
     ----------
@@ -77,6 +79,10 @@ class Tracker:
     earlier
         The calibration is of an earlier run, since which the camera may have been moved: with ``keyframes``, no pose by
         it is ok before five images that differ agree with it, and it is given up if images contradict it.
+    sliced
+        No step waits for the search of an image: it goes on in the steps after it, a slice in each, and what it finds
+        is followed to the image that is present then. Until the first pose, steps say ``searching``. The search is done
+        in a thread, but only while a step waits for it.
 
     Raises
     ------
@@ -98,6 +104,7 @@ class Tracker:
         record: bool = False,
         keyframes: bool = False,
         earlier: bool = False,
+        sliced: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
@@ -117,11 +124,15 @@ class Tracker:
         motion = MotionModel(track, len(self._names), self._arm, roll_offset, cables)
         follower = Follower(track, motion, OutlineModel(body, rig, track.points))
         self._sight = Sight(rig, track, evidence, hints)
-        solve = GlobalSearch(follower, self._sight, body, settings, calibration)
-        self._following = Following(follower, rig, self._sight, solve, self._readings, settings, calibration)
+        searched = replace(settings, threads=1) if sliced else settings
+        solve = GlobalSearch(follower, self._sight, body, searched, calibration)
+        self._following = Following(
+            follower, rig, self._sight, solve, self._readings, settings, calibration, sliced=sliced
+        )
         known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
         self._known = known
         self._time: float | None = None
+        self._by_filter: float | None = None  # s, the last image that was followed without a calibration
         self._recorder = Recorder() if record else None
 
     @property
@@ -168,10 +179,20 @@ class Tracker:
         lag = self.lag
         return calibration_of(best.state, lag, instrument, self._arm, self._config, interval=interval, unit=unit)
 
+    @property
+    def searching(self) -> bool:
+        """Whether the search of an image goes on in the next steps."""
+        return self._following.searching
+
     def checkpoint(self) -> dict[str, Any]:
-        """Return the state as plain values; readings are not in it, and must be added again before `restore`."""
+        """Return the state as plain values; readings are not in it, and must be added again before `restore`.
+
+        Nor is a search that is going on (`searching`): after `restore`, it is not gone on with, and a first image is
+        searched anew.
+        """
         return {
             "time": self._time,
+            "by_filter": self._following.followed_until(self._by_filter),
             **self._following.checkpoint(),
             **self._readings.checkpoint(),
             "sight": self._sight.checkpoint(),
@@ -193,6 +214,7 @@ class Tracker:
         """
         try:
             self._time = None if saved["time"] is None else float(saved["time"])
+            self._by_filter = None if saved["by_filter"] is None else float(saved["by_filter"])
             self._following.restore(saved)
             self._readings.restore(saved)
             self._sight.restore(saved["sight"])
@@ -299,7 +321,7 @@ class Tracker:
         seen = None if image is None else self._sight.look(None, image, None)
         following = self._following
         following.begin(result, following.starts(following.anchor(time), result))
-        self._time = time
+        self._time = self._by_filter = time
         if seen is not None:
             following.learn(seen)
 
@@ -337,7 +359,8 @@ class Tracker:
         seen = self._sight.look(mask, image, ignore)
         result = self._followed(time, seen)
         self._time = time
-        result = replace(result, seconds=clock.perf_counter() - started)
+        base = None if self._known is None else self._known.known
+        result = replace(result, seconds=clock.perf_counter() - started, base=base)
         if self._recorder is not None:
             self._recorder.add(self._following.last_step, self._following.best, result)
         return result
@@ -345,16 +368,22 @@ class Tracker:
     def _followed(self, time: float, seen: Seen) -> TrackResult:
         """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
         known, following = self._known, self._following
-        if known is not None and known.calibration is not None:
-            result = known.follow(time, self._readings.buffer, seen, self._sight)
+        if known is not None and known.can_follow(time, self._readings.buffer):
+            lately = self._by_filter is not None and time - self._by_filter <= _LONGEST_GAP
+            alone = lately and following.best is not None
+            result = known.follow(time, self._readings.buffer, seen, self._sight, alone=alone)
             if known.calibration is None:  # contradicted
-                following.forget()
                 following.forget_calibration()
+                if not alone:
+                    following.forget()
             return result
-        if following.best is None or self._time is None:
+        if following.sliced:
+            result = following.step_in_slices(time, self._by_filter, seen)
+        elif following.best is None or self._by_filter is None:
             result = following.first(time, seen)
         else:
-            result = following.follow(time, time - self._time, seen)
+            result = following.follow(time, time - self._by_filter, seen)
+        self._by_filter = time
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)

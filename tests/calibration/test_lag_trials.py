@@ -26,6 +26,11 @@ def test_no_lag_and_the_ends_of_the_range_are_not_tried() -> None:
     assert lags_to_try(None) == []
 
 
+def test_lags_at_which_the_modes_disagree_far_more_than_at_the_best_are_not_tried() -> None:
+    assert lags_to_try(curve(3.0, 2.6, 0.9, 2.4, 2.8, 2.2, 2.9)) == []
+    np.testing.assert_allclose(lags_to_try(curve(3.0, 2.6, 2.8, 2.4, 0.9, 2.2, 1.8, 2.0)), [2 * STEP])
+
+
 def test_few_lags_are_tried() -> None:
     assert len(lags_to_try(curve(*[2.0, 1.0] * 8, 2.0))) == MOST_LAGS
 

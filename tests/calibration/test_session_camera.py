@@ -10,6 +10,7 @@ from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_i
 
 from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, solve
@@ -53,8 +54,9 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
         stored.append(StoredFrame.of(one.data.with_camera(wrong), at[k], body, EstimateConfig()))
     outlines = SessionOutlines(
         stored,
-        np.ones(len(frames), np.bool_),
+        [0] * len(frames),
         lambda function, tasks: [function(body, EstimateConfig(), task) for task in tasks],
+        CommonErrors(USUAL_SIZE, np.full(len(frames), np.nan), np.zeros((len(frames), 6 + len(names)))),
     )
     outer = outer_readings(readings)
     outer[:, 2] = outer[:, 2].mean() + insertion * (outer[:, 2] - outer[:, 2].mean())
@@ -72,6 +74,15 @@ def estimate(change: tuple[float, float, float], std: tuple[float, float, float]
     covariance = np.diag(np.array(std) ** 2)
     there = np.array(change), covariance
     return CameraEstimate(*there, *there, np.zeros((11, 3)), calibration, nowhere)
+
+
+def test_change_that_only_far_linearisations_tell_does_not_contradict_the_file() -> None:
+    """As of a short recording, of which each linearisation is farther away than the one before."""
+    far = estimate((0.1, 155.0, 112.0), (0.021, 41.0, 44.0))
+    first = estimate((0.074, 96.0, 69.0), (0.06, 70.0, 60.0))
+    found = replace(far, first_change=first.change, first_covariance=first.covariance)
+    assert SessionCamera.of(far, CONFIG, 640, applied=False).contradicts
+    assert not SessionCamera.of(found, CONFIG, 640, applied=False).contradicts
 
 
 # the change that frames fit

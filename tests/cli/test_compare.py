@@ -83,7 +83,7 @@ def test_files_are_written(run: Run, sets: tuple[Path, Path], tmp_path: Path) ->
     assert picture.shape[1] > 1000
     page = Page((tmp_path / "out" / "compare.html").read_text(encoding="utf-8"))
     assert [address for address in page.addresses if not address.startswith("data:")] == []
-    assert sum(address.startswith("data:image/jpeg") for address in page.addresses) == 3
+    assert sum(address.startswith("data:image/webp") for address in page.addresses) == 3
     for text in ("4 frames · differences from A", "tips, mm B 1.000 3.700 4.000 0001", "Frames that differ most"):
         assert text in page.text
 

@@ -138,7 +138,7 @@ def test_arms_have_a_common_video_and_page(two_arms: Path, tracks: Path) -> None
     for colour in list(COLOURS)[:2]:  # both arms are drawn, each in its colour
         assert (np.abs(picture.astype(int) - colour).max(axis=2) < 60).sum() > 30
     page = (tracks / "report.html").read_text(encoding="utf-8")
-    assert page.count('<img src="data:image/jpeg') == FRAMES
+    assert page.count('<img src="data:image/webp') == FRAMES
     assert ">lost</th>" in page
     for arm in ARMS:
         assert f'<a href="{arm}/report.html">' in page

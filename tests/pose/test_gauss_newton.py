@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,6 +110,33 @@ def test_silhouette_outside_window_gives_finite_score(bundled_body: Body) -> Non
     assert fit.score < lost.score
 
 
+def test_pose_is_drawn_once(bundled_body: Body) -> None:
+    at = terms(bundled_body).coverage
+    pair = Posed.stacked([TRUE, TRUE.moved(NEAR)])
+    at.draw(pair[:1], derivatives=False)
+    assert at.silhouettes == 1
+    first, second = at.draw(pair)  # the outline of the first one is asked for now
+    assert at.silhouettes == 3
+    assert first.outlines[0] is not None
+    for again in (at.draw(pair), at.with_width(0.03).draw(pair), at.with_correlations([20.0]).draw(pair)):
+        assert at.silhouettes == 3
+        assert again[0].images[0] is first.images[0]
+        assert again[1].images[0] is second.images[0]
+    moved = at.draw(pair[1:].moved(np.full((1, 9), 1e-6)))
+    assert at.silhouettes == 4
+    assert (moved[0].images[0] != second.images[0]).any()
+    at.with_cameras([replace(CAMERA, cx=CAMERA.cx + 3)]).draw(pair)[0]
+    assert at.draw(pair)[0].images[0] is first.images[0]
+
+
+def test_oldest_drawings_are_forgotten(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = terms(bundled_body).coverage
+    monkeypatch.setattr("dvrk_cmaes.pose.terms.sized_view._REMEMBERED", 2 * at.views[0].target.size)
+    for step in (0.0, 1e-4, 2e-4, 0.0):
+        at.draw(Posed.stacked([TRUE.moved(np.full(9, step))]), derivatives=False)
+    assert at.silhouettes == 4
+
+
 def test_short_steps_need_no_silhouette_if_only_long_ones_are_tested(bundled_body: Body) -> None:
     at = terms(bundled_body)
     (there,) = at.refined(TRUE.moved(NEAR))
@@ -116,9 +144,9 @@ def test_short_steps_need_no_silhouette_if_only_long_ones_are_tested(bundled_bod
         (there,) = at.refined(there.at)
     counts, fits = [], []
     for tested in ("all", "long"):
-        before = at.coverage.silhouettes
-        fits += refine(at.coverage, at.others, Posed.stacked([there.at]), Steps(20, 6, 0.05, tested))
-        counts.append(at.coverage.silhouettes - before)
+        anew = terms(bundled_body)  # which has drawn nothing yet
+        fits += refine(anew.coverage, anew.others, Posed.stacked([there.at]), Steps(20, 6, 0.05, tested))
+        counts.append(anew.coverage.silhouettes)
     assert counts[0] - counts[1] == 1  # the last step
     spread = np.sqrt(np.diag(np.linalg.inv(fits[0].information)))
     assert (np.abs(fits[1].at.minus(fits[0].at)) < 0.15 * spread).all()

@@ -38,12 +38,12 @@ from dvrk_cmaes.report.plots.panels import joint_plot, rcm_plot
 from dvrk_cmaes.report.plots.tips import speed_plot, tips_plot
 from dvrk_cmaes.results.result import Result
 
-JPEG = "data:image/jpeg;base64,"
+WEBP = "data:image/webp;base64,"
 
 
 def pixels_of(small: Thumbnail | None) -> np.ndarray:
     assert small is not None
-    data = base64.b64decode(small.address.removeprefix(JPEG))
+    data = base64.b64decode(small.address.removeprefix(WEBP))
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
 
@@ -192,7 +192,7 @@ def test_thumbnails_are_small_and_without_text_strips(tmp_path: Path) -> None:
     cv2.imwrite(str(path), overlay(one, 1280))
     small = thumbnail(path, one)
     assert small is not None
-    assert len(base64.b64decode(small.address.removeprefix(JPEG))) <= LARGEST
+    assert len(base64.b64decode(small.address.removeprefix(WEBP))) <= LARGEST
     assert (small.width, small.height) == (WIDTH, WIDTH * 3 // 4)
     assert pixels_of(small).shape == (small.height, small.width, 3)
 

@@ -24,6 +24,7 @@ from helpers.page_calibrations import (
 from helpers.page_results import failed, page_of, write_results
 
 from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page import render_page, write_page
@@ -336,3 +337,19 @@ def test_page_of_a_session_that_does_not_tell_of_its_cables_has_no_plot_of_them(
     frames = solved(NAMES)
     assert view_of(tmp_path / "view", frames).cables_plot is None
     assert "What the cables do" not in page_of(write_calibrated(tmp_path / "page", frames, calibration(frames))).text
+
+
+def test_rig_that_differs_is_among_the_figures(tmp_path: Path) -> None:
+    frames = solved(("a", "b"))
+    view = ViewRotation(
+        "right",
+        np.array([0.1, 0.0, 0.3]),
+        np.array([0.01, 0.02, 0.03]),
+        12,
+        applied=False,
+        baseline=ViewScale(1.05, 0.012, applied=True),
+    )
+    figures = {figure.name: figure for figure in view_of(tmp_path, frames, rig=(view,)).figures}
+    assert figures["Right eye's baseline, against its file"].value == "+5.0 %"
+    assert figures["Right eye's baseline, against its file"].note == "standard deviation 1.2 %; applied"
+    assert not any("focal length beside" in name for name in figures)

@@ -20,7 +20,7 @@ def full_pictures(out: Path) -> list[bool]:
     """Tell for each frame in the page's order whether its overlay is within the page."""
     page = (page_of(out), (out / "report.html").read_text(encoding="utf-8"))[1]
     bodies = page.split('<div class="stage">')[1:]
-    return ['src="data:image/jpeg' in body.split("</a>")[0] for body in bodies]
+    return ['src="data:image/webp' in body.split("</a>")[0] for body in bodies]
 
 
 def test_overlays_are_within_the_page_up_to_a_limit_most_doubtful_first(

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.session_worlds import make_frames_in_memory, write_folder
 
-from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
+from dvrk_cmaes.runs import recorded_keyframes
+from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedFrames, solve_keyframes, with_keyframes
+from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.runs.track_recorded import why_causal
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.truth import Truth
+from dvrk_cmaes.track.sight import EvidenceKind
 
 FRAMES = 14
 EMPTY = "0005"
@@ -144,13 +152,11 @@ def test_given_calibration_is_used_instead_of_keyframes(
     assert all(np.allclose(own["tips"], other["tips"], atol=2e-4) for own, other in pairs)
 
 
-@pytest.mark.parametrize(
-    ("changes", "why"),
-    [({"use_joints": False}, "without readings"), ({"evidence": "images"}, "without masks of all frames")],
-)
-def test_what_keyframes_cannot_solve_is_followed_from_image_to_image(changes: dict[str, object], why: str) -> None:
-    assert why_causal(replace(SETTINGS, **changes)) == why
-    assert why_causal(SETTINGS) is None
+@pytest.mark.parametrize("evidence", ["masks", "images", "both", None])
+def test_recording_without_readings_is_followed_from_image_to_image(evidence: EvidenceKind | None) -> None:
+    settings = replace(SETTINGS, evidence=evidence)
+    assert why_causal(replace(settings, use_joints=False)) == "without readings"
+    assert why_causal(settings) is None
 
 
 def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[str, Truth]]) -> None:
@@ -159,3 +165,37 @@ def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[s
     assert len(names) == 6
     assert EMPTY not in names
     assert names == sorted(names)
+
+
+def test_keyframes_start_from_where_the_first_of_them_expect_them(
+    made: tuple[Path, dict[str, Truth]], tracks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorded_keyframes, "_SEARCHED", 7)
+    tried: list[AloneTask] = []
+    alone = recorded_keyframes.alone_task
+
+    def noted(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
+        tried.append(task)
+        return alone(body, config, task)
+
+    monkeypatch.setattr(recorded_keyframes, "alone_task", noted)
+    body = prepare("lnd")
+    session = read_session(made[0])
+    clock = TrackClock.of(session, session.frames, 30.0)
+    recorded = RecordedFrames.of(
+        session.frames, session.rig, series_of(session), np.array([clock.times[own.name] for own in session.frames])
+    )
+    config = replace(EstimateConfig(), threads=1)
+
+    def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
+        return [function(body, config, task) for task in tasks]
+
+    solved = solve_keyframes(recorded, body, "classic", config, run, lambda stage, count: None)
+    assert isinstance(solved, SessionCalibration)
+    assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
+    for task in tried[7:]:
+        assert task.start is not None
+        truth = made[1][task.keyframe.files.name]
+        assert np.linalg.norm(task.start.pose[:3, 3] - truth.camera_from_root[:3, 3]) < 5e-3
+    of_searches = read_calibration(tracks / "session.json").camera_from_base
+    assert np.linalg.norm(change_between(solved.camera_from_base, of_searches)[3:]) < np.deg2rad(0.5)

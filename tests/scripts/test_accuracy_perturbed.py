@@ -34,7 +34,10 @@ def test_figures_of_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
     from measure.cases import Measurement
 
     monkeypatch.setattr(perturbed, "TRIALS", 1)
-    ((row,),) = perturbed.perturbed_report(Measurement([str(bundled_path("demo"))], frames=2)).values()
-    assert (row["images"], row["trials"]) == (2, 2)
-    assert row["back"] in (0.0, 0.5, 1.0)
-    assert 0 <= row["across the view, mm"] <= row["root, mm"] < 10
+    (followed,), (fitted,) = perturbed.perturbed_report(Measurement([str(bundled_path("demo"))], frames=2)).values()
+    for row in (followed, fitted):
+        assert (row["images"], row["trials"]) == (2, 2)
+        assert row["back"] <= row["back across the view"]
+        assert row["back across the view"] in (0.0, 0.5, 1.0)
+        assert 0 <= row["across the view, mm"] <= row["root, mm"] < 10
+    assert fitted["back across the view"] > 0

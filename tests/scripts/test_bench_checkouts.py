@@ -22,7 +22,14 @@ def test_every_figure_is_compared(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     del report["machine"]
-    assert [title.split(",")[0] for title in report] == ["estimate", "whole command", "folder"]
+    assert [title.split(",")[0] for title in report] == [
+        "estimate",
+        "whole command",
+        "--help",
+        "inspect",
+        "folder",
+        "page",
+    ]
     for this, other, ratio in report.values():
         assert (this["checkout"], other["checkout"], ratio["checkout"]) == ("this", "other", "ratio")
         assert ratio["wall, median"] == pytest.approx(this["wall, median"] / other["wall, median"])

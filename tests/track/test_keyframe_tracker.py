@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track import Tracker
+from dvrk_cmaes.track.keyframe_store import Solution
+
+CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
+"""Settings for small images, which tell less about the depth."""
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +29,7 @@ def world() -> MovingWorld:
 @pytest.fixture(scope="module")
 def before(world: MovingWorld) -> tuple[Tracker, list[TrackResult]]:
     """A tracker that has followed until its keyframes are to be solved for the first time, and its results."""
-    tracker, results = Tracker(world.camera, world.body, keyframes=True), []
+    tracker, results = Tracker(world.camera, world.body, config=CONFIG, keyframes=True), []
     for k in range(len(world.masks)):
         tracker.add_readings(world.time(k), world.readings[k])
         results.append(tracker.step(world.time(k), world.masks[k]))
@@ -40,7 +47,7 @@ def step(tracker: Tracker, world: MovingWorld, k: int) -> TrackResult:
 def test_no_pose_is_ok_before_a_solution(before: tuple[Tracker, list[TrackResult]]) -> None:
     _, results = before
     assert all(result.status != "ok" for result in results)
-    assert "base not known yet: 8 keyframes" in results[-1].reasons[0]
+    assert "base not known yet: 4 keyframes" in results[-1].reasons[0]
 
 
 def test_solution_is_followed_within_the_error_that_it_states(
@@ -49,7 +56,7 @@ def test_solution_is_followed_within_the_error_that_it_states(
     tracker, results = before
     problem = pickle.loads(pickle.dumps(tracker.problem()))
     solution = problem.solve(world.body)
-    assert solution.keyframes == 8
+    assert solution.keyframes == 4
     assert tracker.use(solution)
     assert not tracker.solution_due
     saved = json.loads(json.dumps(tracker.checkpoint()))
@@ -59,7 +66,7 @@ def test_solution_is_followed_within_the_error_that_it_states(
     assert max(errors) < 2.0
     assert np.mean([result.status == "ok" for result in followed]) > 0.5
 
-    again = Tracker(world.camera, world.body, keyframes=True)
+    again = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
     for k in range(len(results)):
         again.add_readings(world.time(k), world.readings[k])
     again.restore(saved)
@@ -71,3 +78,46 @@ def test_solution_is_followed_within_the_error_that_it_states(
 def test_tracker_without_keyframes_has_nothing_to_solve(world: MovingWorld) -> None:
     with pytest.raises(InputError, match="keyframes=True"):
         Tracker(world.camera, world.body).solve()
+
+
+@pytest.fixture(scope="module")
+def calibration(before: tuple[Tracker, list[TrackResult]], world: MovingWorld) -> SessionCalibration:
+    solution = before[0].problem().solve(world.body)
+    assert solution.calibration is not None
+    return solution.calibration
+
+
+def test_earlier_calibration_is_ok_only_after_images_that_differ_agree(
+    world: MovingWorld, calibration: SessionCalibration
+) -> None:
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
+    results = world.follow(tracker)
+    first = next(k for k, result in enumerate(results) if result.status == "ok")
+    assert results[0].status == "doubtful"
+    assert results[0].reasons[-1].startswith("checking an earlier calibration: ")
+    assert first >= 12  # five keyframes, each 0.09 s later than the one before
+    assert np.mean([result.status == "ok" for result in results[first:]]) > 0.5
+
+
+def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
+    elsewhere = moving_world(right=0.012)
+    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG, keyframes=True, earlier=True, sliced=True)
+    results = elsewhere.follow(tracker, frames=range(12))
+    assert all(result.status != "ok" for result in results)
+    assert tracker.base_state.startswith("calibrating: ")
+    assert "base not known yet" in tracker.base_state
+
+
+def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker, list[TrackResult]]) -> None:
+    tracker, _ = before
+    other = replace(tracker.problem(), base=7)
+    assert not tracker.use(Solution(None, "of another base", 4, {}, other.base))
+    assert "of another base" not in tracker.base_state
+
+
+def test_instrument_whose_readings_are_missing_is_followed_without_the_calibration(
+    world: MovingWorld, calibration: SessionCalibration
+) -> None:
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
+    results = world.follow(tracker, frames=range(4), readings=lambda k: {})
+    assert all(result.camera_from_root is not None for result in results)

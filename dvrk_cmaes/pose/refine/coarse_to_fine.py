@@ -28,6 +28,7 @@ from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
+_HALF = 2  # the size, as a divisor, at which the instrument is drawn with all of its faces, as at the whole size
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
@@ -89,11 +90,13 @@ class LocalSearch:
         outline = self._config.refine.outline
         if shrink > 1:
             outline = replace(outline, cauchy=outline.small_cauchy)
+        if shrink > _HALF:  # where modes only need to be told apart
+            outline = replace(outline, lines_per_pixel=1)
         width = self._views[0].evidence.camera.width
         sized = []
         for view, coarse in zip(self._views, self._coarse, strict=True):
             own = max(1, round(shrink * view.evidence.camera.width / width)) if shrink > 1 else 1
-            sized.append(SizedView(view, blur=outline.blur, shrink=own, renderer=coarse if own > 2 else None))
+            sized.append(SizedView(view, blur=outline.blur, shrink=own, renderer=coarse if own > _HALF else None))
         self._sized += sized
         return Coverage(sized, outline)
 
@@ -150,7 +153,7 @@ class LocalSearch:
         modes = self._refine(coarse, modes, iterations=c.small_steps, selection=small)
         modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
-            modes = best_per_mode(self._refine(self._coverage(2), modes, selection=self._last_selection))
+            modes = best_per_mode(self._refine(self._coverage(_HALF), modes, selection=self._last_selection))
         finest = self._coverage(1)
         final = self._finest(finest, modes[: c.modes])
         best = min(final, key=lambda m: m.score)

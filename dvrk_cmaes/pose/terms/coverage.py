@@ -176,18 +176,30 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             )
         return Profiles.of_views(of_views, self._shares)
 
-    def near_with_lasting(self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None) -> Quadratic:
+    def near_with_lasting(
+        self,
+        at: Posed,
+        noises: Sequence[OutlineNoise],
+        kept: Columns | None = None,
+        drawn: DrawnCoverage | None = None,
+        *,
+        stride: int = 1,
+    ) -> Quadratic:
         """Return the approximation near one pose, with most of what the errors of the masks share eliminated.
 
         The last unknowns, `LASTING` of each view, are the shared errors that last from frame to frame, in their
         standard deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
         gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
+        ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
+        outlines is used, which stands for those beside it.
         """
-        (drawn,) = self.draw(Posed.stacked([at]))
+        if drawn is None:
+            (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
         of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
-        for k, (view, noise, image, outline, share) in enumerate(of_views):
-            assert outline is not None
+        for k, (view, noise, image, drawn_outline, share) in enumerate(of_views):
+            assert drawn_outline is not None
+            outline = drawn_outline.every(stride)
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
             errors = view.shared_errors(outline, at, noise)
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
@@ -203,12 +215,18 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             parts.append(without_last(terms, errors.information[LASTING:, LASTING:]))
         return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
 
-    def near_without_shared(self, at: Posed, noises: Sequence[OutlineNoise], kept: Columns | None = None) -> Quadratic:
+    def near_without_shared(
+        self,
+        at: Posed,
+        noises: Sequence[OutlineNoise],
+        kept: Columns | None = None,
+        drawn: DrawnCoverage | None = None,
+    ) -> Quadratic:
         """Return the approximation near one pose, with all that the errors of the masks share eliminated: (1, D + E).
 
         Arguments as of `near_with_lasting`.
         """
-        return without_last(self.near_with_lasting(at, noises, kept), np.eye(LASTING * len(self.views)))
+        return without_last(self.near_with_lasting(at, noises, kept, drawn), np.eye(LASTING * len(self.views)))
 
 
 def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:

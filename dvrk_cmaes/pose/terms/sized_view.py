@@ -110,7 +110,11 @@ class SizedView:
         """Draw the blurred coverage (H, W) of each of C poses, and find its outline if ``outlines`` are asked for."""
         seen = at.seen_from(self.view_from_camera)
         keys = [_key(seen, k, lines_per_pixel) for k in range(len(seen))]
-        known = {key: drawn for key in keys if (drawn := self._remembered.get(key)) and (drawn[1] or not outlines)}
+        known: dict[bytes, Drawing] = {}
+        for key in keys:
+            kept = self._remembered.get(key)
+            if kept is not None and (kept[1] is not None or not outlines):
+                known[key] = kept
         missing = [k for k, key in enumerate(keys) if key not in known]
         if missing:
             drawn = self._draw(seen[missing], lines_per_pixel, outlines=outlines)
@@ -155,4 +159,4 @@ class SizedView:
 
 def _key(at: Posed, index: int, lines_per_pixel: int) -> bytes:
     """Return what tells the drawing of one of several poses from others."""
-    return at.pose[index].tobytes() + at.joints[index].tobytes() + bytes([lines_per_pixel])
+    return bytes(at.pose[index].tobytes() + at.joints[index].tobytes() + bytes([lines_per_pixel]))

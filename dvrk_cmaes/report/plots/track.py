@@ -65,6 +65,7 @@ def track_charts(
         _tips(rows),
         _speed(rows, times),
         _spread(rows),
+        _base(rows),
     )
     return [_with_end(chart, rows) for chart in charts if any(map(_is_known, chart.curves))]
 
@@ -144,6 +145,18 @@ def _spread(rows: Sequence[Mapping[str, Any]]) -> Chart:
     values = _column((row["std"] or {}).get("tip_mm") for row in rows)
     note = "As the tracker states it: the norm over the three axes, mean over the tips."
     return Chart("spread", "Standard deviation of the tips, mm", note, (Curve("tips", values, 0),), 2)
+
+
+def _base(rows: Sequence[Mapping[str, Any]]) -> Chart:
+    """Chart the number of keyframes, that of those which were solved, and the error that their solution leaves."""
+    known = [row.get("base") or {} for row in rows]
+    curves = (
+        Curve("keyframes", _column(each.get("keyframes") for each in known), 0),
+        Curve("solved", _column(each.get("solved") for each in known), 1),
+        Curve("tips, mm", _column(each.get("tip_mm") for each in known), 2),
+    )
+    note = "Keyframes kept, those of the last solution, and the error of the tips that it leaves."
+    return Chart("base", "Keyframes, and how far the base is known", note, curves, 1)
 
 
 def _middles(rows: Sequence[Mapping[str, Any]]) -> Float64:

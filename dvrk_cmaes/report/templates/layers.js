@@ -25,8 +25,16 @@
     picture.querySelector(".zoom output").textContent = `${Math.round(100 * ZOOMS[at])} %`;
   }
 
+  // What is the same for all frames is in the page once.
+  function copyOf(id) {
+    return document.getElementById(id).content.firstElementChild.cloneNode(true);
+  }
+
   for (const picture of document.querySelectorAll(".picture")) {
+    if (!picture.querySelector(".views")) picture.prepend(copyOf("views"));
+    if ("legend" in picture.dataset) picture.append(copyOf("overlay-legend"));
     const tools = picture.querySelector(".views");
+    tools.setAttribute("aria-label", `View of frame ${picture.closest("article").querySelector("bdi").textContent}`);
     tools.hidden = false;
     tools.addEventListener("submit", (event) => event.preventDefault());
     tools.addEventListener("change", (event) => {

@@ -22,6 +22,7 @@ from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
 from measure.accuracy.figures import base_errors
+from measure.accuracy.fleet_calibrations import calibrated, pooled
 from measure.cases import Measurement
 
 Float64 = NDArray[np.float64]
@@ -96,10 +97,31 @@ def _share(which: Bool) -> float:
     return float(which.mean()) if len(which) else float("nan")
 
 
-def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None = None) -> dict[str, Any]:
-    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given."""
+def fleet_report(
+    given: Measurement, *, causal: bool = False, keep: Path | None = None, every: int | None = None, first: int = 0
+) -> dict[str, Any]:
+    """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
+
+    With ``every``, every N-th frame of each is calibrated as well, which makes two more tables. With ``first``,
+    figures are of the frames from that one on, and two more tables of those before it, and of their second half.
+    """
+    calibrations: dict[str, Any] = {}
+    if every is not None:
+        each = []
+        for folder in recordings_in(given.folders):
+            golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))
+            session = read_session(folder)
+            each.append(calibrated(folder.name, session, golden, given.body, given.config, given.workers, every))
+        calibrations = {"calibrated": [one.row for one in each], "all calibrated": [pooled(each)]}
+    return calibrations | _followed(given, causal=causal, keep=keep, first=first)
+
+
+def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int) -> dict[str, Any]:
+    """Follow all recordings, and return a row of figures for each and one for all."""
     rows: list[dict[str, Any]] = []
     found: list[TipErrors] = []
+    early: list[TipErrors] = []
+    later: list[TipErrors] = []
     with tempfile.TemporaryDirectory() as temporary:
         for folder in recordings_in(given.folders):
             print(f"{folder.name}: following", file=sys.stderr, flush=True)
@@ -108,7 +130,10 @@ def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None 
             session, evidence = used_session(read_session(folder), None)
             settings = TrackSettings(given.config, causal=causal, evidence=evidence, workers=given.workers)
             done = track_folder(session, out, given.body, settings, video=False, page=False, notice=_notice)
-            found.append(TipErrors.of(read_tracks(out / TRACKS), golden["frames"]))
+            tracked = read_tracks(out / TRACKS)
+            found.append(TipErrors.of(tracked[first:], golden["frames"]))
+            early.append(TipErrors.of(tracked[:first], golden["frames"]))
+            later.append(TipErrors.of(tracked[first // 2 : first], golden["frames"]))
             row = {"recording": folder.name, **found[-1].figures(), "base, deg": None, "base, mm": None, "lag": None}
             if done.calibration is not None and golden.get("camera_from_base") is not None:
                 true = np.array(golden["camera_from_base"])
@@ -116,9 +141,13 @@ def fleet_report(given: Measurement, *, causal: bool = False, keep: Path | None 
             if done.calibration is not None and done.calibration.lag is not None:
                 row["lag"] = done.calibration.lag.frames
             rows.append(row)
-    pooled = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
-    pooled["worst median"] = max(row["tips, mm"] for row in rows)
-    return {"recordings": rows, "all": [pooled]}
+    total = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
+    total["worst median"] = max(row["tips, mm"] for row in rows)
+    report: dict[str, Any] = {"recordings": rows, "all": [total]}
+    if first:
+        report[f"before frame {first}"] = [TipErrors.pooled(early).figures()]
+        report[f"from frame {first // 2} to {first}"] = [TipErrors.pooled(later).figures()]
+    return report
 
 
 def recordings_in(folders: Sequence[str | Path]) -> Iterator[Path]:

@@ -1,6 +1,7 @@
 """Check of the standard deviations of camera_from_base: the two halves of each session, solved apart.
 
-The base does not move during a session, so the two bases should differ by no more than their covariances say.
+The base does not move during a session, so the two bases should differ by no more than their covariances say. Those
+are taken without what errors of the camera file do to the base, which both halves share.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def _difference(first: Outcome, second: Outcome) -> dict[str, Any]:
         return {"refused": "; ".join(refused)}
     one, other = first.solved.calibration, second.solved.calibration
     off = change_between(one.camera_from_base, other.camera_from_base)
-    std = np.sqrt(np.diag(one.covariance[:6, :6] + other.covariance[:6, :6]))
+    std = np.sqrt(np.diag(one.covariance_given_camera[:6, :6] + other.covariance_given_camera[:6, :6]))
     lags = [calibration.lag for calibration in (one, other)]
     return {
         "frames": len(first.trial.runs) + len(second.trial.runs),

@@ -68,20 +68,29 @@ def original_trials(runs: Sequence[Run]) -> list[Trial]:
     ]
 
 
-def solve(given: Measurement, trials: Sequence[Trial]) -> list[Outcome]:
-    """Calibrate all sessions in worker processes; the outcomes are in the order of the trials."""
+def solve(given: Measurement, trials: Sequence[Trial], *, timed: bool = False) -> list[Outcome]:
+    """Calibrate all sessions in worker processes; the outcomes are in the order of the trials.
+
+    With ``timed``, all readings of the recordings and the times of their images count, as in the command `calibrate`.
+    """
     found: dict[int, tuple[SolvedSession | None, str]] = {}
-    tasks = [(trial.runs, trial.arm, given.source, given.config) for trial in trials]
+    tasks = [(trial.runs, trial.arm, given.source, given.config, timed) for trial in trials]
     in_processes(_calibrate, tasks, given.workers, "sessions", found.__setitem__)
     return [Outcome(trial, *found[number]) for number, trial in enumerate(trials)]
 
 
-def _calibrate(runs: Sequence[Run], arm: Arm, source: str, config: EstimateConfig) -> tuple[SolvedSession | None, str]:
+def _calibrate(
+    runs: Sequence[Run], arm: Arm, source: str, config: EstimateConfig, timed: bool
+) -> tuple[SolvedSession | None, str]:
     """Calibrate a session in a worker process; return the solved session, or None and the message of the error."""
-    names = [f"{k:04d}" for k in range(len(runs))]
-    frames = session_frames([run.case for run in runs], [run.result for run in runs], names=names)
+    names = [run.case.frame if timed else f"{k:04d}" for k, run in enumerate(runs)]
+    session = runs[0].case.recording.session
+    times = {one.name: one.time for one in session.frames if one.time is not None} if timed else None
+    series = session.reading_series() if timed else None
+    frames = session_frames([run.case for run in runs], [run.result for run in runs], names=names, times=times)
+    single = replace(config, threads=1)
     try:
-        return calibrate_session(frames, prepare(source), arm=arm, config=replace(config, threads=1)), ""
+        return calibrate_session(frames, prepare(source), series=series, arm=arm, config=single), ""
     except InputError as error:
         return None, str(error)
 

@@ -20,10 +20,15 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.silhouette.prepare import prepare
+from measure.bench.many_frames import repeated_results
 from measure.places import ROOT
 
 _FINISHED: Final = (0, 3)  # exit codes of a command that has estimated its frames
 
+_PAGE_FRAMES: Final = 1000
+_PAGE: Final = (
+    "import sys; from pathlib import Path; from dvrk_cmaes.report.page import write_page; write_page(Path(sys.argv[1]))"
+)
 _WORKER: Final = """
 import pickle, sys, time
 answers, sys.stdout = sys.stdout.buffer, sys.stderr
@@ -59,8 +64,12 @@ class Checkout:
 
     def run(self, arguments: Sequence[str], folder: Path, **variables: str) -> int:
         """Run a command in a folder, and return its exit code; InputError if it has not estimated its frames."""
+        return self.run_python(["-m", "dvrk_cmaes", *arguments], folder, **variables)
+
+    def run_python(self, arguments: Sequence[str], folder: Path, **variables: str) -> int:
+        """Run Python with arguments in a folder, and return its exit code; InputError as `run`."""
         done = subprocess.run(
-            [sys.executable, "-m", "dvrk_cmaes", *arguments],
+            [sys.executable, *arguments],
             env=self.environment | variables,
             cwd=folder,
             capture_output=True,
@@ -69,7 +78,7 @@ class Checkout:
         )
         if done.returncode not in _FINISHED:
             said = done.stderr.strip()[-300:]
-            raise InputError(f"{self.folder}: -m dvrk_cmaes {' '.join(arguments)}: {said}")
+            raise InputError(f"{self.folder}: python {' '.join(arguments)}: {said}")
         return done.returncode
 
 
@@ -122,7 +131,7 @@ def _frame(session: Session, files: FrameFiles) -> dict[str, Any]:
 def checkouts_report(
     instrument: str, sessions: Sequence[Path], *, other: Path, frames: int | None, repeats: int
 ) -> dict[str, Any]:
-    """Measure estimates, whole commands and a folder with two workers, of this checkout and of another one.
+    """Measure estimates, whole commands, a folder with two workers and its page, of this checkout and of another one.
 
     Estimates run in one process for each checkout, and each frame in turns. The first frame and the first command of
     each checkout are not measured.
@@ -130,11 +139,15 @@ def checkouts_report(
     names = prepare(instrument).instrument.joint_names
     read = [read_session(folder, known=names) for folder in sessions]
     inputs = [(one, files) for one in read for files in one.frames[:frames]]
+    camera = str(sessions[0] / "camera.yaml")
+    pages = _PAGE_FRAMES if frames is None else 10 * frames
     with two_checkouts(ROOT, other) as both:
         return {
             "estimate, seconds a frame": _estimates(both, instrument, inputs),
             "whole command, seconds": _commands(both, instrument, inputs, repeats),
-            "folder, two workers, seconds": _folders(both, instrument, sessions[len(sessions) // 2], repeats),
+            "--help, seconds": _small_commands(both, ["--help"], repeats),
+            "inspect, a camera file, seconds": _small_commands(both, ["inspect", camera], repeats),
+            **_folders(both, instrument, sessions[len(sessions) // 2], repeats, pages),
         }
 
 
@@ -177,8 +190,13 @@ def _estimates(
 
 def _timed(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:
     """Run a command of a checkout; returns wall and processor seconds of its processes."""
+    return _timed_python(checkout, ["-m", "dvrk_cmaes", *arguments])
+
+
+def _timed_python(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:
+    """Run Python with a checkout's package; returns wall and processor seconds of its processes."""
     before, started = os.times(), time.perf_counter()
-    checkout.run(arguments, checkout.folder)
+    checkout.run_python(arguments, checkout.folder)
     wall, after = time.perf_counter() - started, os.times()
     return wall, after.children_user + after.children_system - before.children_user - before.children_system
 
@@ -199,15 +217,39 @@ def _commands(
     return _rows({name: times[1:] for name, times in measured.items()})
 
 
-def _folders(both: Sequence[Checkout], instrument: str, session: Path, repeats: int) -> list[dict[str, Any]]:
-    """Measure the command batch on a session with two workers, from start to exit."""
+def _small_commands(both: Sequence[Checkout], arguments: Sequence[str], repeats: int) -> list[dict[str, Any]]:
+    """Measure a command that estimates nothing, from start to exit; the first run of each checkout compiles it."""
     measured: dict[str, list[tuple[float, float]]] = {one.name: [] for one in both}
+    for _ in range(1 + repeats):
+        for checkout in both:
+            measured[checkout.name].append(_timed(checkout, arguments))
+    return _rows({name: times[1:] for name, times in measured.items()})
+
+
+def _folders(
+    both: Sequence[Checkout], instrument: str, session: Path, repeats: int, pages: int
+) -> dict[str, list[dict[str, Any]]]:
+    """Measure the command batch on a session with two workers, and the page of its results repeated to ``pages``."""
+    measured: dict[str, list[tuple[float, float]]] = {one.name: [] for one in both}
+    written: dict[str, list[tuple[float, float]]] = {one.name: [] for one in both}
+    sizes: dict[str, int] = {}
+    frames = 0
     for _ in range(max(repeats // 5, 1)):
         for checkout in both:
-            with tempfile.TemporaryDirectory() as out:
-                arguments = ["batch", str(session), "--out", out, "--workers", "2", "--instrument", instrument]
+            with tempfile.TemporaryDirectory() as place:
+                out, many = Path(place, "out"), Path(place, "many")
+                arguments = ["batch", str(session), "--out", str(out), "--workers", "2", "--instrument", instrument]
                 measured[checkout.name].append(_timed(checkout, arguments))
-    return _rows(measured)
+                frames = len(list((out / "frames").iterdir()))
+                repeated_results(out, many, pages)
+                written[checkout.name].append(_timed_python(checkout, ["-c", _PAGE, str(many)]))
+                sizes[checkout.name] = (many / "report.html").stat().st_size
+    rows, page_rows = _rows(measured), _rows(written)
+    for row in rows[:2]:
+        row["frames a second"] = frames / row["wall, median"]
+    for row in page_rows[:2]:
+        row["MB"] = sizes[row["checkout"]] / 1e6
+    return {"folder, two workers, seconds": rows, f"page, of {pages} frames, seconds and bytes": page_rows}
 
 
 def _rows(measured: dict[str, list[tuple[float, float]]]) -> list[dict[str, Any]]:

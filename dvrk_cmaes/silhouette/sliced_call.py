@@ -1,0 +1,100 @@
+"""A long call whose work is done in slices, between which its caller does something else.
+
+The call runs in a thread of its own, but never at the same time as its caller: either waits for the other. A slice is
+measured by what is drawn in it, not by the clock, so that the same calls end after the same slices.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable
+from typing import Generic, TypeVar, cast
+
+R = TypeVar("R")
+
+_local = threading.local()
+_OF_A_DRAWING = 100
+"""Pixel rows that take as long as what a drawing takes beside its rows."""
+
+
+def worked(rows: int) -> None:
+    """Count a drawing of some pixel rows of silhouettes; in a `SlicedCall` whose slice is done, wait for the next."""
+    call: _Call | None = getattr(_local, "call", None)
+    if call is not None:
+        call.worked(rows + _OF_A_DRAWING)
+
+
+class SlicedCall(Generic[R]):
+    """A call that is done in slices; it is given up when this object is deleted.
+
+    Parameters
+    ----------
+    function
+        What is called. It must draw in the thread that calls it.
+    """
+
+    def __init__(self, function: Callable[[], R]) -> None:
+        self._call = _Call(function)
+        self._give_up = weakref.finalize(self, self._call.give_up)
+
+    def advance(self, work: float) -> bool:
+        """Go on until ``work`` pixel rows are drawn, or the call has ended; returns whether it has."""
+        self._call.advance(work)
+        return self._call.ended
+
+    def value(self) -> R:
+        """Return the value of the call, which has ended, or raise what it raised."""
+        if self._call.error is not None:
+            raise self._call.error
+        return cast(R, self._call.value)
+
+
+class _GivenUpError(BaseException):
+    """The call is not wanted any more."""
+
+
+class _Call:
+    """State of a call, which its thread and its caller share."""
+
+    def __init__(self, function: Callable[[], object]) -> None:
+        self.ended, self.value, self.error = False, cast(object, None), cast(BaseException | None, None)
+        self._function = function
+        self._left, self._given_up = 0.0, False
+        self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
+        self._thread: threading.Thread | None = None
+
+    def advance(self, work: float) -> None:
+        if self.ended:
+            return
+        self._left = work
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, daemon=True)
+            self._thread.start()
+        else:
+            self._go.release()
+        self._back.acquire()
+
+    def give_up(self) -> None:
+        if self._thread is not None and not self.ended:
+            self._given_up = True
+            self._go.release()
+
+    def worked(self, rows: int) -> None:
+        self._left -= rows
+        if self._left <= 0:
+            self._back.release()
+            self._go.acquire()
+            if self._given_up:
+                raise _GivenUpError
+
+    def _run(self) -> None:
+        _local.call = self
+        try:
+            self.value = self._function()
+        except _GivenUpError:
+            return
+        except BaseException as error:
+            self.error = error
+        self.ended = True
+        self._back.release()

@@ -1,0 +1,55 @@
+"""The lag of a calibration, and how poses that it predicts change with it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.track.lag import FoundLag
+
+Float64 = NDArray[np.float64]
+
+_TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
+_STEP = 1e-3  # s, of the difference by which the change of the pose by the lag is found
+
+
+def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
+    """Return the lag that is taken out of the readings, and its standard deviation; None if nothing tells one.
+
+    Where it is not determined, none is taken out, and the curve of disagreement tells how large it may be;
+    ``unknown`` is the standard deviation, s, beforehand.
+    """
+    found = calibration.lag
+    if found is None or found.seconds is None:
+        return _by_curve(calibration, unknown)
+    interval = found.seconds / found.frames if found.frames else 0.0
+    std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
+    return FoundLag(found.seconds if found.applied else 0.0, std if found.applied else max(std, abs(found.seconds)))
+
+
+def _by_curve(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
+    """Return a lag of zero with the root mean square of what the curve of disagreement tells beside ``unknown``, s."""
+    curve = calibration.lag_curve
+    if curve is None or curve.unit != "s" or len(curve.lags) < 2:
+        return None
+    told = _TOLD_BY_A_FRAME * len(calibration.frames) * (curve.misfit - curve.misfit.min())
+    weights = np.exp(-0.5 * (told + (curve.lags / unknown) ** 2))
+    return FoundLag(0.0, float(min(np.sqrt(weights @ curve.lags**2 / weights.sum()), unknown)))
+
+
+def predicted_with_lag(
+    calibration: SessionCalibration, outer: Float64, joints: Float64, rates: Float64, instrument: Instrument
+) -> tuple[Posed, Float64]:
+    """Return the pose and joints that readings make expect, and their change (D,) by the lag, per s.
+
+    ``outer`` (4,) and ``joints`` (J,) are the readings, NaN where there is none, ``rates`` (4 + J,) theirs per s. The
+    change is minus the velocity of pose and joints.
+    """
+    moved = -_STEP * np.nan_to_num(rates)
+    both = np.array([outer, outer + moved[: len(outer)]]), np.array([joints, joints + moved[len(outer) :]])
+    model, own = calibration.model(*both, instrument.joint_names)
+    at = model.predict(own)
+    return at[0], np.asarray(at[1].minus(at[0]) / _STEP)

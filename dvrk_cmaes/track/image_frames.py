@@ -1,0 +1,202 @@
+"""Tasks on the frames of a recording that is followed by its images, which can run in any process.
+
+As those of `recorded_frames`, with masks that are found in the images around the silhouette that is expected, and once
+more around that of the fit where it lies elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.masks_again import PackedMask
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.segment.field_of_view import outside_view
+from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.image_masks import learned_colours, mask_around
+from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, fit_followed
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+_ROUNDS = 3  # of masks and fits of a frame, at most
+_SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
+_LARGEST_SPREAD, _SPREAD_OF_FIT = 12.0, 2.0  # px, of an outline that is expected, and of a fitted one
+_REACH = 0.015  # m from the root, of the outline whose place depends on angles
+_PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette, from which on colours are learned
+_UNSUPPORTED = 0.3  # share of the silhouette without the instrument's colours, from which on a pose is doubtful
+
+
+@dataclass(frozen=True, eq=False)
+class LearnTask:
+    """Arguments of `learn_task`: the function that reads a frame's images, and where the instrument is in them.
+
+    Where that is only predicted, ``masks`` (H, W), by view, are those that were found in them.
+    """
+
+    read: Callable[[], FrameData]
+    at: Posed
+    masks: Mapping[str, PackedMask] | None = None
+
+
+def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str, ColourModel]:
+    """Learn the colours about the silhouette of a known pose, by name of the view.
+
+    Of a pose that is predicted, they are learned about the mask, if that overlaps the silhouette well enough.
+    """
+    found = {}
+    for view in with_outside(task.read()).views:
+        if view.image is None:
+            continue
+        shown = silhouette_of(task.at, view, body)
+        if task.masks is not None:
+            mask = task.masks[view.name].restored() if view.name in task.masks else np.zeros_like(shown)
+            if overlap(shown, mask) < _PREDICTED:
+                continue
+            shown = mask
+        model = learned_colours(view.image, shown, view.ignore)
+        if model is not None:
+            found[view.name] = model
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class ImageBlockTask:
+    """Arguments of `fit_image_block`: consecutive frames, the masks' margin, px, and the views' colours, by name.
+
+    Views of a frame that have masks keep them.
+    """
+
+    frames: tuple[PredictedFrame, ...]
+    margin: float
+    colours: Mapping[str, ColourModel]
+
+
+def fit_image_block(body: Body, config: EstimateConfig, task: ImageBlockTask) -> list[FittedFrame | None]:
+    """Fit consecutive frames by their images, as `fit_block` does by masks.
+
+    None stands for a frame whose images show nothing of the instrument where it is expected.
+    """
+    found: list[FittedFrame | None] = []
+    deviation: Float64 | None = None
+    for frame in task.frames:
+        fitted = _fit_by_images(body, config, frame, deviation, task)
+        found.append(fitted)
+        deviation = None
+        if fitted is not None and fitted.fit.explains_mask and not fitted.doubts:
+            deviation = fitted.fit.at.minus(frame.expected.mean)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class AroundTask:
+    """Arguments of `around_task`: a frame, with what is expected of it, and the views' colours, by name."""
+
+    frame: PredictedFrame
+    colours: Mapping[str, ColourModel]
+
+
+def around_task(body: Body, config: EstimateConfig, task: AroundTask) -> FrameData | None:
+    """Find the masks of a frame around the silhouettes that are expected; None where they are not supported."""
+    data, expected = task.frame.read(), task.frame.expected
+    if data is None:
+        return None
+    data = with_outside(data)
+    drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
+    found, unsupported = _masked(data, drawn, task.colours, _spread(expected, data.camera))
+    return found if unsupported < _UNSUPPORTED else None
+
+
+def _fit_by_images(
+    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, task: ImageBlockTask
+) -> FittedFrame | None:
+    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
+    data = frame.read()
+    if data is None:
+        return None
+    data = with_outside(data)
+    at = frame.expected.mean if before is None else frame.expected.mean.moved(before)
+    spread = _spread(frame.expected, data.camera)
+    fitted: FittedFrame | None = None
+    seconds, drawn = 0.0, [silhouette_of(at, view, body) for view in data.views]
+    for _ in range(_ROUNDS):
+        masked, unsupported = _masked(data, drawn, task.colours, spread)
+        if masked is None:
+            return None
+        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, task.margin)
+        if fitted is None:
+            return None
+        seconds += fitted.seconds
+        now = [silhouette_of(fitted.fit.at, view, body) for view in data.views]
+        settled = min(overlap(first, second) for first, second in zip(drawn, now, strict=True)) > _SAME
+        drawn, spread = now, _SPREAD_OF_FIT
+        if settled:
+            break
+    assert fitted is not None
+    doubts = (f"{100 * unsupported:.0f} % of the silhouette are without the instrument's colours",)
+    return replace(fitted, seconds=seconds, doubts=doubts if unsupported > _UNSUPPORTED else ())
+
+
+def _given(data: FrameData) -> FrameData:
+    return data
+
+
+def _masked(
+    data: FrameData, drawn: list[Bool], colours: Mapping[str, ColourModel], spread: float
+) -> tuple[FrameData | None, float]:
+    """Return a frame with masks found around silhouettes, if any, and the largest share that is unsupported."""
+    views, shares = [], [0.0]
+    for view, silhouette in zip(data.views, drawn, strict=True):
+        model = colours.get(view.name)
+        if view.given or view.image is None or model is None:
+            views.append(view)
+            continue
+        found = mask_around(view.image, silhouette, model, view.ignore, spread)
+        mask = np.zeros_like(silhouette) if found is None else found.mask
+        views.append(replace(view, mask=mask, given=True, image=None))
+        shares.append(0.0 if found is None else found.unsupported)
+    shown = any(view.given and view.shows for view in views)
+    return (replace(data, views=tuple(views)) if shown else None), max(shares)
+
+
+def _spread(expected: Expected, camera: Camera) -> float:
+    """Return the standard deviation, px, of the outline that is expected."""
+    covariance = np.linalg.inv(expected.information)
+    along = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    turned = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]) * _REACH**2
+    depth = max(float(expected.mean.pose[2, 3]), 0.02)
+    return min(camera.fx / depth * float(np.sqrt(along + turned)), _LARGEST_SPREAD)
+
+
+def with_outside(data: FrameData) -> FrameData:
+    """Return a frame in whose images the pixels outside the field of view are ignored."""
+    return replace(data, views=tuple(_with_outside(view) for view in data.views))
+
+
+def _with_outside(view: SeenView) -> SeenView:
+    outside = None if view.image is None else outside_view(view.image)
+    if outside is None or not outside.any() or outside.shape != view.mask.shape:
+        return view
+    return replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
+
+
+def silhouette_of(at: Posed, view: SeenView, body: Body) -> Bool:
+    """Return the silhouette (H, W) in a view of an instrument that is given in the reference camera."""
+    seen = at.seen_from(view.view_from_camera)
+    return np.asarray(Renderer(body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])
+
+
+def overlap(first: Bool, second: Bool) -> float:
+    """Intersection over union of two masks; 1 if both are empty."""
+    either = int((first | second).sum())
+    return float((first & second).sum()) / either if either else 1.0

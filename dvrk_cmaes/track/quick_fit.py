@@ -1,0 +1,125 @@
+"""A fit of one image to a prediction that is near, in few drawings, for following while images come.
+
+Its terms are those of a recording's frames (`fit_followed`). What a step costs is bounded by the number of drawings: a
+fit that has not converged then is finished by the images after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.config import EstimateConfig, OutlineConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.frames.seen_view import SeenView, shown_views
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.joints.prior import split_readings
+from dvrk_cmaes.pose.doubts import doubts_in_views
+from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
+from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
+from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import sum_of_locals
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.track.recorded_frames import JudgedFrame
+
+Float64 = NDArray[np.float64]
+
+_LEAST_SHOWN = 40  # px of mask, from which on an image is fitted
+_ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
+_LINES_PER_PIXEL: Final = 1
+_STRIDE: Final = 2  # of the outline's points from which the covariance is found
+_FOLLOWED, _FOUND = 2, 6  # drawings of a fit from the image before, and of one from the prediction alone
+_INNER = 4  # steps on what was drawn
+_LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
+_LARGEST_CHANGE = 4.0  # standard deviations of a step
+
+
+@dataclass(frozen=True, eq=False)
+class QuickFit:
+    """The fit of an image, its views, and the noises of their contours.
+
+    ``inflation`` is the factor by which the contour's roughness widens the covariance.
+    """
+
+    views: tuple[FrameView, ...]
+    fit: FrameFit
+    lengths: tuple[float, ...]
+    inflation: float
+
+
+def quick_fit(
+    body: Body,
+    config: EstimateConfig,
+    seen: Sequence[SeenView],
+    expected: Expected,
+    before: Float64 | None,
+    lengths: Mapping[str, float],
+    margin: float,
+) -> QuickFit | None:
+    """Fit an image; None if its masks show nothing.
+
+    ``before`` (D,) is the deviation of the image before from its prediction, None without one; ``lengths`` are the
+    correlation lengths, px, of its contours by view. ``margin``, px, is taken off the masks.
+    """
+    shown = shown_views(seen)
+    if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
+        return None
+    outline = replace(config.refine.outline, lines_per_pixel=_LINES_PER_PIXEL, cauchy=config.session.cauchy)
+    views = [_frame_view(view, body) for view in shown]
+    sized = [SizedView(view, blur=outline.blur, margin=margin) for view in views]
+    coverage = Coverage(sized, outline, correlations=[lengths.get(view.name, outline.correlation) for view in views])
+    limits = split_readings(body.instrument, {}, config)[0]
+    terms = terms_of_frame(views, limits, outline, expected)
+    at, steps = _starts(expected, before, outline)
+    fit = min(refine(coverage, terms, at, steps), key=lambda each: each.score)
+    own = OwnEstimate.of(views, fit.at)
+    lasting = coverage.near_with_lasting(fit.at, own.noises, stride=_STRIDE)
+    told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)
+    whole = told + sum_of_locals(terms, Posed.stacked([fit.at]))
+    step = -np.linalg.solve(whole.information[0], whole.slope[0])
+    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
+    end = fit.at.moved(step)
+    for term in terms:
+        end = term.allowed(Posed.stacked([end]))[0]
+    slope = told.slope[0] + told.information[0] @ end.minus(fit.at)
+    found = FrameFit(end, told.information[0], slope, score=fit.score, evaluations=coverage.silhouettes, iou=own.iou)
+    return QuickFit(tuple(views), found, own.lengths, own.noises[0].inflation)
+
+
+def judged(
+    views: Sequence[FrameView], at: Posed, covariance: Float64, body: Body, config: EstimateConfig
+) -> JudgedFrame:
+    """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
+    qualities = [measure_overlap(view, at) for view in views]
+    error = expected_error(body.instrument, at, covariance)
+    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust)
+    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))
+
+
+def _frame_view(view: SeenView, body: Body) -> FrameView:
+    """Gather the evidence of a view, and make its renderer."""
+    evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
+    return FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera)
+
+
+def _starts(expected: Expected, before: Float64 | None, outline: OutlineConfig) -> tuple[Posed, Steps]:
+    """Return where a fit starts, and its steps."""
+    if before is None:
+        return Posed.stacked([expected.mean]), Steps(_FOUND, outline.inner_steps, outline.tolerance, "long")
+    apart = float(np.sqrt(before @ expected.information @ before / len(before)))
+    near = expected.mean.moved(before)
+    if apart > _ANOTHER_START:
+        return Posed.stacked([near, expected.mean]), Steps(_FOLLOWED, _INNER, outline.tolerance, "long")
+    return Posed.stacked([near]), Steps(_FOLLOWED, _INNER, outline.tolerance, "none", _LARGEST_CHANGE)

@@ -1,0 +1,72 @@
+"""A search of one image that goes on in the steps after it, a slice in each, and the images that came meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.silhouette.sliced_call import SlicedCall
+from dvrk_cmaes.track.hypothesis import Hypothesis
+from dvrk_cmaes.track.motion import Anchor
+from dvrk_cmaes.track.recovery import GlobalSearch
+from dvrk_cmaes.track.sight import Seen
+from dvrk_cmaes.track.update import Fit
+
+Purpose = Literal["first", "lost", "confirm"]
+
+SLICE: Final = 6000.0
+"""Pixel rows of silhouettes that are drawn for a search in one step; some 30 ms."""
+_MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
+CAUGHT_UP: Final = 3
+"""Images that are followed in one step after a search, until the present one is reached."""
+
+
+@dataclass(frozen=True, eq=False)
+class SlicedSearch:
+    """The search of an image of a ``time``, s, what was known there, and what it is for.
+
+    ``hypotheses`` are the modes as they were predicted for that image or, to be confirmed, followed to it; ``fit`` is
+    what supports the first of them there, None if nothing does. ``later`` are the images that have come since, with
+    their times.
+    """
+
+    call: SlicedCall[Result | None]
+    purpose: Purpose
+    time: float
+    anchor: Anchor
+    seen: Seen
+    hypotheses: tuple[Hypothesis, ...]
+    fit: Fit | None
+    later: list[tuple[float, Seen]] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls,
+        solve: GlobalSearch,
+        purpose: Purpose,
+        time: float,
+        anchor: Anchor,
+        seen: Seen,
+        hypotheses: Sequence[Hypothesis],
+        fit: Fit | None = None,
+    ) -> SlicedSearch:
+        """Begin a search."""
+        kept = seen.copied()
+        call = SlicedCall(lambda: solve(kept, anchor, first=purpose == "first"))
+        return cls(call, purpose, time, anchor, kept, tuple(hypotheses), fit)
+
+    def advance(self) -> bool:
+        """Go on by a slice; returns whether the search has ended."""
+        return self.call.advance(SLICE)
+
+    def add(self, time: float, seen: Seen) -> bool:
+        """Keep an image that comes during the search; returns whether there are not too many."""
+        self.later.append((time, seen.copied()))
+        return len(self.later) <= _MOST_IMAGES
+
+    @property
+    def reason(self) -> str:
+        """What a step says that has no pose yet."""
+        return f"searching: the image of {self.time:.3f} s"

@@ -1,0 +1,140 @@
+"""Errors that frames share: the covariance of a calibration with them, and their size as a session tells it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
+
+from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.lasting_errors import (
+    SINGLE_SIZE,
+    USUAL_SIZE,
+    CommonErrors,
+    LastingSize,
+    LastingSlopes,
+    without_lasting,
+)
+from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
+from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
+from dvrk_cmaes.calibration.solve import FrameFits, solve
+from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.pose.terms.term import Quadratic
+
+SIZE = 6 + len(NAMES)
+NOTHING = np.zeros(SIZE)
+NEARER = np.array([0.0, 0.0, 2e-3, *np.zeros(SIZE - 3)])
+"""Change of a frame's outline by a standard deviation of an error that lasts, as of a shaft that looks wider."""
+
+
+def outlines(world: World, rng: np.random.Generator, size: LastingSize, times: np.ndarray) -> list[Quadratic]:
+    """Sample outlines about the truth, whose errors are those of `SEEN` and errors that last."""
+    root = np.linalg.cholesky(size.correlation(times))
+    lasting = size.scale * root @ rng.standard_normal(len(times))
+    jacobian, weight = np.column_stack([np.eye(SIZE), NEARER]), np.diag(SEEN**-2.0)
+    terms = []
+    for error in lasting:
+        seen = rng.standard_normal(SIZE) * SEEN + NEARER * error
+        terms.append(Quadratic((jacobian.T @ weight @ jacobian)[None], (-jacobian.T @ weight @ seen)[None]))
+    return terms
+
+
+def test_correlation_falls_with_time_and_is_zero_where_times_are_unknown() -> None:
+    found = LastingSize(1.0, 0.2).correlation(np.array([0.0, 0.2, 0.6, np.nan]))
+    np.testing.assert_allclose(found[0], [1.0, np.exp(-1), np.exp(-3), 0.0])
+    np.testing.assert_allclose(np.diag(found), 1.0)
+    np.testing.assert_allclose(found, found.T)
+
+
+def test_slopes_without_errors_that_last_vary_as_their_covariance_says() -> None:
+    """That of one frame's slope is its information; that of two frames' slopes is the product of their loadings."""
+    rng, size = np.random.default_rng(0), LastingSize(0.7, 0.2)
+    world, times = make_world(2), np.array([0.0, 0.05])
+    terms = Quadratic.joined(outlines(world, rng, size, times))
+    slopes = LastingSlopes.of(terms, 1, size, times)
+    left = without_lasting(terms, 1, size)
+    drawn = []
+    for _ in range(4000):
+        sampled = without_lasting(Quadratic.joined(outlines(world, rng, size, times)), 1, size)
+        drawn.append(sampled.slope[:, 2])
+    one, other = np.array(drawn).T
+    assert np.var(one) == pytest.approx(left.information[0, 2, 2], rel=0.1)
+    expected = size.correlation(times)[0, 1] * slopes.loadings[0, 2, 0] * slopes.loadings[1, 2, 0]
+    assert np.mean(one * other) == pytest.approx(expected, rel=0.1)
+    assert slopes.between_frames[2, 2] == pytest.approx(2 * expected)
+
+
+def test_stated_deviations_hold_for_errors_that_last() -> None:
+    """Of a recording whose errors last for eight frames: without their correlation, the base is stated too well."""
+    world, size = make_world(40, noise=0.0, turning=0.02), LastingSize(1.0, 0.4)
+    times = 0.05 * np.arange(40)
+    deviations = {True: [], False: []}
+    for seed in range(60):
+        terms = outlines(world, np.random.default_rng(seed), size, times)
+        for known in deviations:
+            common = CommonErrors(size, times if known else np.full(40, np.nan), np.zeros((40, SIZE)))
+            fits = FrameFits.with_lasting(world.at, terms, common)
+            solution = solve(world.model, fits, world.truth, PRIOR)
+            off = change_between(world.truth.camera_from_base, solution.calibration.camera_from_base)
+            inverse = np.linalg.inv(solution.information)
+            covariance = inverse + inverse @ solution.lasting.between_frames @ inverse
+            deviations[known].append(off / np.sqrt(np.diag(covariance)[:6]))
+    rms = {known: np.sqrt(np.mean(np.square(values), axis=0)).max() for known, values in deviations.items()}
+    assert rms[True] < 1.2
+    assert rms[False] > rms[True] + 0.1
+
+
+def test_error_of_the_lag_widens_the_covariance_along_what_it_changes() -> None:
+    """A lag that moves all predictions by the same change of the base cannot be told from that change."""
+    world, rng = make_world(12), np.random.default_rng(0)
+    fits = world.fits(rng)
+    along = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0, *np.zeros(len(PRIOR) - 6)])
+    by_lag = world.model.jacobian(world.truth) @ along
+    without = solve(world.model, fits, world.truth, PRIOR).covariance
+    with_lag = solve(world.model, replace(fits, by_lag=by_lag), world.truth, PRIOR).covariance
+    assert with_lag[4, 4] - without[4, 4] == pytest.approx(0.01**2, rel=0.05)
+    assert with_lag[0, 0] == pytest.approx(without[0, 0], rel=0.3)
+
+
+def estimated(size: LastingSize, frames: int, spacing: float) -> LastingEstimate:
+    """Estimate the size of the errors that last from a made recording in which they have another one."""
+    world, times = make_world(frames), spacing * np.arange(frames)
+    terms = outlines(world, np.random.default_rng(3), size, times)
+    fits = []
+    for at, of_frame in zip(world.at, terms, strict=True):
+        left = without_lasting(of_frame, 1, USUAL_SIZE)
+        fits.append(FrameFit(at, left.information[0], left.slope[0], 0.0, lasting=of_frame, side_px=0.5))
+    common = CommonErrors(USUAL_SIZE, times, np.zeros((frames, SIZE)))
+    solution = solve(world.model, FrameFits.with_lasting(world.at, terms, common), world.truth, PRIOR)
+    return estimate_lasting(world.model, fits, solution, PRIOR, times)
+
+
+def test_size_is_found() -> None:
+    large, small = (estimated(LastingSize(scale, 0.4), 150, 0.1) for scale in (1.2, 0.1))
+    assert large.size.scale == pytest.approx(1.2, rel=0.35)
+    assert large.size.seconds == pytest.approx(0.4, rel=0.5)
+    assert large.side_px == pytest.approx(0.5 * large.size.scale)
+    assert small.size.scale < USUAL_SIZE.scale / 1.5
+    assert large.log_std_seconds < small.log_std_seconds
+
+
+def test_few_frames_leave_the_usual_size() -> None:
+    found = estimated(USUAL_SIZE, 3, 5.0)
+    assert USUAL_SIZE.scale / 2 < found.size.scale < 2 * USUAL_SIZE.scale
+    assert found.size.seconds == pytest.approx(USUAL_SIZE.seconds, rel=0.2)
+
+
+def test_masks_are_described_with_what_lasts() -> None:
+    lasting = LastingEstimate(SINGLE_SIZE, 0.5, 0.25, timed=True, side_px=0.4)
+    margins = [("left", Margin(0.4, 0.1, True)), ("right", Margin(-0.2, 0.15, False))]
+    masks = SessionMasks.of(margins, lasting)
+    assert masks.describe() == (
+        "masks are 0.40 px (std 0.10) too wide all round; taken off; masks of the right eye are 0.20 px (std 0.15) too "
+        "narrow all round; left as they are; errors of a side of the shaft are 0.4 px (std 0.2) and last 0.2 s"
+    )
+    assert (masks.taken_off_in("left"), masks.taken_off_in("right")) == (0.4, 0.0)
+    untimed = SessionMasks.of(margins, replace(lasting, timed=False))
+    assert untimed.lasting_seconds is None
+    assert untimed.describe().endswith("(std 0.2)")

@@ -1,0 +1,84 @@
+"""`track --causal`: keyframes are solved beside the following, and an interrupted run goes on with the same results."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.moving_worlds import SMALL
+
+from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.results.track_files import read_tracks
+from dvrk_cmaes.runs.track_folder import track_folder
+from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.synth.levels import LEVELS
+from dvrk_cmaes.synth.recording import write_recording
+from dvrk_cmaes.synth.session import SessionPlan
+
+FRAMES, INTERRUPTED_AFTER = 46, 24
+SETTINGS = TrackSettings(
+    EstimateConfig(trust=TrustConfig(tip_mm=3.0)), causal=True, evidence="masks", workers=1
+)  # small images tell less about the depth
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("causal") / "session"
+    write_recording(folder, SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", FRAMES, 2, {}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tracks(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("tracks")
+    track_folder(read_session(recording), out, prepare("lnd"), SETTINGS, video=False)
+    return out
+
+
+def rows_of(folder: Path) -> list[dict[str, object]]:
+    return [{**row, "seconds": 0} for row in read_tracks(folder / "tracks.jsonl")]
+
+
+def test_no_frame_is_ok_before_the_first_solution_is_used(tracks: Path) -> None:
+    rows = rows_of(tracks)
+    used = [row["base"]["used"] for row in rows]
+    first = used.index(True)
+    assert 30 < first < FRAMES - 3
+    assert all(used[first:])
+    assert {row["status"] for row in rows[:first]} <= {"doubtful", "lost"}
+    assert sum(row["status"] == "ok" for row in rows[first:]) > (FRAMES - first) / 2
+
+
+def test_poses_by_the_solution_are_near_the_truth(recording: Path, tracks: Path) -> None:
+    golden = json.loads((recording / "golden.json").read_text(encoding="utf-8"))["frames"]
+    for row in rows_of(tracks):
+        if row["base"]["used"]:
+            off = np.array(row["tips"]) - np.array(golden[row["frame"]]["tips_camera_m"])
+            assert 1e3 * np.linalg.norm(off, axis=1).mean() < 2.0
+
+
+def test_solution_is_written_and_shown_on_the_page(tracks: Path) -> None:
+    assert len(read_calibration(tracks / "session.json").frames) >= 3
+    page = (tracks / "report.html").read_text(encoding="utf-8")
+    assert 'id="chart-base"' in page
+    assert "from frame " in page
+
+
+def test_interrupted_run_goes_on_with_the_same_results(recording: Path, tracks: Path, tmp_path: Path) -> None:
+    session, body, stop = read_session(recording), prepare("lnd"), threading.Event()
+
+    def interrupt(done: int, total: int, result: object) -> None:
+        if done == INTERRUPTED_AFTER:
+            stop.set()
+
+    first = track_folder(session, tmp_path, body, SETTINGS, video=False, page=False, stop=stop, progress=interrupt)
+    assert first.interrupted
+    again = track_folder(session, tmp_path, body, SETTINGS, video=False, page=False)
+    assert not again.interrupted
+    assert rows_of(tmp_path) == rows_of(tracks)

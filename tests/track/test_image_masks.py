@@ -1,0 +1,110 @@
+"""Masks found around expected silhouettes by colours: displaced, hidden and missing instruments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.moving_worlds import MovingWorld, moving_world
+
+from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.synth.images import draw_image
+from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.image_masks import (
+    colours_document,
+    learned_colours,
+    mask_around,
+    pooled_colours,
+    read_colours,
+)
+
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def world() -> MovingWorld:
+    return moving_world()
+
+
+@pytest.fixture(scope="module")
+def images(world: MovingWorld) -> list[np.ndarray]:
+    return [draw_image(world.camera, one, np.random.default_rng(5)) for one in world.truths[:FRAMES]]
+
+
+@pytest.fixture(scope="module")
+def colours(world: MovingWorld, images: list[np.ndarray]) -> ColourModel:
+    """The colours of the later images."""
+    models = [learned_colours(images[k], world.masks[k], None) for k in (1, 2)]
+    return pooled_colours([model for model in models if model is not None])
+
+
+def iou(first: np.ndarray, second: np.ndarray) -> float:
+    return float((first & second).sum() / (first | second).sum())
+
+
+def silhouette(world: MovingWorld, shift: tuple[float, float, float]) -> np.ndarray:
+    """Draw the first frame's silhouette, moved by some metres."""
+    truth = world.truths[0]
+    pose = truth.camera_from_root.copy()
+    pose[:3, 3] += shift
+    return Renderer(world.body, world.camera, threads=1).masks(pose[None], truth.values[None])[0]
+
+
+def test_mask_is_found_where_the_silhouette_is_some_pixels_beside_it(
+    world: MovingWorld, images: list[np.ndarray], colours: ColourModel
+) -> None:
+    beside = silhouette(world, (1.2e-3, -0.8e-3, 0.0))
+    assert iou(beside, world.masks[0]) < 0.9
+    found = mask_around(images[0], beside, colours, spread=8.0)
+    assert found is not None
+    assert iou(found.mask, world.masks[0]) > 0.96
+    assert found.unsupported < 0.1
+
+
+def test_tissue_before_the_instrument_is_not_in_the_mask(
+    world: MovingWorld, images: list[np.ndarray], colours: ColourModel
+) -> None:
+    hidden = np.zeros_like(world.masks[0])
+    middle = int(np.median(np.nonzero(world.masks[0])[1]))
+    hidden[:, middle - 12 : middle + 12] = True
+    tissue = images[0][~world.masks[0]].reshape(-1, 3)
+    covered = images[0].copy()
+    covered[hidden] = np.median(tissue, axis=0)
+    found = mask_around(covered, world.masks[0], colours)
+    assert found is not None
+    inner = hidden & world.masks[0]
+    assert found.mask[inner].mean() < 0.3
+    assert iou(found.mask & ~hidden, world.masks[0] & ~hidden) > 0.9
+
+
+def test_image_without_the_instrument_has_no_mask(
+    world: MovingWorld, images: list[np.ndarray], colours: ColourModel
+) -> None:
+    tissue = images[0][~world.masks[0]].reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    alone = tissue[rng.integers(0, len(tissue), images[0].shape[:2])]
+    found = mask_around(alone, world.masks[0], colours)
+    assert found is None or found.mask.sum() < 0.1 * world.masks[0].sum() or found.unsupported > 0.3
+
+
+def test_pixels_outside_the_view_are_not_in_the_mask(
+    world: MovingWorld, images: list[np.ndarray], colours: ColourModel
+) -> None:
+    outside = np.zeros_like(world.masks[0])
+    outside[: outside.shape[0] // 2] = True
+    found = mask_around(images[0], world.masks[0], colours, outside)
+    assert found is not None
+    assert not (found.mask & outside).any()
+
+
+def test_empty_and_full_silhouettes_tell_nothing(images: list[np.ndarray], colours: ColourModel) -> None:
+    for shown in (False, True):
+        flat = np.full(images[0].shape[:2], shown)
+        assert learned_colours(images[0], flat, None) is None
+        assert mask_around(images[0], flat, colours) is None
+
+
+def test_colours_are_the_same_after_they_are_written(colours: ColourModel) -> None:
+    again = read_colours(colours_document({"left": colours}))
+    assert np.array_equal(again["left"].log_odds, colours.log_odds)
+    with pytest.raises(ValueError, match="expected histograms"):
+        read_colours({"left": {"inside": "", "outside": ""}})

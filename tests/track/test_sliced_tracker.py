@@ -1,0 +1,77 @@
+"""A tracker whose searches go on in later steps: the first pose, and a pose that is found again."""
+
+from __future__ import annotations
+
+import pytest
+from helpers.moving_worlds import MovingWorld, moving_world
+
+from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.silhouette import sliced_call
+from dvrk_cmaes.track import Tracker
+
+
+@pytest.fixture(scope="module")
+def world() -> MovingWorld:
+    return moving_world()
+
+
+def followed(world: MovingWorld) -> list[TrackResult]:
+    return world.follow(Tracker(world.camera, world.body, sliced=True, lag=0.0))
+
+
+@pytest.fixture(scope="module")
+def results(world: MovingWorld) -> list[TrackResult]:
+    return followed(world)
+
+
+def test_steps_say_that_they_search_until_the_first_pose(results: list[TrackResult]) -> None:
+    first = next(k for k, result in enumerate(results) if result.camera_from_root is not None)
+    assert first > 3
+    assert results[0].reasons == ("searching: the image of 0.000 s",)
+    assert all(reason.startswith("searching: ") for result in results[:first] for reason in result.reasons)
+    assert all(result.searched for result in results[: first + 1])
+    assert not any(result.searched for result in results[first + 1 :])
+
+
+def test_first_pose_is_followed_to_the_image_that_is_present(world: MovingWorld, results: list[TrackResult]) -> None:
+    errors = [world.error_mm(k, result) for k, result in enumerate(results) if result.tips is not None]
+    assert len(errors) > 10
+    assert max(errors) < 1.5
+
+
+def test_same_images_give_same_results(world: MovingWorld, results: list[TrackResult]) -> None:
+    assert [result.to_dict("") | {"seconds": 0} for result in followed(world)] == [
+        result.to_dict("") | {"seconds": 0} for result in results
+    ]
+
+
+def test_no_step_of_a_search_draws_much_more_than_a_slice(world: MovingWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker, largest = Tracker(world.camera, world.body, sliced=True, lag=0.0), []
+    counted = 0
+    worked = sliced_call._Call.worked
+
+    def count(self: sliced_call._Call, rows: int) -> None:
+        nonlocal counted
+        counted += rows
+        worked(self, rows)
+
+    monkeypatch.setattr(sliced_call._Call, "worked", count)
+    for k in range(8):
+        before = counted
+        world.follow(tracker, frames=range(k, k + 1))
+        largest.append(counted - before)
+    assert 0 < max(largest) < 20000
+    assert counted > 3 * 6000
+
+
+def test_search_that_goes_on_is_not_saved(world: MovingWorld) -> None:
+    tracker = Tracker(world.camera, world.body, lag=0.0, sliced=True)
+    world.follow(tracker, frames=range(3))
+    assert tracker.searching
+    again = Tracker(world.camera, world.body, lag=0.0, sliced=True)
+    for k in range(3):
+        again.add_readings(world.time(k), world.readings[k])
+    again.restore(tracker.checkpoint())
+    assert not again.searching
+    (result,) = world.follow(again, frames=range(3, 4))
+    assert result.reasons == ("searching: the image of 0.100 s",)
