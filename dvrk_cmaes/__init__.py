@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.results.folder import ResultsFolder, read_results
     from dvrk_cmaes.results.links import LinkModel
     from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result, ViewCheck
-    from dvrk_cmaes.results.tracked import TrackResult
+    from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
     from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Alternative": "results.result",
+    "BaseKnown": "results.tracked",
     "Body": "silhouette",
     "Camera": "camera",
     "DvrkCmaesError": "errors",
@@ -125,6 +126,7 @@ _HOMES = {
 
 __all__ = [
     "Alternative",
+    "BaseKnown",
     "Body",
     "Camera",
     "DvrkCmaesError",

@@ -74,6 +74,7 @@ LEAST_FRAMES = 3
 
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
+_WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 
 
@@ -193,12 +194,27 @@ class Alternation:
         other.iterate()
         return other
 
+    def tell_lag(self) -> float | None:
+        """Determine the lag from the frames' fits where the modes did not; returns one that is to be tried, or None.
+
+        Where the fits tell that there is none, what is not known of the lag does not widen the solution any more.
+        """
+        fits = self._frame_fits(keep_all=False)
+        to_try = self.lag.tell_by_fits(self.model, fits, self.solution.calibration, self._prior)
+        if self.lag.lag is not None:
+            self._finish(self._frame_fits(keep_all=False))
+        return to_try
+
     def left_out_overlaps(self) -> dict[str, float]:
         """Return the overlap of each frame's masks and the silhouette that all other frames predict, by its name."""
         poses = [Posed.stacked([at]) for at in self._left_out_predictions()]
         tasks = [PredictedTask(*pair, self._change) for pair in zip(self._stored, poses, strict=True)]
         measured = self._run(predicted_task, tasks)
         return {frame.name: iou for frame, ((iou, _),) in zip(self.frames, measured, strict=True)}
+
+    def predicts_well(self, left_out: Mapping[str, float]) -> bool:
+        """Whether frames that are left out overlap nearly as well as their fits; argument as of `left_out_overlaps`."""
+        return float(np.median(list(left_out.values()))) > float(np.median([fit.iou for fit in self.fits])) - _WELL
 
     def _take_out_lag(self) -> None:
         """Correct the readings by the lag if it differs from zero."""

@@ -205,9 +205,11 @@ def calibrate_with_evidence(
 
 
 def _solved(alternation: Alternation, progress: Callable[[str, int], None]) -> Alternation:
-    """Solve a session; where the frames' own modes do not tell the lag, also at the lags that they allow.
+    """Solve a session; where the frames' own modes do not tell the lag, also at others.
 
-    A solution at such a lag is taken where it predicts frames that are left out clearly better than that without.
+    These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
+    taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
+    is no lag.
 
     Raises
     ------
@@ -220,22 +222,31 @@ def _solved(alternation: Alternation, progress: Callable[[str, int], None]) -> A
         alternation.iterate()
     except InputError as error:
         problem = error
-    trials = _at_other_lags(alternation, progress) if alternation.lag.can_be_tried else []
-    if not trials:
+    if not alternation.lag.can_be_tried:
         if problem is not None:
             raise problem
         return alternation
-    overlaps = [trial.left_out_overlaps() for trial in trials]
+    lags = lags_to_try(alternation.lag.curve)
     if problem is not None:
+        trials = _at_lags(alternation, lags, progress)
+        if not trials:
+            raise problem
+        overlaps = [trial.left_out_overlaps() for trial in trials]
         return trials[int(np.argmax([np.mean(list(each.values())) for each in overlaps]))]
-    best = best_predicting(alternation.left_out_overlaps(), overlaps)
+    by_fits, without_lag = alternation.tell_lag(), alternation.left_out_overlaps()
+    if by_fits is None and alternation.lag.lag is not None and alternation.predicts_well(without_lag):
+        return alternation
+    trials = _at_lags(alternation, lags if by_fits is None else [by_fits, *lags], progress)
+    best = best_predicting(without_lag, [trial.left_out_overlaps() for trial in trials])
     return alternation if best is None else trials[best]
 
 
-def _at_other_lags(alternation: Alternation, progress: Callable[[str, int], None]) -> list[Alternation]:
-    """Solve a session at the lags that its frames' own modes allow, but for those that its readings contradict."""
-    trials, curve = [], alternation.lag.curve
-    for lag in lags_to_try(curve):
+def _at_lags(
+    alternation: Alternation, lags: Sequence[float], progress: Callable[[str, int], None]
+) -> list[Alternation]:
+    """Solve a session at some lags, but for those that its readings contradict."""
+    trials = []
+    for lag in lags:
         progress("trying another lag", len(alternation.frames))
         with contextlib.suppress(InputError):
             trials.append(alternation.at_lag(lag))

@@ -110,6 +110,26 @@ class LagEstimate:
         if self.applied is not None and not self._clock.has_readings(self._clock.delay_of(self.applied)).all():
             self.lag = before
 
+    def tell_by_fits(
+        self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64
+    ) -> float | None:
+        """Determine a lag that the modes did not tell from the frames' fits without one; arguments as in `solve`.
+
+        Returns the lag, in the unit of the readings' times, if it differs from zero: it is to be tried. If it does not,
+        it is kept with its standard deviation.
+        """
+        if self.lag is not None or self._clock is None:
+            return None
+        clock = self._clock
+        value = LagRefiner(clock, model, fits, calibration, prior, Delay()).refine_value()
+        lag = None if value is None or not clock.interpolable else describe_lag(clock, value)
+        if value is None or not isinstance(lag, Lag):
+            return None
+        if lag.applied:
+            return value.value
+        self.lag = lag
+        return None
+
     def estimate_joints(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
         """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`."""
         if self.lag is None or self._clock is None:

@@ -141,5 +141,5 @@ def _results(path: Path) -> Finding:
     line = f"{counted(len(results.frames), 'frame')} ({counts}): {listed(results.frames)}"
     session = "with a session calibration" if results.session is not None else "each frame by itself"
     if is_followed(path):
-        session = "followed from image to image (tracks.jsonl); lost frames are doubtful, or failed without a pose"
+        session = "a recording that track followed (tracks.jsonl); lost frames are doubtful, or failed without a pose"
     return Finding("results", (line, session), {"statuses": dict(statuses), "frames": list(results.frames)})

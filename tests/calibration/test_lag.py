@@ -260,6 +260,23 @@ def test_frames_without_readings_near_the_lag_are_not_kept() -> None:
     assert not np.isnan(estimate.corrected(model).outer).any()
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.9])
+def test_fits_tell_that_there_is_no_lag_or_which_is_to_be_tried(lag: float) -> None:
+    world, clock, modes = moving_world(lag, seed=1)
+    estimate = LagEstimate(clock.series, list(clock.series.frames), world.model.deviations.outer)
+    found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
+    to_try = estimate.tell_by_fits(world.model, fits_of(modes), found.calibration, PRIOR)
+    if lag == 0.0:
+        assert to_try is None
+        assert estimate.lag is not None
+        assert not estimate.lag.applied
+        assert estimate.lag.std_frames is not None
+        assert abs(estimate.lag.frames) < 2 * estimate.lag.std_frames + 0.1
+    else:
+        assert to_try == pytest.approx(lag, abs=0.3)
+        assert estimate.lag is None
+
+
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:
     world, clock, _ = moving_world(0.0, 1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer

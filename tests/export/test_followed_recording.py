@@ -90,7 +90,7 @@ def test_folder_is_inspected(capsys: pytest.CaptureFixture[str], tracks: Path) -
     ran = run_command(capsys, "inspect", tracks)
     assert ran.code == 0, ran.err
     assert "4 frames (1 doubtful, 1 failed, 2 ok)" in ran.out
-    assert "followed from image to image" in ran.out
+    assert "a recording that track followed" in ran.out
 
 
 def test_comparison_with_the_truth_states_coverage(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:

@@ -121,14 +121,14 @@ def test_session_with_poses_alone_gives_the_results_of_one_with_joints(
         for image, mask in zip(images, masks, strict=True):
             shutil.copy(mask, Path(name, "masks", image.stem + ".png"))
         assert run_command(capsys, "batch", name, "--out", f"{name}-results").code in (0, 3)
-    results = [read_results(f"{name}-results").frames for name in ("joints", "poses")]
+    results = [list(read_results(f"{name}-results").frames.values()) for name in ("joints", "poses")]
     assert [result.frame for result in results[0]] == [result.frame for result in results[1]]
     for one, other in zip(*results, strict=True):
         assert one.status == other.status
         assert one.readings == pytest.approx(other.readings, abs=1e-6)
         assert one.tips is not None
         assert other.tips is not None
-        assert np.asarray(list(one.tips.values())) == pytest.approx(np.asarray(list(other.tips.values())), abs=1e-5)
+        assert np.asarray(one.tips) == pytest.approx(np.asarray(other.tips), abs=1e-5)
         assert one.camera_from_root is not None
         assert other.camera_from_root is not None
         assert one.camera_from_root[:3, 3] == pytest.approx(other.camera_from_root[:3, 3], abs=1e-5)  # 0.01 mm
