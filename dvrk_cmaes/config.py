@@ -293,7 +293,7 @@ class TrustConfig:
         batch whose frames scatter more, three times the median rotation counts.
     """
 
-    tip_mm: float = 1.6
+    tip_mm: float = 1.8
     least_mode_probability: float = field(default=0.8, metadata=_SHARE_OR_ZERO)
     least_iou: float = field(default=0.85, metadata=_SHARE_OR_ZERO)
     largest_distal_px: float = 2.8

@@ -171,7 +171,7 @@ def test_masks_count_where_there_are_any(
     for evidence in ((), ("--evidence", "both")):
         out = tmp_path / f"out{len(evidence)}"
         rows = follow(capsys, tmp_path / "masked", out, "--no-video", *evidence)
-        assert max(error_mm(world, row, k) for k, row in enumerate(rows)) < 1
+        assert max(error_mm(world, row, k) for k, row in enumerate(rows)) < (1.2 if evidence else 1.0)
         used = json.loads((out / "run.json").read_text(encoding="utf-8"))["track"]["evidence"]
         assert used == (evidence[1] if evidence else "masks")
 
