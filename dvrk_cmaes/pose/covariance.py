@@ -1,9 +1,7 @@
 """Covariance of the pose of a frame: of its best mode, and of other modes near it.
 
 Where the mask's contour is far from the silhouette at wrist and jaws, tissue or another tool is in front of them. The
-errors are then larger than the outline's noise tells. They are also larger in a single view where few parts of the
-contour have most of its errors, as beside a shadow, and where the shaft is narrow in the image, so that the same errors
-change its width, and with it the distance, more.
+errors are then larger than the outline's noise tells.
 """
 
 from __future__ import annotations
@@ -22,26 +20,12 @@ from dvrk_cmaes.results.result import Quality
 Float64 = NDArray[np.float64]
 
 _NEAR = np.deg2rad(60.0)  # rotation between modes that are covered by one covariance
-# of 228 ok and doubtful frames of followed recordings and of the level hard, with these the standard deviations hold
-_EVEN, _MOST_UNEVEN = 1.35, 3.0  # standard deviation of the contour's errors, in their median size
-_WIDE = 0.11  # of the image's width
-_POWER, _LARGEST = 0.8, 2.5  # of the factor on standard deviations
 _DISTAL_PX = 2.2  # distance of the contour at wrist and jaws, beyond which the standard deviations grow with it
 
 
 def _occlusion_factor(quality: Quality) -> float:
     """Return the factor on a covariance for contour that is far off at wrist and jaws."""
     return max(1.0, quality.distal_px / _DISTAL_PX) ** 2
-
-
-def single_view_factor(noise: OutlineNoise, quality: Quality, width_share: float | None) -> float:
-    """Return the factor on the covariance of a pose that one view alone tells.
-
-    ``noise`` is that of the contour; ``width_share`` is the width of the shaft in that of the image, None without one.
-    """
-    uneven = noise.sigma / max(quality.contour_px_median, noise.sigma / _MOST_UNEVEN) / _EVEN
-    narrow = 1.0 if width_share is None else _WIDE / max(width_share, 1e-3)
-    return float(np.clip((uneven * narrow) ** _POWER, 1.0, _LARGEST) ** 2)
 
 
 def rough_covariance(covariance: Float64, noise: OutlineNoise, quality: Quality) -> Float64:

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.straight_cut import shaft_width
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
-from dvrk_cmaes.pose.covariance import pose_covariance, single_view_factor
+from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.doubts import judge
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.mode_probability import mode_probability
@@ -84,11 +83,6 @@ def find_pose(
     of_views, confirming = measure_views(views, readings, Posed.stacked([mode.at for mode in modes]), config)
     qualities = [pooled_quality(of_mode) for of_mode in zip(*of_views, strict=True)]
     covariance = pose_covariance(modes, qualities[0])
-    if len(views) == 1:
-        (view,) = views
-        width = shaft_width(instrument, view.evidence.camera, best.at.pose)
-        share = None if width is None else width / view.evidence.camera.width
-        covariance = covariance * single_view_factor(view.noise_at(best.at), qualities[0], share)
     expected = expected_error(instrument, best.at, covariance)
     probability = mode_probability(modes, expected.of_tips_mm)
     of_rig = [(np.zeros(3), np.zeros((3, 3))), *rotations]  # the first view is the reference

@@ -7,7 +7,7 @@ import pytest
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed, moved
-from dvrk_cmaes.pose.covariance import pose_covariance, rough_covariance, single_view_factor
+from dvrk_cmaes.pose.covariance import pose_covariance, rough_covariance
 from dvrk_cmaes.pose.mode_probability import mode_probability
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import Quality
@@ -60,16 +60,6 @@ def test_twin_does_not_change_the_share_of_a_mode_near_by() -> None:
 def test_contour_far_off_at_jaws_widens_covariance() -> None:
     off = Quality(0.9, 0.1, {}, 0.5, 6.0, distal_px=4.4)
     np.testing.assert_allclose(pose_covariance([mode(0, 0.0)], off), 4 * pose_covariance([mode(0, 0.0)], GOOD))
-
-
-def test_uneven_contour_and_narrow_shaft_widen_covariance_of_single_view() -> None:
-    even, uneven = OutlineNoise(0.9, 15.0), OutlineNoise(1.8, 15.0)
-    smooth = Quality(0.9, 0.1, {}, 0.8, 2.0)
-    assert single_view_factor(even, smooth, 0.2) == 1.0
-    assert single_view_factor(uneven, smooth, 0.11) == pytest.approx((1.8 / 0.8 / 1.35) ** 1.6)
-    assert single_view_factor(uneven, smooth, 0.088) == pytest.approx((1.25 * 1.8 / 0.8 / 1.35) ** 1.6)
-    assert single_view_factor(uneven, smooth, None) == single_view_factor(uneven, smooth, 0.11)
-    assert single_view_factor(uneven, smooth, 0.001) == 2.5**2
 
 
 def test_rough_contour_widens_covariance_of_session_frame() -> None:
