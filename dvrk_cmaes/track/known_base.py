@@ -28,6 +28,7 @@ _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _AGREES = 4.0  # largest squared misfit per parameter of such an image
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
+_RELIED_ON = 16  # keyframes of a solution, from which on its stated errors held in recordings with long shadows
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
@@ -175,6 +176,8 @@ class KnownBase:
                 self._agreeing = None
             else:
                 result = replace(result, status="doubtful", reasons=(self.state,))
+        if result.status == "ok" and self._own and self._solved < _RELIED_ON:
+            result = replace(result, status="doubtful", reasons=(f"too few keyframes to rely on: {self._how_far()}",))
         uncertain = result.tip_std_mm is not None and result.tip_std_mm > self._config.trust.tip_mm
         if result.status == "doubtful" and uncertain and self._own:
             result = replace(result, reasons=(*result.reasons, self._how_far()))
