@@ -49,7 +49,7 @@ from dvrk_cmaes.track.image_frames import (
     with_outside,
 )
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
-from dvrk_cmaes.track.keyframes import MaskShape, choose_keyframes
+from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, MaskShape, choose_keyframes
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
 
 Float64 = NDArray[np.float64]
@@ -187,6 +187,8 @@ def solve_images(
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
     chosen = choose_keyframes(there, times, names, readings, _SEGMENTED)
+    if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from the right ones
+        return recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"
     progress("finding masks", len(chosen))
     moving = _moving_colours(recorded, chosen)
     tasks = [
