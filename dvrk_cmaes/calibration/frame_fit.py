@@ -234,16 +234,11 @@ def _without_shared(
     lasting = coverage.near_with_lasting(fit.at, noises)
     own = 6 + len(fit.at.joints)
     outline = without_lasting(lasting, lasting.dimension - own, size)
-    whole = outline + sum_of_locals(terms, Posed.stacked([fit.at]))
-    step = -np.linalg.solve(whole.information[0], whole.slope[0])
-    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
-    at = fit.at.moved(step)
-    for term in terms:
-        at = term.allowed(Posed.stacked([at]))[0]
+    at, slope = stepped(fit.at, outline, terms)
     return FrameFit(
         at,
         information=outline.information[0],
-        slope=outline.slope[0] + outline.information[0] @ at.minus(fit.at),
+        slope=slope,
         lasting=_after(lasting, at.minus(fit.at)),
         side_px=side_deviation(noises[0]),
         score=fit.score,
@@ -251,6 +246,21 @@ def _without_shared(
         iou=iou,
         own_iou=own_iou,
     )
+
+
+def stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Posed, Float64]:
+    """Return where a fit is after one step, of at most 3 mm, and the slope (D,) of the outline's terms there.
+
+    ``outline`` (1, D) are its terms about the pose ``at``, without the errors that the masks share; ``terms`` are the
+    others.
+    """
+    whole = outline + sum_of_locals(terms, Posed.stacked([at]))
+    step = -np.linalg.solve(whole.information[0], whole.slope[0])
+    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
+    end = at.moved(step)
+    for term in terms:
+        end = term.allowed(Posed.stacked([end]))[0]
+    return end, outline.slope[0] + outline.information[0] @ end.minus(at)
 
 
 def _after(terms: Quadratic, step: Float64) -> Quadratic:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.frame_fit import FrameFit, stepped
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
@@ -30,7 +30,6 @@ from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.recorded_frames import JudgedFrame
@@ -43,7 +42,6 @@ _LINES_PER_PIXEL: Final = 1
 _STRIDE: Final = 2  # of the outline's points from which the covariance is found
 _FOLLOWED, _FOUND = 2, 6  # drawings of a fit from the image before, and of one from the prediction alone
 _INNER = 4  # steps on what was drawn
-_LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _LARGEST_CHANGE = 4.0  # standard deviations of a step
 
 
@@ -89,13 +87,7 @@ def quick_fit(
     own = OwnEstimate.of(views, fit.at)
     lasting = coverage.near_with_lasting(fit.at, own.noises, stride=_STRIDE)
     told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)
-    whole = told + sum_of_locals(terms, Posed.stacked([fit.at]))
-    step = -np.linalg.solve(whole.information[0], whole.slope[0])
-    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
-    end = fit.at.moved(step)
-    for term in terms:
-        end = term.allowed(Posed.stacked([end]))[0]
-    slope = told.slope[0] + told.information[0] @ end.minus(fit.at)
+    end, slope = stepped(fit.at, told, terms)
     found = FrameFit(end, told.information[0], slope, score=fit.score, evaluations=coverage.silhouettes, iou=own.iou)
     return QuickFit(tuple(views), found, own.lengths, own.noises[0].inflation)
 
