@@ -118,6 +118,7 @@
   grid.addEventListener(
     "toggle",
     (event) => {
+      grid.classList.toggle("opened", grid.querySelector("details[open]") !== null);
       const box = event.target.getBoundingClientRect();
       if (event.target.open && (box.top < 0 || box.top > 0.6 * innerHeight)) event.target.scrollIntoView();
     },
