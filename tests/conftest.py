@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.places import SHARED
+from helpers.processes_here import processes_here, real_processes
+from helpers.shared_estimates import shared_estimates
 from hypothesis import settings
 
 from dvrk_cmaes.camera import Camera
@@ -113,6 +115,27 @@ def _instrument_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     """Set an instrument cache for the tests, separate from the user's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DVRK_CMAES_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def tasks_here() -> Iterator[None]:
+    """Let a test run the tasks of worker processes in its own process, which is quicker by a second for each worker."""
+    with processes_here():
+        yield
+
+
+@pytest.fixture
+def own_processes(tasks_here: None) -> Iterator[None]:
+    """Let a test have real worker processes where the others of its file do without."""
+    with real_processes():
+        yield
+
+
+@pytest.fixture
+def estimates_shared() -> Iterator[None]:
+    """Let commands and batches of a test, and of others with this fixture, estimate each frame once for all of them."""
+    with shared_estimates():
         yield
 
 
