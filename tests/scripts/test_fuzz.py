@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from helpers.budget import ANY, INSPECTED, SLOW, tries
+from helpers.budget import ANY, INSPECTED, SLOW, quick_tries
 from helpers.places import SCRIPTS
 
 if TYPE_CHECKING:
@@ -55,9 +55,9 @@ def test_damage_is_refused_in_one_line_or_read_as_valid(material: Path, tmp_path
 
     (family,) = (one for one in FAMILIES if one.name == name)
     quick = any(command[0] == "inspect" for command in family.commands)
-    by_any = tries(ANY)
-    for number in range(tries(SLOW.get(name, INSPECTED if quick else ANY))):
-        inspected = number >= by_any
+    tries = quick_tries(SLOW.get(name, INSPECTED)) if quick or name in SLOW else ANY
+    for number in range(tries):
+        inspected = number >= ANY
         command, _, violation = attempt(
             family, number, 0, material, tmp_path / "try", in_this_process, inspected=inspected
         )
