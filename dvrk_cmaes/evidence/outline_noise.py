@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.distance_field import distance_within
+from dvrk_cmaes.evidence.distance_field import distance_within, rounded_distance, transformed
 from dvrk_cmaes.evidence.shaft_edges import Contour
 
 Float64 = NDArray[np.float64]
@@ -61,10 +61,21 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     high = np.maximum([columns[-1], rows[-1]], np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
     left, top = np.clip(low, 0, [width, height]).astype(int)
     right, bottom = np.clip(high, 0, [width, height]).astype(int)
-    distance = np.zeros(silhouette.shape, dtype=np.float32)
     window = np.s_[top:bottom, left:right]
-    distance[window] = signed_distance(silhouette[window])
+    distance = np.zeros(silhouette.shape, dtype=np.float32)
+    at = np.floor(pixels).astype(np.intp)
+    row = np.clip(at[:, 1] + np.array([[0], [0], [1], [1]]), top, bottom - 1)
+    column = np.clip(at[:, 0] + np.array([[0], [1], [0], [1]]), left, right - 1)
+    distance[row, column] = _signed_at(silhouette[window], row - top, column - left)
     return sampled(distance, pixels)
+
+
+def _signed_at(mask: NDArray[np.bool_], row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Compute `signed_distance` at some pixels only."""
+    index = row * mask.shape[1] + column
+    inside = mask.take(index)
+    within, beyond = (rounded_distance(transformed(part).take(index)) for part in (mask, ~mask))
+    return np.where(inside, np.float32(0.5) - within, beyond - np.float32(0.5))
 
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
