@@ -341,7 +341,7 @@ def terms_of_rig(
     noises = [min(pair, key=lambda noise: noise.sigma) for pair in zip(own_estimate.noises, here.noises, strict=True)]
     coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
     (drawn,) = coverage.draw(Posed.stacked([fitted]))
-    noise = sum(drawn.final_losses)
+    noise = sum(coverage.final_losses(drawn))
     coverage = coverage.with_noise(noise if own_estimate.residual is None else min(noise, own_estimate.residual))
 
     def constants(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
