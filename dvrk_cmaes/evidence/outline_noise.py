@@ -23,6 +23,8 @@ _LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length
 _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that it samples
 _AROUND = 2  # px around a silhouette and pixels, so that the window has background and the samples their neighbours
 _CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
+_NEXT = 1.0  # px, of margins for which pixels 2 px from the outline and farther count alike
+_NEIGHBOURS = cv2.MORPH_CROSS, cv2.MORPH_RECT
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,33 @@ class OutlineNoise:
 def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Compute the signed distance, px, to a mask's outline, negative inside, (H, W); neither empty nor full."""
     return np.where(mask, 0.5 - distance_within(mask), distance_within(~mask) - 0.5).astype(np.float32)
+
+
+def less_margin(mask: NDArray[np.bool_], margin: float) -> NDArray[np.float32]:
+    """Return a mask (H, W) less a margin, px, all round: the share of each pixel that is left, 0 to 1.
+
+    The mask is neither empty nor full. A pixel keeps 0.5 - ``margin`` less its signed distance, so that of a margin
+    below a pixel only the distances of the pixels next to the outline count, of which there are three.
+    """
+    if abs(margin) >= _NEXT:
+        return _share_left(signed_distance(mask), margin)
+    distances = np.sqrt(np.array([0, 1, 2, 4], dtype=np.float32))
+    shares = np.zeros(256, dtype=np.float32)
+    shares[:4], shares[4:7] = (_share_left(s, margin) for s in (0.5 - distances, distances[1:] - np.float32(0.5)))
+    outside = _place(~mask)
+    return np.asarray(cv2.LUT(np.where(outside > 0, outside + np.uint8(3), _place(mask)), shares))
+
+
+def _share_left(signed: NDArray[np.float32], margin: float) -> NDArray[np.float32]:
+    """Return the share of each pixel that is left less a margin, px, from its signed distance."""
+    return np.asarray(np.clip(0.5 - margin - signed, 0, 1), dtype=np.float32)
+
+
+def _place(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return 0 outside a mask (H, W), 1 beside a pixel outside, 2 where one is at a corner, 3 farther in."""
+    image = mask.astype(np.uint8)
+    beside, around = (cv2.erode(image, cv2.getStructuringElement(shape, (3, 3))) for shape in _NEIGHBOURS)
+    return np.asarray(image + beside + around)
 
 
 def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:

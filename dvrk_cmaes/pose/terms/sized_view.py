@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
@@ -52,7 +52,7 @@ class SizedView:
         size = (camera.width, camera.height)
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
         if margin:
-            mask = np.clip(0.5 - margin - signed_distance(evidence.mask), 0, 1).astype(np.float32)
+            mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
@@ -64,8 +64,9 @@ class SizedView:
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
         self._blur = blur
         beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
-        clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(clear[window])
+        if (weight != 1).any():
+            weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(weight[window])
         self.mask = mask[window] > 0.5
         self.target = self._blurred(np.ascontiguousarray(mask[window]))
         self.shrink = shrink
