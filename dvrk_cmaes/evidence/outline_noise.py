@@ -62,7 +62,8 @@ def less_margin(mask: NDArray[np.bool_], margin: float) -> NDArray[np.float32]:
         return _share_left(signed_distance(mask), margin)
     distances = np.sqrt(np.array([0, 1, 2, 4], dtype=np.float32))
     shares = np.zeros(256, dtype=np.float32)
-    shares[:4], shares[4:7] = (_share_left(s, margin) for s in (0.5 - distances, distances[1:] - np.float32(0.5)))
+    shares[:4] = _share_left(np.float32(0.5) - distances, margin)
+    shares[4:7] = _share_left(distances[1:] - np.float32(0.5), margin)
     outside = _place(~mask)
     return np.asarray(cv2.LUT(np.where(outside > 0, outside + np.uint8(3), _place(mask)), shares))
 

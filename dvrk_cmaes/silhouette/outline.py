@@ -100,7 +100,8 @@ class _LinePoints:
         steep = (np.abs(slope) < 1 if grid.vertical else np.abs(slope) <= 1) & (along > -0.5) & (along < extent - 0.5)
         steep &= ~crossings.segments.on_near_plane().take(segment, mode="clip")
         (kept,) = steep.nonzero()
-        index, begins, slope, along = (values.take(kept, mode="clip") for values in (index, begins, slope, along))
+        index, along = index.take(kept, mode="clip"), along.take(kept, mode="clip")
+        begins, slope = begins.take(kept, mode="clip"), slope.take(kept, mode="clip")
 
         pose, line = np.divmod(row.take(index, mode="clip"), grid.lines)
         segments = crossings.segments.select(segment.take(kept, mode="clip"))

@@ -158,9 +158,18 @@ class LocalSearch:
         finest = self._coverage(1)
         final = self._finest(finest, modes[: c.modes])
         best = min(final, key=lambda m: m.score)
-        if missing := self._missing_twin(best, final):
-            final += self._finest(finest, missing)
+        final += self._first_of_twin(finest, self._missing_twin(best, final))
         return self._finish(finest, final)
+
+    def _first_of_twin(self, coverage: Coverage, twin: Sequence[Candidate]) -> list[Fit]:
+        """Return the twin of a refined mode, if there is one, as good as it needs to be for the last iterations.
+
+        Its outline is as good as that of the mode itself, so that the Gauss-Newton iterations before would hardly move
+        it; direct methods have no last iterations.
+        """
+        if self._config.refine.method == "gauss-newton":
+            return self._assess(coverage, twin)
+        return self._finest(coverage, twin)
 
     def _finish(self, finest: Coverage, modes: list[Fit]) -> tuple[list[Fit], list[Rotation]]:
         """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""
