@@ -348,6 +348,9 @@ class SessionConfig:
         Whether coupling, play and wander of the cables are estimated, beside the offsets.
     masks_again
         Whether masks that were found in images are found again around the silhouettes that the session expects.
+    shadows
+        Whether stretches of a mask that lie off the silhouette of a fit count less the farther off they are, as where a
+        shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
     """
 
     arm_deg: float = 0.1
@@ -372,6 +375,7 @@ class SessionConfig:
     largest_misfit: float = 12.0
     cables: bool = True
     masks_again: bool = True
+    shadows: bool = False
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def quick_fit(
     at, steps = _starts(expected, before, outline)
     fit = min(refine(coverage, terms, at, steps), key=lambda each: each.score)
     own = OwnEstimate.of(views, fit.at)
-    lasting = coverage.near_with_lasting(fit.at, own.noises, stride=_STRIDE)
+    lasting = coverage.near_with_lasting(fit.at, own.noises, stride=_STRIDE, as_seen=True)
     told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)
     end, slope = stepped(fit.at, told, terms)
     found = FrameFit(end, told.information[0], slope, score=fit.score, evaluations=coverage.silhouettes, iou=own.iou)

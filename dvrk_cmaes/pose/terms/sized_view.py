@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
@@ -72,6 +72,7 @@ class SizedView:
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
         self._remembered: dict[bytes, Drawing] = {}
+        self._distance: Float32 | None = None
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
@@ -150,6 +151,12 @@ class SizedView:
         seen = at.seen_from(self.view_from_camera)
         of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
+
+    def offsets(self, outline: OutlinePoints) -> Float64:
+        """Return by how much the mask lies outwards of an outline at its N points, px."""
+        if self._distance is None:
+            self._distance = signed_distance(self.mask)
+        return -sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
