@@ -233,7 +233,8 @@ def _without_shared(
     """Return a fit after one step by which the errors that the masks share are eliminated.
 
     ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours, and ``size`` is that of the
-    errors that last from frame to frame; ``as_seen`` is as in `Coverage.near_with_lasting`, the others as in `FrameFit`.
+    errors that last from frame to frame; ``as_seen`` is as in `Coverage.near_with_lasting`, the others are as in
+    `FrameFit`.
     """
     lasting = coverage.near_with_lasting(fit.at, noises, as_seen=as_seen)
     own = 6 + len(fit.at.joints)

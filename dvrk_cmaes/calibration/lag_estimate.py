@@ -146,8 +146,8 @@ class LagEstimate:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
 
         They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
-        frame has none there. A lag that the frames do not determine has the standard deviation that the curve tells, and
-        at least that of `_UNTOLD` frames.
+        frame has none there. A lag that the frames do not determine has the standard deviation that the curve tells,
+        but at least `_UNTOLD` frames.
         """
         none = np.zeros((len(model.outer), 6 + len(model.names)))
         if self._clock is None or not self._clock.interpolable:

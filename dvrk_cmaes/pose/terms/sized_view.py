@@ -64,8 +64,9 @@ class SizedView:
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
         self._blur = blur
         beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
-        clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(clear[window])
+        if weight.min() < 1:
+            weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(weight[window])
         self.mask = mask[window] > 0.5
         self.target = self._blurred(np.ascontiguousarray(mask[window]))
         self.shrink = shrink
@@ -140,6 +141,13 @@ class SizedView:
         coverage, points = self._renderer.coverage_and_outlines(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
         pairs = zip(coverage, points.of_each(len(seen)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
+
+    def silhouette(self, drawn: Float32) -> NDArray[np.bool_]:
+        """Return the silhouette of a blurred coverage (H, W) in the whole image; nothing is outside the window."""
+        left, top, width, height = self._window
+        whole = np.zeros(self._size[::-1], dtype=np.bool_)
+        whole[top : top + height, left : left + width] = drawn > 0.5
+        return whole
 
     def outlines(self, at: Posed) -> list[OutlinePoints]:
         """Find the outline of each of C poses."""
