@@ -9,7 +9,7 @@ prediction.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
-from dvrk_cmaes.calibration.camera_change import SessionOutlines, estimate_camera
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit
@@ -33,27 +32,16 @@ from dvrk_cmaes.calibration.frame_task import (
     with_changed_cameras,
     with_changed_views,
 )
+from dvrk_cmaes.calibration.imaging import Estimated, FittedSession, Imaging
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
-from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
-from dvrk_cmaes.calibration.mask_margin import estimate_margin
-from dvrk_cmaes.calibration.masks_again import (
-    AgainTask,
-    FoundAgain,
-    MasksAgain,
-    PackedMask,
-    PredictedTask,
-    again_task,
-    compared,
-    predicted_task,
-    with_masks,
-)
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors
+from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
+from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask, with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
 from dvrk_cmaes.calibration.offset_check import describe_far_offsets
-from dvrk_cmaes.calibration.rig_estimate import RigOutlines, estimate_rig
-from dvrk_cmaes.calibration.session_camera import SessionCamera, check_camera, untested
-from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks, margins_of
-from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
+from dvrk_cmaes.calibration.session_camera import SessionCamera, untested
+from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -74,18 +62,16 @@ LEAST_FRAMES = 3
 
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
-_WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
-_CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 
 
 class Alternation:
     """State of the alternating estimation.
 
-    ``frames`` are the frames in use and ``model`` their model; ``solution`` is the current solution and ``fits`` are
-    the frames' current fits. ``warnings`` are texts about faults of the session as a whole, ``undetermined`` about what
-    it does not determine; ``lag`` is the estimate of the lag of the images behind the readings, ``camera`` the change
-    of the camera that the frames fit, None where it is not determined, and ``rig`` what the further views differ in
-    from the file.
+    ``frames`` are the frames in use, ``stored`` their evidence and ``model`` their model; ``solution`` is the current
+    solution and ``fits`` are the frames' current fits. ``warnings`` are texts about faults of the session as a whole,
+    ``undetermined`` about what it does not determine; ``lag`` is the estimate of the lag of the images behind the
+    readings, ``camera`` the change of the camera that the frames fit, None where it is not determined; ``change`` the
+    one that is used, and ``rig`` what the further views differ in from the file.
     ``again`` is what changed as masks were found again, None where they were not; ``masks_found_again`` are those that
     are used, by frame and view.
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
@@ -126,16 +112,12 @@ class Alternation:
         self._instrument = instrument
         self._arm: Arm = arm
         self._config = config
-        self._run = run
-        self._progress = progress
-        self.rig = rig
-        self._change = np.zeros(3) if refine_camera else None  # of the camera
+        self.run, self.progress = run, progress
+        self._imaging = Imaging(np.zeros(3) if refine_camera else None, rig)
         self.of_camera: Float64
         self.fits: list[FrameFit] = []
         self.warnings: list[str] = []
         self.camera: SessionCamera | None = None
-        self._margins: list[tuple[str, Margin]] = []  # of the views, in their order
-        self._lasting: LastingEstimate | None = None
         self.undetermined: list[str] = []
         self.again: MasksAgain | None = None
         self.masks_found_again: dict[str, Mapping[str, PackedMask]] = {}
@@ -147,12 +129,11 @@ class Alternation:
         self.model = SessionModel(outer, joints, names, deviations, arm=arm, roll_offset=instrument.roll_offset)
         self._offset_std = offset_deviations(config, names)
         self._prior = np.diag([*np.zeros(6), *(1 / self._offset_std**2)])
-        self._size = USUAL_SIZE
         self._modes = [Mode.all_of(frame.result, names) for frame in frames]
         self._of_cables = names, deviations, self._offset_std[1:]
         self.cables = CableEstimate(*self._of_cables)
         self.lag = LagEstimate(series, [frame.name for frame in frames], deviations.outer)
-        self._given = self.frames, self._modes, self.model, self.rig
+        self._given = self.frames, self._modes, self.model, self._imaging
         self._gathered: dict[str, StoredFrame] = {}
 
     def initialise(self, lag: float | None = None) -> None:
@@ -168,7 +149,7 @@ class Alternation:
             to be refined, and the session does not determine it.
         """
         check_motion(self.model)
-        if self._change is not None and (reason := untested(self.model)):
+        if self.change is not None and (reason := untested(self.model)):
             raise InputError(f"--refine-camera: {reason}")
         if lag is None:
             self.search_lag()
@@ -185,11 +166,9 @@ class Alternation:
     def at_lag(self, lag: float) -> Alternation:
         """Solve the same frames from the beginning with readings less another lag; as `initialise` and `iterate`."""
         other = copy.copy(self)
-        other.frames, other._modes, other.model, other.rig = self._given
+        other.frames, other._modes, other.model, other._imaging = self._given
         other.lag, other.cables = self.lag.of_all(), CableEstimate(*self._of_cables)
         other.fits, other.warnings, other.undetermined, other._left_out = [], [], [], {}
-        other._margins, other._lasting, other._size = [], None, USUAL_SIZE
-        other._change = None if self._change is None else np.zeros(3)
         other.initialise(lag)
         other.iterate()
         return other
@@ -204,17 +183,6 @@ class Alternation:
         if self.lag.lag is not None:
             self._finish(self._frame_fits(keep_all=False))
         return to_try
-
-    def left_out_overlaps(self) -> dict[str, float]:
-        """Return the overlap of each frame's masks and the silhouette that all other frames predict, by its name."""
-        poses = [Posed.stacked([at]) for at in self._left_out_predictions()]
-        tasks = [PredictedTask(*pair, self._change) for pair in zip(self._stored, poses, strict=True)]
-        measured = self._run(predicted_task, tasks)
-        return {frame.name: iou for frame, ((iou, _),) in zip(self.frames, measured, strict=True)}
-
-    def predicts_well(self, left_out: Mapping[str, float]) -> bool:
-        """Whether frames that are left out overlap nearly as well as their fits; argument as of `left_out_overlaps`."""
-        return float(np.median(list(left_out.values()))) > float(np.median([fit.iou for fit in self.fits])) - _WELL
 
     def _take_out_lag(self) -> None:
         """Correct the readings by the lag if it differs from zero."""
@@ -257,33 +225,34 @@ class Alternation:
         The standard deviations of the predictions are multiplied by a factor that decreases to 1 over the iterations.
         """
         session = self._config.session
-        self._progress("gathering evidence", len(self.frames))
+        self.progress("gathering evidence", len(self.frames))
         missing = [frame for frame in self.frames if frame.name not in self._gathered]
         self._gathered |= {
-            frame.name: stored for frame, stored in zip(missing, self._run(gather_task, missing), strict=True)
+            frame.name: stored for frame, stored in zip(missing, self.run(gather_task, missing), strict=True)
         }
-        self._stored = [self._gathered[frame.name] for frame in self.frames]
+        self.stored = [self._gathered[frame.name] for frame in self.frames]
         scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
-        if self._change is not None:
+        if self.change is not None:
             scales.append(1.0)  # with the camera that all rounds before have found
         calibration, moved = self.solution.calibration, None
         for iteration, scale in enumerate(scales):
             last = iteration + 1 == len(scales)
-            self._progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
+            self.progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
             self._fit(expected, self._starts(iteration, expected, moved, last=last), last=last)
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
             fits = self._solve_round(calibration, keep_all=scale != 1.0)
             calibration = self.solution.calibration
             at, moved = fits.at, None
-            if self._change is not None and not last:
-                calibration, moved = self._change_camera(calibration, at, self._change)
+            if self.change is not None and not last:
+                calibration, moved = self._use(self._fitted.with_camera(calibration, at))
             if iteration + 2 == len(scales):
                 at = at if moved is None else moved
                 calibration, changed = self._change_rig(calibration, at)
                 moved = moved if changed is None else changed
-                if self._change is None:
-                    calibration, changed = self._take_off_margin(calibration, at if moved is None else moved)
+                if self.change is None:
+                    at = at if moved is None else moved
+                    calibration, changed = self._use(self._fitted.with_margins(calibration, at))
                     moved = moved if changed is None else changed
         self._finish(fits)
 
@@ -309,9 +278,9 @@ class Alternation:
     def _finish(self, fits: FrameFits) -> None:
         """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
-        self._lasting = estimate_lasting(self.model, self.fits, self.solution, self._prior, self._times)
-        self._size = self._lasting.size
-        self.fits = [fit.with_size(self._size) for fit in self.fits]
+        lasting = estimate_lasting(self.model, self.fits, self.solution, self._prior, self._times)
+        self._imaging = replace(self._imaging, lasting=lasting)
+        self.fits = [fit.with_size(lasting.size) for fit in self.fits]
         fits = self._frame_fits(keep_all=False)
         self.solution = solve(self.model, fits, self.solution.calibration, self._prior)
         expected = self.model.priors(self.solution.calibration)
@@ -319,37 +288,7 @@ class Alternation:
         self.fits = [fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs]
         self.lag.estimate_joints(self.model, fits, self.solution.calibration, self._prior)
 
-    def with_masks_again(self) -> Alternation:
-        """Find the masks again that were found in images, around the fits, and solve again; returns the better one.
-
-        Only frames that agree with the session are looked at again, and only those whose masks change are fitted again.
-        ``again`` of the returned one tells what was compared; it is None, and this one is returned, without such
-        frames.
-        """
-        agree = [not text for text in describe_disagreements(self.fits, self.solution, self._config.session)]
-        finders = {i: frame.find_masks for i, frame in enumerate(self.frames) if agree[i]}
-        tasks = {
-            i: AgainTask(self.frames[i].data, find, self.fits[i].at, self._change)
-            for i, find in finders.items()
-            if find is not None
-        }
-        if not tasks:
-            return self
-        self._progress("finding masks again", len(tasks))
-        found: dict[int, FoundAgain] = dict(zip(tasks, self._run(again_task, list(tasks.values())), strict=True))
-        new = {i: of_frame.masks for i, of_frame in found.items() if of_frame.masks}
-        other = self._with_masks(new) if new else self
-        pairs = zip(self._left_out_predictions(), other._left_out_predictions(), strict=True)
-        poses = [Posed.stacked(pair) for pair in pairs]
-        used = [i for i, agrees in enumerate(agree) if agrees]
-        predicted = self._run(predicted_task, [PredictedTask(self._stored[i], poses[i], self._change) for i in used])
-        bases = (self.solution.calibration.camera_from_base, other.solution.calibration.camera_from_base)
-        again = compared([of_frame.iou for of_frame in found.values()], len(new), bases, predicted)
-        better = other if again.applied else self
-        better.again = again
-        return better
-
-    def _with_masks(self, masks: Mapping[int, Mapping[str, PackedMask]]) -> Alternation:
+    def with_masks(self, masks: Mapping[int, Mapping[str, PackedMask]]) -> Alternation:
         """Return a copy with other masks of some frames, solved in one more round from the current solution."""
         other = copy.copy(self)
         other.lag, other.cables = copy.copy(self.lag), copy.copy(self.cables)
@@ -358,19 +297,24 @@ class Alternation:
             replace(frame, data=with_masks(frame.data, masks[i])) if i in masks else frame
             for i, frame in enumerate(self.frames)
         ]
-        other._first = {i: self._stored[i] for i in masks}
+        other._first = {i: self.stored[i] for i in masks}
         other.masks_found_again = {self.frames[i].name: of_frame for i, of_frame in masks.items()}
-        other._stored = list(self._stored)
-        other._progress("solving again", len(masks))
-        for i, stored in zip(masks, other._run(gather_task, [other.frames[i] for i in masks]), strict=True):
-            other._stored[i] = stored
+        other.stored = list(self.stored)
+        other.progress("solving again", len(masks))
+        for i, stored in zip(masks, other.run(gather_task, [other.frames[i] for i in masks]), strict=True):
+            other.stored[i] = stored
         expected = other.model.priors(other.solution.calibration)
         starts = [(fit.at,) if i in masks else () for i, fit in enumerate(other.fits)]
         other._fit(expected, starts, last=True)
         other._finish(other._solve_round(other.solution.calibration, keep_all=False))
         return other
 
-    def _left_out_predictions(self) -> list[Posed]:
+    @property
+    def agreeing(self) -> list[bool]:
+        """Whether each frame agrees with the session."""
+        return [not text for text in describe_disagreements(self.fits, self.solution, self._config.session)]
+
+    def left_out_predictions(self) -> list[Posed]:
         """Return what all other frames predict of each frame."""
         return [self.model.subset([i]).predict(leave_one_out(self.solution, i))[0] for i in range(len(self.frames))]
 
@@ -403,13 +347,13 @@ class Alternation:
         """
         again = [i for i, of_frame in enumerate(starts) if of_frame]
         tasks = [
-            FitTask(self._stored[i], expected[i], starts[i], self._change, self._taken_off(self._stored[i]))
+            FitTask(self.stored[i], expected[i], starts[i], self.change, self._imaging.margins_of(self.stored[i]))
             for i in again
         ]
         fits = dict(enumerate(self.fits))
         if last:
             fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
-        fits |= zip(again, self._run(fit_task, tasks), strict=True)
+        fits |= zip(again, self.run(fit_task, tasks), strict=True)
         self.fits = [fits[i] for i in range(len(self.frames))]
 
     def _solve(self, fits: FrameFits, start: Calibration) -> None:
@@ -426,72 +370,51 @@ class Alternation:
             self.model = self.model.with_deviations(initial)
             self._solve(fits, self.solution.calibration)
 
-    def _change_camera(self, calibration: Calibration, at: Posed, change: Float64) -> tuple[Calibration, Posed]:
-        """Estimate the change of the camera from the current fits, and use it; as `estimate_camera`.
-
-        Returns the calibration and the frames' poses with the changed camera.
-        """
-        session, outlines = self._config.session, self._outlines()
-        estimate = estimate_camera(
-            self.model, calibration, self._prior, session, at, outlines, start=change, passes=_CAMERA_PASSES
-        )
-        self._change = estimate.change
-        return estimate.calibration, estimate.at
+    def _use(self, estimated: Estimated) -> tuple[Calibration, Posed | None]:
+        """Use cameras and masks that were estimated; returns the calibration and the moved poses, if any, with them."""
+        self._imaging = estimated.imaging
+        self.undetermined += estimated.undetermined
+        return estimated.calibration, estimated.at
 
     def _change_rig(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
         """Estimate what the further views differ in from the file beside rotations, and use what is clear.
 
         Returns the calibration, and the frames' poses with the changed views; None if none is changed.
         """
-        if not self.rig:
+        fitted = self._fitted
+        outlines = fitted.rig_outlines
+        if outlines is None:
             return calibration, None
-        used = np.array([fit.explains_mask and frame.in_reference for fit, frame in self._fitted()])
-        turned = {name: change.rotation for name, change in changes_of(self.rig).items()}
-        outlines = RigOutlines(self._stored, used, self._run, turned)
-        if not outlines.names:
-            return calibration, None
-        self._progress("checking the rig", len(self.frames))
-        session = self._config.session
+        self.progress("checking the rig", len(self.frames))
         try:
-            margin = 0.0 if self.masks is None else self.masks.taken_off
-            estimate = estimate_rig(
-                self.model, calibration, self._prior, session, at, outlines, self.rig, self._change, margin
-            )
+            estimated = fitted.with_rig(calibration, at, outlines)
         except InputError as error:
             self.undetermined.append(f"rig: {error}")
             return calibration, None
-        self.rig = estimate.views
-        self.undetermined += estimate.untold
-        if not estimate.moved:
-            return calibration, None
-        changes = outlines.further(estimate.changes)
-        self.frames = [
-            with_changed_views(frame, changes, {view.name: view.view_from_camera for view in stored.views})
-            for frame, stored in zip(self.frames, self._stored, strict=True)
-        ]
-        self._progress("gathering evidence", len(self.frames))
-        self._stored = self._run(gather_task, self.frames)
-        return estimate.calibration, estimate.at
+        if estimated.changes is not None:
+            self.frames = [
+                with_changed_views(
+                    frame, estimated.changes, {view.name: view.view_from_camera for view in stored.views}
+                )
+                for frame, stored in zip(self.frames, self.stored, strict=True)
+            ]
+            self.progress("gathering evidence", len(self.frames))
+            self.stored = self.run(gather_task, self.frames)
+        return self._use(estimated)
 
-    def _fitted(self) -> Iterator[tuple[FrameFit, StoredFrame]]:
-        """Return the fit and the stored evidence of each frame."""
-        return zip(self.fits, self._stored, strict=True)
-
-    def _take_off_margin(self, calibration: Calibration, at: Posed) -> tuple[Calibration, Posed | None]:
-        """Estimate the margin of each view's masks from the current fits, and take it off if it is clear.
-
-        Returns the calibration, and the frames' poses with masks less the margin of a view; None if none is taken off.
-        """
-        session = self._config.session
-        names = list(dict.fromkeys(view.name for stored in self._stored for view in stored.views))
-        found = []
-        for outlines in [self._outlines(name) for name in names]:
-            found.append(estimate_margin(self.model, calibration, self._prior, session, at, outlines))
-        self._margins = [(name, estimate.margin) for name, estimate in zip(names, found, strict=True)]
-        for estimate in found:
-            if estimate.margin.applied:
-                return estimate.calibration, estimate.at
-        return calibration, None
+    @property
+    def _fitted(self) -> FittedSession:
+        """The frames with their current fits, from which cameras and masks are estimated."""
+        return FittedSession(
+            self.model,
+            self._prior,
+            self._config.session,
+            self.fits,
+            self.stored,
+            self._common,
+            self.run,
+            self._imaging,
+        )
 
     @property
     def _times(self) -> Float64:
@@ -503,29 +426,22 @@ class Alternation:
     def _common(self) -> CommonErrors:
         """The errors that the frames share."""
         by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
-        return CommonErrors(self._size, self._times, by_lag)
+        return CommonErrors(self._imaging.size, self._times, by_lag)
 
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return SessionMasks.of(self._margins, self._lasting) if self._margins else None
-
-    def _taken_off(self, stored: StoredFrame) -> tuple[float, ...]:
-        """Return the margins, px, that are taken off the masks of a frame's views."""
-        return margins_of(self.masks, [view.name for view in stored.views])
-
-    def _outlines(self, view: str | None = None) -> SessionOutlines:
-        """Return the outlines of all frames in a view, by default the reference camera's."""
-        name = self._reference if view is None else view
-        views = [stored.number_of(name) if fit.explains_mask else None for fit, stored in self._fitted()]
-        margin = 0.0 if self.masks is None else self.masks.taken_off_in(name)
-        return SessionOutlines(self._stored, views, self._run, self._common, margin)
+        return self._imaging.masks
 
     @property
-    def _reference(self) -> str:
-        """Name of the view of the reference camera; of another one if it does not show the instrument in any frame."""
-        shown = [stored for stored in self._stored if stored.in_reference] or self._stored
-        return str(shown[0].views[0].name)
+    def rig(self) -> tuple[ViewRotation, ...]:
+        """What the further views differ in from the file."""
+        return self._imaging.rig
+
+    @property
+    def change(self) -> Float64 | None:
+        """Change (3,) of the camera that is used; None if that of its file is."""
+        return self._imaging.change
 
     def check_constants(self) -> None:
         """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""
@@ -534,24 +450,21 @@ class Alternation:
             self.warnings.append(
                 f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
             )
-        self._progress("checking camera and offsets", len(self.frames))
-        at = Posed.stacked(fit.at for fit in self.fits)
-        check = check_camera(
-            self.model, solution.calibration, self._prior, session, at, self._outlines(), applied=self._change
-        )
+        self.progress("checking camera and offsets", len(self.frames))
+        check = self._fitted.check_camera(solution.calibration)
         self.of_camera, self.camera = check.covariance, check.camera
         if check.camera is None:
             self.undetermined.append(check.undetermined)
         else:
             self.warnings += check.camera.warnings(session)
         self.warnings += describe_far_offsets(solution.calibration, solution.covariance, self.model, self._offset_std)
-        if self._change is not None:
-            self._stored = self._run(gather_task, [with_changed_cameras(frame, self._change) for frame in self.frames])
+        if self.change is not None:
+            self.stored = self.run(gather_task, [with_changed_cameras(frame, self.change) for frame in self.frames])
 
     @property
     def evidence(self) -> dict[str, Evidence]:
         """Evidence of the first view of each frame in use by its name, without the images."""
-        return {frame.name: stored.reference.evidence for frame, stored in zip(self.frames, self._stored, strict=True)}
+        return {frame.name: stored.reference.evidence for frame, stored in zip(self.frames, self.stored, strict=True)}
 
     def report(self) -> tuple[list[FrameReport], dict[str, str]]:
         """Return the reports of the frames in use, and by name the reason for each frame that is left out.
@@ -561,7 +474,7 @@ class Alternation:
         InputError
             Too few frames agree with the calibration.
         """
-        self._progress("leaving one out", len(self.frames))
+        self.progress("leaving one out", len(self.frames))
         session, model, solution = self._config.session, self.model, self.solution
         disagreements = describe_disagreements(self.fits, solution, session)
         self.warnings += check_agreement(disagreements, LEAST_FRAMES)
@@ -569,6 +482,6 @@ class Alternation:
         reasons = self._left_out | {frame.name: text for frame, text in named if text}
         frames = self.frames if self.lag.applied is None else with_readings(self.frames, model)
         stated = {**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)}
-        tasks = report_tasks(frames, self._stored, self.fits, model, solution, disagreements, session, stated)
-        tasks = [replace(task, first=self._first.get(i), change=self._change) for i, task in enumerate(tasks)]
-        return self._run(report_task, tasks), reasons
+        tasks = report_tasks(frames, self.stored, self.fits, model, solution, disagreements, session, stated)
+        tasks = [replace(task, first=self._first.get(i), change=self.change) for i, task in enumerate(tasks)]
+        return self.run(report_task, tasks), reasons

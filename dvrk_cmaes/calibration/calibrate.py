@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,11 +17,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
-from dvrk_cmaes.calibration.lag_trials import best_predicting, lags_to_try
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
+from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -146,9 +145,9 @@ def calibrate_with_evidence(
     alternation = Alternation(
         usable, series, body.instrument, arm, settings, run, progress, rig=rotations, refine_camera=refine_camera
     )
-    alternation = _solved(alternation, progress)
+    alternation = solve_session(alternation)
     if settings.session.masks_again:
-        alternation = alternation.with_masks_again()
+        alternation = with_masks_again(alternation)
     alternation.check_constants()
     reports, reasons = alternation.report()
     results = {frame.name: frame.result for frame in frames}
@@ -202,55 +201,6 @@ def calibrate_with_evidence(
         calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
-
-
-def _solved(alternation: Alternation, progress: Callable[[str, int], None]) -> Alternation:
-    """Solve a session; where the frames' own modes do not tell the lag, also at others.
-
-    These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
-    taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
-    is no lag.
-
-    Raises
-    ------
-    InputError
-        As `Alternation.initialise`.
-    """
-    problem: InputError | None = None
-    try:
-        alternation.initialise()
-        alternation.iterate()
-    except InputError as error:
-        problem = error
-    if not alternation.lag.can_be_tried:
-        if problem is not None:
-            raise problem
-        return alternation
-    lags = lags_to_try(alternation.lag.curve)
-    if problem is not None:
-        trials = _at_lags(alternation, lags, progress)
-        if not trials:
-            raise problem
-        overlaps = [trial.left_out_overlaps() for trial in trials]
-        return trials[int(np.argmax([np.mean(list(each.values())) for each in overlaps]))]
-    by_fits, without_lag = alternation.tell_lag(), alternation.left_out_overlaps()
-    if by_fits is None and alternation.lag.lag is not None and alternation.predicts_well(without_lag):
-        return alternation
-    trials = _at_lags(alternation, lags if by_fits is None else [by_fits, *lags], progress)
-    best = best_predicting(without_lag, [trial.left_out_overlaps() for trial in trials])
-    return alternation if best is None else trials[best]
-
-
-def _at_lags(
-    alternation: Alternation, lags: Sequence[float], progress: Callable[[str, int], None]
-) -> list[Alternation]:
-    """Solve a session at some lags, but for those that its readings contradict."""
-    trials = []
-    for lag in lags:
-        progress("trying another lag", len(alternation.frames))
-        with contextlib.suppress(InputError):
-            trials.append(alternation.at_lag(lag))
-    return trials
 
 
 def find_lag(

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.rig import mirrored_place
 from dvrk_cmaes.config import TrustConfig
@@ -24,6 +25,14 @@ from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
 _LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
+Bool = NDArray[np.bool_]
+
+_FOLLOWED = 1.5
+"""Factor on the limits of contour and bend where neighbouring images support the pose.
+
+In 17 followed recordings with known truth, frames that only these limits made doubtful were as accurate as others.
+"""
+
 _CLEAR = 4.0  # standard deviations of a rotation
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
 
@@ -62,15 +71,19 @@ def doubts_in_views(
     qualities: Sequence[Quality],
     expected: ExpectedError,
     trust: TrustConfig,
+    *,
+    followed: bool = False,
 ) -> tuple[list[str], list[str]]:
     """List the reasons for which a pose is doubtful that hold in every view, and remarks for those that do not.
 
     What one view shows well is not in doubt because another view is occluded, cut or has the tips outside: a reason
     that does not hold in every view is a remark that names the view. ``qualities`` are those of the pose in each view,
-    in their order.
+    in their order. ``followed`` tells that the images before and after support the pose, too: one tip in view is then
+    enough, and the contour may be farther off.
     """
     of_views = [
-        _doubts_in_view(at, view, quality, expected, trust) for view, quality in zip(views, qualities, strict=True)
+        _doubts_in_view(at, view, quality, expected, trust, followed=followed)
+        for view, quality in zip(views, qualities, strict=True)
     ]
     kinds = [{_kind(reason) for reason in reasons} for reasons in of_views]
     everywhere = set.intersection(*kinds)
@@ -90,25 +103,31 @@ def _kind(reason: str) -> str:
 
 
 def _doubts_in_view(
-    at: Posed, view: FrameView, quality: Quality, expected: ExpectedError, trust: TrustConfig
+    at: Posed, view: FrameView, quality: Quality, expected: ExpectedError, trust: TrustConfig, *, followed: bool
 ) -> list[str]:
     """List the reasons, in words, for which a pose does not explain a view's mask or is not accurate."""
     instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
     reasons = []
     if quality.iou < trust.least_iou:
         reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
-    if quality.distal_px > trust.largest_distal_px:
+    factor = _FOLLOWED if followed else 1.0
+    if quality.distal_px > factor * trust.largest_distal_px:
         reasons.append(
             f"wrist or jaws off: beyond the shaft, the mask's contour is {quality.distal_px:.1f} px (rms) from the "
             "silhouette; another instrument, another tool or tissue may be there"
         )
     shaft = shaft_width(instrument, evidence.camera, seen.pose)
-    if shaft is not None and quality.bend_px > max(trust.largest_bend_px, trust.largest_bend_share * shaft):
+    largest_bend = (
+        trust.largest_bend_px if shaft is None else max(trust.largest_bend_px, trust.largest_bend_share * shaft)
+    )
+    if shaft is not None and quality.bend_px > factor * largest_bend:
         reasons.append(
             f"mask cut straight: along a straight line that ends it, the silhouette bends by {quality.bend_px:.1f} px"
         )
-    if instrument.jaw_tips and _tips_out_of_view(seen, instrument, evidence):
-        reasons.append("tip out of view: a jaw tip lies outside the image")
+    outside = _outside(seen, instrument, evidence)
+    if outside.all() if followed else outside.any():
+        which = "the jaw tips lie" if followed else "a jaw tip lies"
+        reasons.append(f"tip out of view: {which} outside the image")
     if expected.of_tips_mm > trust.tip_mm:
         reasons.append(
             f"tips not accurate: their expected error is {expected.of_tips_mm:.1f} mm, more than {trust.tip_mm:g} mm"
@@ -116,14 +135,16 @@ def _doubts_in_view(
     return reasons
 
 
-def _tips_out_of_view(seen: Posed, instrument: Instrument, evidence: Evidence) -> bool:
-    """Return whether a jaw tip is behind the camera or outside the image."""
+def _outside(seen: Posed, instrument: Instrument, evidence: Evidence) -> Bool:
+    """Return which jaw tips (K,) are outside the image; all if one is behind the camera; one False without tips."""
+    if not instrument.jaw_tips:
+        return np.zeros(1, dtype=np.bool_)
     camera = evidence.camera
     tips = apply(seen.pose, instrument.tips(seen.joints))
     if (tips[:, 2] <= 0).any():
-        return True
+        return np.ones(len(tips), dtype=np.bool_)
     pixels = camera.project(tips)
-    return bool((pixels < -0.5).any() or (pixels > [camera.width - 0.5, camera.height - 0.5]).any())
+    return np.asarray(((pixels < -0.5) | (pixels > [camera.width - 0.5, camera.height - 0.5])).any(axis=1))
 
 
 def _is_exchanged(at: Posed, check: ViewCheck, view: FrameView) -> bool:

@@ -30,7 +30,8 @@ class Anchor:
     A joint without a reading keeps its last value, and what it does since is part of the state. ``outer_read`` and
     ``joint_read`` (J,) tell which were read, ``based`` whether the outer joints ever were, so that the base is the
     arm's. ``expected`` (1 + J,), rad, are the errors of roll and of the joints that a model of the cables expects
-    there, None without one.
+    there, None without one. ``frozen`` (J,) are readings of joints that stand still with those of the outer joints, NaN
+    where there is none: what they tell is where the joints were, not how they move; None if none was looked at.
     """
 
     outer: Float64
@@ -41,11 +42,18 @@ class Anchor:
     joint_read: NDArray[np.bool_]
     based: bool = False
     expected: Float64 | None = None
+    frozen: Float64 | None = None
 
     @staticmethod
     def none(joints: int) -> Anchor:
         """Return the anchor before any reading, for J joints."""
         return Anchor(np.zeros(4), np.zeros(joints), np.zeros(4), np.zeros(joints), False, np.zeros(joints, np.bool_))
+
+    @property
+    def known(self) -> Float64:
+        """Readings (J,) of the joints, also those that stand still; NaN where there is none."""
+        frozen = np.full(len(self.joints), np.nan) if self.frozen is None else self.frozen
+        return np.asarray(np.where(self.joint_read, self.joints, frozen))
 
     def moves_from(self, before: Anchor) -> bool:
         """Whether the outer joints are read, and their readings differ from those ``before``."""
@@ -67,6 +75,7 @@ class Anchor:
             joint_read,
             self.based or outer_read,
             expected,
+            None if moving else reading.joints,
         )
 
 

@@ -142,5 +142,5 @@ def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFr
     views: Sequence[FrameView] = [view.restored(body) for view in task.stored.views]
     qualities = [measure_overlap(view, task.at) for view in views]
     error = expected_error(body.instrument, task.at, task.covariance)
-    doubts, remarks = doubts_in_views(task.at, views, qualities, error, config.trust)
+    doubts, remarks = doubts_in_views(task.at, views, qualities, error, config.trust, followed=True)
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))

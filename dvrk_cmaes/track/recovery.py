@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,11 +143,11 @@ class GlobalSearch:
             return None
 
     def _readings(self, anchor: Anchor) -> dict[str, float]:
-        """Return readings by name."""
+        """Return readings by name; those of joints that stand still, too, which tell one mode from another."""
         outer = dict(zip(OUTER_JOINTS, anchor.outer.tolist(), strict=True)) if anchor.outer_read else {}
         names = self.follower.instrument.joint_names
-        read = zip(names, anchor.joints.tolist(), anchor.joint_read, strict=True)
-        return outer | {name: value for name, value, known in read if known}
+        read = zip(names, anchor.known.tolist(), strict=True)
+        return outer | {name: value for name, value in read if not math.isnan(value)}
 
     def _around(self, anchor: Anchor) -> dict[int, Box]:
         """Return boxes, by view, around the instrument where readings and calibration make expect it."""

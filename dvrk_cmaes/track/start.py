@@ -104,13 +104,12 @@ def starting_hypotheses(
             read = np.concatenate([[True], anchor.joint_read])
             blank = replace(blank, offsets=np.where(read, anchor.expected, blank.offsets))
     sigma = np.deg2rad([config.readings.of(name) for name in names])
-    read = np.where(anchor.joint_read, anchor.joints, np.nan)
     first = (result.camera_from_root, result.joints, "")
     modes = [first, *((mode.camera_from_root, mode.joints, mode.relation) for mode in result.alternatives)]
     hypotheses = []
     for pose, joints, relation in modes[: config.track.modes]:
         at = Posed(pose, np.array([joints[name] for name in names]))
-        score = 0.5 * float(reading_loss(at.joints, read, sigma))
+        score = 0.5 * float(reading_loss(at.joints, anchor.known, sigma))
         hypothesis = Hypothesis(blank, anchor, config.track.sigma_px, score, relation)
         if calibration is not None and anchor.outer_read:
             hypothesis, _ = follower.fused(hypothesis, at, result.covariance)

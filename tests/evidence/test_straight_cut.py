@@ -133,17 +133,23 @@ def evidence(bundled_body: Body) -> Evidence:
     )
 
 
-def doubts(body: Body, evidence: Evidence, bend: float, distance: float = 0.11) -> list[str]:
+def doubts(body: Body, evidence: Evidence, bend: float, distance: float = 0.11, *, followed: bool = False) -> list[str]:
     at = Posed(lookat_pose(0.5, 1.0, 0.7, distance), JOINTS)
     view = FrameView("", evidence, Renderer(body, CAMERA), np.eye(4))
     quality, error = Quality(0.99, 0.1, {}, 0.3, 0.9, bend), ExpectedError({"tip": 0.3}, {}, 0.5, 0.4)
-    return doubts_in_views(at, [view], [quality], error, TrustConfig())[0]
+    return doubts_in_views(at, [view], [quality], error, TrustConfig(), followed=followed)[0]
 
 
 def test_reason_states_bend(bundled_body: Body, evidence: Evidence) -> None:
     assert doubts(bundled_body, evidence, 5.88) == [
         "mask cut straight: along a straight line that ends it, the silhouette bends by 5.9 px"
     ]
+
+
+def test_neighbouring_images_allow_a_larger_bend(bundled_body: Body, evidence: Evidence) -> None:
+    limit = next(bend for bend in np.arange(2.0, 8.0, 0.01) if doubts(bundled_body, evidence, bend))
+    assert doubts(bundled_body, evidence, 1.45 * limit, followed=True) == []
+    assert len(doubts(bundled_body, evidence, 1.55 * limit, followed=True)) == 1
 
 
 def test_bend_of_rough_outline_gives_no_reason(bundled_body: Body, evidence: Evidence) -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.frame_terms import SPREAD, readings_of, view_at
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import TrustConfig
-from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.doubts import judge
+from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.pose.doubts import doubts_in_views, judge
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
@@ -49,6 +51,33 @@ def test_one_joint_far_from_its_reading_is_named(bundled_body: Body) -> None:
 def test_joints_that_are_off_together_are_doubted_although_none_is_far_alone(bundled_body: Body) -> None:
     (reason,) = doubts(bundled_body, sigmas=(2, -2, 2))
     assert reason == "far from the readings: all joints together are farther off than readings are"
+
+
+def doubts_followed(body: Body, camera: Camera, quality: Quality, *, followed: bool) -> list[str]:
+    """Give the reasons to doubt the true pose of that quality, with or without the support of neighbouring images."""
+    views = [view_at(body, camera, TRUE)]
+    return doubts_in_views(TRUE, views, [quality], EXPECTED, TrustConfig(), followed=followed)[0]
+
+
+@pytest.mark.parametrize(("px", "alone", "followed"), [(2.7, 0, 0), (4.0, 1, 0), (4.4, 1, 1)])
+def test_contour_beyond_the_shaft_may_be_farther_off_with_neighbouring_images(
+    bundled_body: Body, px: float, alone: int, followed: int
+) -> None:
+    quality = replace(GOOD, distal_px=px)
+    assert len(doubts_followed(bundled_body, CAMERA, quality, followed=False)) == alone
+    assert len(doubts_followed(bundled_body, CAMERA, quality, followed=True)) == followed
+
+
+@pytest.mark.parametrize(("tips", "alone", "followed"), [(0, 0, 0), (1, 1, 0), (2, 1, 1)], ids=["none", "one", "both"])
+def test_tips_outside_the_image_are_doubted_both_together_with_neighbouring_images(
+    bundled_body: Body, tips: int, alone: int, followed: int
+) -> None:
+    ends = np.sort(CAMERA.project(apply(TRUE.pose, bundled_body.instrument.tips(TRUE.joints)))[:, 0])
+    shift = CAMERA.width - 0.5 - [ends[1] + 2, ends.mean(), ends[0] - 2][tips]  # to the image's right edge
+    camera = replace(CAMERA, cx=CAMERA.cx + shift)
+    alone_says, followed_says = (doubts_followed(bundled_body, camera, GOOD, followed=each) for each in (False, True))
+    assert [text.split(":")[0] for text in alone_says] == ["tip out of view"] * alone
+    assert [text.split(":")[0] for text in followed_says] == ["tip out of view"] * followed
 
 
 @pytest.mark.parametrize(

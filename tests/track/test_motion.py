@@ -10,6 +10,7 @@ import pytest
 from dvrk_cmaes.config import EstimateConfig, TrackConfig
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.track.motion import Anchor, MotionModel
+from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.start import unknown_state
 from dvrk_cmaes.track.state import Layout
 
@@ -44,6 +45,16 @@ def growth(anchor: Anchor = BEFORE, cables: CableModel | None = None, lag_std: f
 def bent(by: float) -> Anchor:
     """Give the readings after roll and all joints moved."""
     return replace(BEFORE, outer=BEFORE.outer + np.array([0, 0, 0, by]), joints=BEFORE.joints + by)
+
+
+def test_readings_that_stand_still_tell_where_the_joints_were_and_not_how_they_move() -> None:
+    joints = np.array([0.3, np.nan, 0.7])
+    reading = ReadingAt(BEFORE.outer, joints, np.ones(4), np.ones(3), still=True)
+    anchor = BEFORE.then(reading, moving=False)
+    assert not anchor.joint_read.any()
+    np.testing.assert_array_equal(anchor.joint_rate, 0)
+    np.testing.assert_array_equal(anchor.known, joints)
+    np.testing.assert_array_equal(BEFORE.then(reading).known, joints)
 
 
 def test_offsets_at_rest_wander() -> None:

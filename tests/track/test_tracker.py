@@ -18,6 +18,7 @@ from dvrk_cmaes.results.result import Alternative, Result
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.synth.truth import exact_mask
 from dvrk_cmaes.track import Tracker
+from dvrk_cmaes.track.confirmation import UNCONFIRMED
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +129,17 @@ def test_mode_that_readings_do_not_predict_is_less_probable(world: MovingWorld, 
     (result,) = world.follow(started(world, start), frames=range(1, 2))
     assert result.reasons == ("switched to the other mode: it explains the images better",)
     assert world.error_mm(1, result) < 0.4
+
+
+def test_readings_that_are_frozen_still_tell_the_mode(world: MovingWorld, first: Result) -> None:
+    tracker = Tracker(world.camera, world.body, lag=0.0)
+    for k in range(-15, 1):
+        tracker.add_readings(world.time(k), world.readings[0])
+    tracker.start(world.time(0), replace(first, status="doubtful", reasons=("mode in doubt",)))
+    followed = world.follow(tracker, frames=range(1, 10), readings=lambda k: world.readings[0])
+    assert followed[0].reasons == (UNCONFIRMED,)
+    assert followed[-1].status == "ok"
+    assert world.error_mm(9, followed[-1]) < 1.5
 
 
 # losses and recovery
