@@ -126,7 +126,8 @@ class KeyframeProblem:
         threads
             Number of threads.
         """
-        session = replace(self.config.session, shadows=True)
+        many = len(self.keyframes) >= MOST_KEYFRAMES
+        session = replace(self.config.session, shadows=True, test_camera=self.config.session.test_camera and many)
         config = replace(self.config, threads=threads, session=session)
         alone: dict[str, Result] = {}
         frames = []
