@@ -17,19 +17,24 @@ def checkouts(session: Path, *options: str | Path) -> subprocess.CompletedProces
     return subprocess.run([*command, *options], capture_output=True, text=True, check=False)
 
 
-def test_every_figure_is_compared(tmp_path: Path) -> None:
-    done = checkouts(make_session(tmp_path / "session", ["a"]), "--against", ROOT, "--quick", "--json")
+def test_every_figure_is_compared() -> None:
+    done = checkouts(ROOT / "data" / "demo", "--against", ROOT, "--quick", "--json")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     del report["machine"]
     assert [title.split(",")[0] for title in report] == [
         "estimate",
+        "errors",
         "whole command",
         "--help",
         "inspect",
         "folder",
         "page",
     ]
+    (errors,) = report.pop("errors")
+    assert errors["frames"] == 1
+    assert errors["right mode, this"] == errors["right mode, other"]
+    assert (errors["ratio"], errors["moved"]) == (1, 0)  # it is the same checkout
     for this, other, ratio in report.values():
         assert (this["checkout"], other["checkout"], ratio["checkout"]) == ("this", "other", "ratio")
         assert ratio["wall, median"] == pytest.approx(this["wall, median"] / other["wall, median"])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled, signed_distance
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
@@ -52,7 +52,7 @@ class SizedView:
         size = (camera.width, camera.height)
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
         if margin:
-            mask = np.clip(0.5 - margin - signed_distance(evidence.mask), 0, 1).astype(np.float32)
+            mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
