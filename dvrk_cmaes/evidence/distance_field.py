@@ -45,12 +45,20 @@ def distance_field(
 
 
 def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Compute the distance, px, from each pixel of a mask (H, W) to the nearest pixel outside, at most 1000; 0 outside.
+    """Compute the distance, px, at most 1000, from each pixel of a mask (H, W) to the nearest one outside; 0 there."""
+    return rounded_distance(transformed(mask))
+
+
+def transformed(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Compute the same distance as OpenCV does, (H, W), without limit; see `rounded_distance`."""
+    return np.asarray(cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+
+
+def rounded_distance(distance: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return distances of `transformed`, or some of them, at most 1000, as they follow from the mask alone.
 
     OpenCV computes square roots with either of two methods of different accuracy, depending on the memory alignment of
-    the array. The squared distances are therefore rounded to integers and their roots taken again, so that the result
-    depends on the mask alone.
+    the array. The squared distances are therefore rounded to integers and their roots taken again.
     """
-    distance = cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     near = np.minimum(distance, np.float32(_FARTHEST))
     return np.asarray(np.sqrt(np.rint(near * near)), dtype=np.float32)

@@ -14,8 +14,8 @@ from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
 
 
-def test_every_figure_is_compared(tmp_path: Path) -> None:
-    session = make_session(tmp_path / "session", ["a"])
+def test_every_figure_is_compared() -> None:
+    session = ROOT / "data" / "demo"
     command = [sys.executable, SCRIPTS / "bench.py", "checkouts", "--instrument", "lnd", "--sessions", session]
     options = ("--against", ROOT, "--quick", "--json")
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
@@ -24,12 +24,17 @@ def test_every_figure_is_compared(tmp_path: Path) -> None:
     del report["machine"]
     assert [title.split(",")[0] for title in report] == [
         "estimate",
+        "errors",
         "whole command",
         "--help",
         "inspect",
         "folder",
         "page",
     ]
+    (errors,) = report.pop("errors")
+    assert errors["frames"] == 1
+    assert errors["right mode, this"] == errors["right mode, other"]
+    assert (errors["ratio"], errors["moved"]) == (1, 0)  # it is the same checkout
     for this, other, ratio in report.values():
         assert (this["checkout"], other["checkout"], ratio["checkout"]) == ("this", "other", "ratio")
         assert ratio["wall, median"] == pytest.approx(this["wall, median"] / other["wall, median"])

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
 from dvrk_cmaes.pose.terms.shared_errors import without_last
@@ -79,7 +79,7 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Floa
     """
     (outline,) = view.outlines(Posed.stacked([at]))
     (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
-    off = sampled(signed_distance(view.mask), outline.pixels)
+    off = distances_to(view.mask, outline.pixels)
     weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
     errors = view.shared_errors(outline, at, noise)

@@ -43,14 +43,12 @@ Arguments are the number of the view, its outline, and the displacements (N, D) 
 class DrawnCoverage:
     """The blurred coverage (H, W) of a pose in each view, and its outlines where asked for.
 
-    ``losses`` are the views' sums of squares with the width of the refinement, ``final_losses`` those with the width of
-    scores.
+    ``losses`` are the views' sums of squares with the width of the refinement.
     """
 
     images: tuple[Float32, ...]
     outlines: tuple[OutlinePoints | None, ...]
     losses: tuple[float, ...]
-    final_losses: tuple[float, ...]
 
 
 class Coverage(OutlineTerm[DrawnCoverage]):
@@ -122,19 +120,19 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""
-        return sum(self.draw(Posed.stacked([at]), derivatives=False)[0].final_losses)
+        return sum(self.final_losses(self.draw(Posed.stacked([at]), derivatives=False)[0]))
 
     def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnCoverage]:
         """Draw C poses in all views."""
         lines = self._config.lines_per_pixel
         of_views = [view.draw(at, lines, outlines=derivatives) for view in self.views]
-        return [self._measured(*zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
+        of_poses = [tuple(zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
+        return [DrawnCoverage(images, outlines, self._losses(images, self._width)) for images, outlines in of_poses]
 
-    def _measured(self, images: tuple[Float32, ...], outlines: tuple[OutlinePoints | None, ...]) -> DrawnCoverage:
-        """Return what was drawn of a pose with its losses."""
-        losses = self._losses(images, self._width)
+    def final_losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
+        """Return the views' sums of squares of what was drawn, with the width of scores."""
         same = self._width == self._config.cauchy
-        return DrawnCoverage(images, outlines, losses, losses if same else self._losses(images, self._config.cauchy))
+        return drawn.losses if same else self._losses(drawn.images, self._config.cauchy)
 
     def _losses(self, images: Sequence[Float32], cauchy: float) -> tuple[float, ...]:
         """Compute the views' losses, which are sums of squares for small residuals."""
@@ -159,7 +157,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def score_of(self, drawn: DrawnCoverage, *, final: bool = False) -> float:
         """Return the negative log-likelihood up to a constant; with the variance estimated if no noise is given."""
-        losses = drawn.final_losses if final else drawn.losses
+        losses = self.final_losses(drawn) if final else drawn.losses
         if self.noise is not None:
             return 0.5 * self._weight(losses) * self._sum(losses)
         return 0.5 * self._count * float(np.log(max(sum(losses), self._least)))
@@ -184,6 +182,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         drawn: DrawnCoverage | None = None,
         *,
         stride: int = 1,
+        as_seen: bool = False,
     ) -> Quadratic:
         """Return the approximation near one pose, with most of what the errors of the masks share eliminated.
 
@@ -191,7 +190,8 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         standard deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
         gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
         ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
-        outlines is used, which stands for those beside it.
+        outlines is used, which stands for those beside it. ``as_seen`` is whether errors are expected to be as large as
+        the mask shows them at the pose, where that is more than usual (`SharedErrors.as_seen`).
         """
         if drawn is None:
             (drawn,) = self.draw(Posed.stacked([at]))
@@ -202,6 +202,8 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             outline = drawn_outline.every(stride)
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
             errors = view.shared_errors(outline, at, noise)
+            if as_seen:
+                errors = errors.as_seen(view.offsets(outline))
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
             lasting = np.zeros((len(of_errors), LASTING * len(self.views)))
             lasting[:, LASTING * k : LASTING * (k + 1)] = of_errors[:, :LASTING] * errors.deviations[:LASTING]

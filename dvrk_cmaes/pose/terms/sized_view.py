@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
@@ -52,7 +52,7 @@ class SizedView:
         size = (camera.width, camera.height)
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
         if margin:
-            mask = np.clip(0.5 - margin - signed_distance(evidence.mask), 0, 1).astype(np.float32)
+            mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
@@ -64,14 +64,16 @@ class SizedView:
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
         self._blur = blur
         beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
-        clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(clear[window])
+        if weight.min() < 1:
+            weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(weight[window])
         self.mask = mask[window] > 0.5
         self.target = self._blurred(np.ascontiguousarray(mask[window]))
         self.shrink = shrink
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
         self._remembered: dict[bytes, Drawing] = {}
+        self._distance: Float32 | None = None
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
@@ -140,6 +142,13 @@ class SizedView:
         pairs = zip(coverage, points.of_each(len(seen)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
+    def silhouette(self, drawn: Float32) -> NDArray[np.bool_]:
+        """Return the silhouette of a blurred coverage (H, W) in the whole image; nothing is outside the window."""
+        left, top, width, height = self._window
+        whole = np.zeros(self._size[::-1], dtype=np.bool_)
+        whole[top : top + height, left : left + width] = drawn > 0.5
+        return whole
+
     def outlines(self, at: Posed) -> list[OutlinePoints]:
         """Find the outline of each of C poses."""
         seen = at.seen_from(self.view_from_camera)
@@ -150,6 +159,15 @@ class SizedView:
         seen = at.seen_from(self.view_from_camera)
         of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
+
+    def offsets(self, outline: OutlinePoints) -> Float64:
+        """Return by how much the mask lies outwards of an outline at its N points, px, to some hundredths."""
+        if self._distance is None:
+            inside, outside = (
+                cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (self.mask, ~self.mask)
+            )
+            self._distance = np.where(self.mask, inside - 0.5, 0.5 - outside).astype(np.float32)
+        return sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
