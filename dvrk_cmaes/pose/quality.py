@@ -12,6 +12,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, window_around
 from dvrk_cmaes.evidence.outline_noise import distances_to
+from dvrk_cmaes.evidence.quantiles import median, quantile
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.geometry import Posed
@@ -187,8 +188,8 @@ def _without_losses(view: FrameView, seen: Posed, masks: NDArray[np.bool_]) -> l
                 iou=iou,
                 loss=0.0,
                 terms={},
-                contour_px_median=float(np.median(distances)),
-                contour_px_95=float(np.percentile(distances, 95)),
+                contour_px_median=median(distances),
+                contour_px_95=quantile(distances, 0.95),
                 bend_px=0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
                 steady_share=float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
                 distal_px=_distal_error(evidence, seen.pose[i], signed),
