@@ -56,6 +56,7 @@ def written_at(out: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in sorted((out / "frames").iterdir())}
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: Path) -> None:
     names = ["0001", "Bild 2 für uns", "名前, 3"]
     done = batch(make_session(tmp_path / "session", names))
@@ -78,6 +79,7 @@ def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: P
     assert not done.interrupted
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_unusable_frames_fail_with_reason(batch: Batch, tmp_path: Path) -> None:
     session = make_session(tmp_path / "session", ["bad row", "black", "good", "large ignore", "torn", "unmasked"])
     masks = session / "masks"
@@ -151,6 +153,7 @@ def test_resume_with_other_settings_is_refused(
     assert refusal(batch, two) == f"{otherwise} (version: {__version__} -> 9.9): {way_out}"
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_path: Path, bundled_body: Body) -> None:
     batch(two)
     limits = bundled_body.instrument.limits + 0.1
@@ -159,6 +162,7 @@ def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_pa
         run_batch(read_session(two), tmp_path / "out", other, config=QUICK_CONFIG)
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     batch(two)
@@ -178,6 +182,7 @@ def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path:
     )
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_failed_frames_are_repeated_on_request(batch: Batch, two: Path, tmp_path: Path) -> None:
     mask = two / "masks" / "0002.png"
     sound = mask.read_bytes()
@@ -190,6 +195,7 @@ def test_failed_frames_are_repeated_on_request(batch: Batch, two: Path, tmp_path
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_overwrite_keeps_unrelated_files(batch: Batch, two: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     batch(two)
@@ -201,6 +207,7 @@ def test_overwrite_keeps_unrelated_files(batch: Batch, two: Path, tmp_path: Path
     assert sorted(path.name for path in (out / "overlays").iterdir()) == ["0002.jpg"]
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_folder_with_other_results_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
     other = tmp_path / "out" / "frames" / "x.json"
     other.parent.mkdir(parents=True)
@@ -213,6 +220,7 @@ def test_folder_with_other_results_is_refused(batch: Batch, two: Path, tmp_path:
     assert other.read_text() == "{}"
 
 
+@pytest.mark.usefixtures("estimates_shared")
 @pytest.mark.parametrize("name", ["frames/0001.json", "overlays/0001.jpg", "summary.json", "report.html"])
 def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path, tmp_path: Path, name: str) -> None:
     batch(two, pattern="0002")
@@ -225,6 +233,7 @@ def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path,
     assert {path: path.lstat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "layers").write_text("mine")
@@ -237,6 +246,7 @@ def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path,
     assert (tmp_path / "out" / "layers").read_text() == "mine"
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     whole = comparable(tmp_path / "out")
@@ -245,6 +255,7 @@ def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) ->
     assert comparable(tmp_path / "out") == whole
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_pattern_selects_frames(batch: Batch, two: Path, tmp_path: Path) -> None:
     assert list(batch(two, pattern="*2").document["frames"]) == ["0002"]
     assert list(batch(two).document["frames"]) == ["0001", "0002"]
@@ -255,6 +266,7 @@ def test_pattern_selects_frames(batch: Batch, two: Path, tmp_path: Path) -> None
     )
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_unwritable_names_and_folders_are_refused_first(batch: Batch, tmp_path: Path, two: Path) -> None:
     (tmp_path / "file").write_text("")
     assert refusal(batch, two, "file") == (
@@ -265,6 +277,7 @@ def test_unwritable_names_and_folders_are_refused_first(batch: Batch, tmp_path: 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_second_batch_in_same_folder_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with locked(out), pytest.raises(DvrkCmaesError) as caught:
@@ -273,6 +286,7 @@ def test_second_batch_in_same_folder_is_refused(batch: Batch, two: Path, tmp_pat
     assert batch(two).ran == 2
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_session_may_be_moved(batch: Batch, two: Path, tmp_path: Path) -> None:
     (two / "masks" / "0002.png").write_bytes(b"nonsense")
     batch(two)
@@ -285,6 +299,7 @@ def test_session_may_be_moved(batch: Batch, two: Path, tmp_path: Path) -> None:
     assert {name for name in here if here[name] != there[name]} <= {"run.json", "summary.json"}
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_tables_can_be_rewritten(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     out = tmp_path / "out"
@@ -297,6 +312,7 @@ def test_tables_can_be_rewritten(batch: Batch, two: Path, tmp_path: Path) -> Non
         finish(two)
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_wrist_readings_that_never_move_are_one_warning_of_all_frames(batch: Batch, tmp_path: Path) -> None:
     folder = make_session(tmp_path / "session", ["0001", "0002", "0003", "0004", "0005"])
     with open(folder / "joints.csv", encoding="utf-8") as file:

@@ -18,6 +18,8 @@ from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.worklist import Shard
 from dvrk_cmaes.silhouette import Body
 
+pytestmark = pytest.mark.usefixtures("estimates_shared")
+
 NAMES = [f"{k:04d}" for k in range(5)]
 Batch = Callable[..., BatchSummary]
 
