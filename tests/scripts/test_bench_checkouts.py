@@ -5,20 +5,20 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import make_session
+from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
 
 
-def checkouts(session: Path, *options: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, SCRIPTS / "bench.py", "checkouts", "--instrument", "lnd", "--sessions", session]
-    return subprocess.run([*command, *options], capture_output=True, text=True, check=False)
-
-
 def test_every_figure_is_compared() -> None:
-    done = checkouts(ROOT / "data" / "demo", "--against", ROOT, "--quick", "--json")
+    session = ROOT / "data" / "demo"
+    command = [sys.executable, SCRIPTS / "bench.py", "checkouts", "--instrument", "lnd", "--sessions", session]
+    options = ("--against", ROOT, "--quick", "--json")
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     del report["machine"]
@@ -41,8 +41,9 @@ def test_every_figure_is_compared() -> None:
         assert 0 < this["processor, median"] < 60
 
 
-def test_folder_without_package_is_refused(tmp_path: Path) -> None:
-    done = checkouts(make_session(tmp_path / "session", ["a"]), "--against", tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "expected a checkout with the package dvrk_cmaes" in done.stderr
+def test_folder_without_package_is_refused(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
+    session = make_session(tmp_path / "session", ["a"])
+    done = run_here("bench", "checkouts", "--instrument", "lnd", "--sessions", session, "--against", tmp_path)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "expected a checkout with the package dvrk_cmaes" in done.err
