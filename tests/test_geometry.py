@@ -14,6 +14,7 @@ from dvrk_cmaes.geometry import (
     adjoint,
     apply,
     change_between,
+    cross,
     exp_rotation,
     frame_along,
     inverse,
@@ -189,3 +190,9 @@ def test_candidates_are_stacked_and_taken_out_again() -> None:
     assert len(both) == 2
     np.testing.assert_array_equal(both[1].pose, second.pose)
     np.testing.assert_array_equal(both[[1, 0]].joints, [second.joints, first.joints])
+
+
+def test_cross_product_is_that_of_numpy() -> None:
+    a, b = np.random.default_rng(5).normal(size=(2, 50, 3))
+    for first, second in zip(a, b, strict=True):
+        np.testing.assert_array_equal(cross(first, second), np.cross(first, second))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.quantiles import median
+from dvrk_cmaes.geometry import cross
 
 Float64 = NDArray[np.float64]
 
@@ -278,7 +279,7 @@ def _bounds_cylinder(mask: NDArray[np.bool_], camera: Camera, radius: float, fir
     direction, point = shaft_axis(_to_planes(np.stack([first.line, second.line]), camera), radius)
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     ray = np.array([*((middle - centre) / focal), 1.0])
-    normal = np.cross(direction, np.cross(ray, direction))
+    normal = cross(direction, cross(ray, direction))
     depth = float(normal @ point / (normal @ ray))  # of the axis where it passes the middle of the edges
     if not _DEPTHS[0] < depth < _DEPTHS[1]:
         return False
@@ -297,7 +298,7 @@ def shaft_axis(planes: Float64, radius: float) -> tuple[Float64, Float64]:
     direction (of either sign) and its point nearest to the camera centre, m, both (3,) in the camera's frame. The
     direction lies in both planes, and the axis is at distance ``radius`` from both, on the inner side.
     """
-    direction = np.cross(planes[0], planes[1])
+    direction = cross(planes[0], planes[1])
     direction /= np.linalg.norm(direction)
     point = np.linalg.solve(np.stack([planes[0], planes[1], direction]), np.array([-radius, -radius, 0.0]))
     return direction, point

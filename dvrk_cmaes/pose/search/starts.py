@@ -10,7 +10,7 @@ from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
-from dvrk_cmaes.geometry import Posed, exp_rotation, frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import Posed, cross, exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 
@@ -88,7 +88,7 @@ def sample_on_axis(
     # Stratified sampling of the rotation about the axis: one value in each of ``count`` equal intervals.
     turn = (rng.permutation(count) + rng.uniform(size=count)) / count * 2 * np.pi
     centre = point + pivot * direction
-    across = np.cross(centre, direction)
+    across = cross(centre, direction)
     across /= np.linalg.norm(across)
     tilted = exp_rotation(across * (tilt * rng.standard_normal(count))[:, None])
     axis = tilted @ direction
@@ -120,9 +120,9 @@ def _on_edges(
     def coordinate(pixel: Float64) -> float:
         """Return the coordinate along the axis, m, of its point nearest to a pixel's ray."""
         ray = np.array([*((pixel - centre) / focal), 1.0])
-        across = np.cross(direction, np.cross(ray, direction))
+        across = cross(direction, cross(ray, direction))
         # The foot, on the axis, of the common perpendicular of axis and ray.
-        away = np.cross(ray, np.cross(direction, ray))
+        away = cross(ray, cross(direction, ray))
         return float(-(away @ point) / (away @ direction)) if abs(across @ across) > 1e-12 else 0.0
 
     middle = coordinate(edges.ends.mean(axis=(0, 1)))
