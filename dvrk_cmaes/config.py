@@ -358,7 +358,7 @@ class SessionConfig:
         shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
     test_camera
         Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is
-        followed as it comes do so when there are as many as are kept.
+        followed as it comes do so only once as many as are kept have been solved.
     """
 
     arm_deg: float = 0.1

@@ -126,8 +126,7 @@ class KeyframeProblem:
         threads
             Number of threads.
         """
-        many = len(self.keyframes) >= MOST_KEYFRAMES
-        session = replace(self.config.session, shadows=True, test_camera=self.config.session.test_camera and many)
+        session = replace(self.config.session, shadows=True)
         config = replace(self.config, threads=threads, session=session)
         alone: dict[str, Result] = {}
         frames = []

@@ -112,9 +112,15 @@ class KnownBase:
         return any(given < count <= len(self.store) for count in SOLVED_AT)
 
     def problem(self) -> KeyframeProblem:
-        """Return what the keyframes pose to be solved."""
+        """Return what the keyframes pose to be solved.
+
+        They test the camera file, which takes long, once as many as are kept have been solved without that.
+        """
         self._asked, self._asked_taken = len(self.store), self.store.taken
-        return self.store.problem(self._arm, self._config, self._alone, self._bases)
+        session = self._config.session
+        if self._solved < SOLVED_AT[-1]:
+            session = replace(session, test_camera=False)
+        return self.store.problem(self._arm, replace(self._config, session=session), self._alone, self._bases)
 
     def use(self, solution: Solution) -> bool:
         """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has.

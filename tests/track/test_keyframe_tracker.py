@@ -157,6 +157,14 @@ def test_keyframes_are_solved_at_some_numbers_and_when_a_third_of_the_most_are_n
     assert solved_at == [*SOLVED_AT, MOST_KEYFRAMES + NEW_AT_MOST, MOST_KEYFRAMES + 2 * NEW_AT_MOST]
 
 
+def test_camera_file_is_tested_once_as_many_keyframes_as_are_kept_were_solved(world: MovingWorld) -> None:
+    known = KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None)
+    keep(known, MOST_KEYFRAMES)
+    first = known.problem()
+    known.use(failed(known))
+    assert (first.config.session.test_camera, known.problem().config.session.test_camera) == (False, True)
+
+
 def test_state_of_the_keyframes_tells_how_many_of_them_are_new(world: MovingWorld) -> None:
     first, second = (KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None) for _ in range(2))
     keep(first, MOST_KEYFRAMES)
