@@ -143,7 +143,7 @@ class LocalSearch:
         c, full_width = self._config.refine, self._views[0].evidence.camera.width
         coarse = self._coverage(max(1, round(full_width / c.width_px)))
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if self._instrument.has_twin else []
-        first = Selection(c.first_share, c.first_gap, least=c.first_least)
+        first = Selection(gap=c.first_gap, least=c.small_modes)
         tried, rest = candidates[: c.first_candidates], candidates[c.first_candidates :]
         modes = self._refine(coarse, [*tried, *twins], iterations=c.first_steps, selection=first)
         if not _agree(modes, c.agreed_gap):
