@@ -50,15 +50,18 @@ class ViewAtFullSize:
         )
 
 
-def information_of_views(views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed) -> list[Float64]:
+def information_of_views(
+    views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed, sizes: Sequence[Float64 | None] = ()
+) -> list[Float64]:
     """Compute the information (6 + J, 6 + J) of each view about the small changes of one fitted pose.
 
     That of the first view includes the other ``terms``. The errors of the masks of different views are taken to be
-    independent.
+    independent. ``sizes`` are the expected sizes of the one-sided errors of each view, if any, as in `OneSidedFit`;
+    what they explain is not noise.
     """
     information = []
     for k, both in enumerate(views):
-        of_view = outline_information(both.sized, at, both.view.noise_at(at))
+        of_view = _of_view(both, at, sizes[k] if sizes else None)
         if k == 0:
             of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
             of_view = of_view + np.diag(_bounds(len(of_view)))
@@ -71,15 +74,31 @@ def _bounds(count: int) -> Float64:
     return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 
 
-def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Float64:
+def _of_view(both: ViewAtFullSize, at: Posed, sizes: Float64 | None) -> Float64:
+    """Compute the information of one view's outline, whose one-sided errors have expected ``sizes`` (K,) px, if any."""
+    if sizes is None or not sizes.any():
+        return outline_information(both.sized, at, both.view.noise_at(at))
+    (outline,) = both.sized.outlines(Posed.stacked([at]))
+    errors = both.sized.one_sided_errors(outline, at).columns @ sizes
+    whole, window = both.view.evidence, both.sized.camera
+    shift = np.array([whole.camera.cx - window.cx, whole.camera.cy - window.cy])
+    apart = whole.contour.pixels[:, None] - (outline.pixels + shift)
+    of_contour = errors[(apart**2).sum(axis=2).argmin(axis=1)]
+    return outline_information(both.sized, at, both.view.noise_at(at, of_contour), errors)
+
+
+def outline_information(view: SizedView, at: Posed, noise: OutlineNoise, explained: Float64 | None = None) -> Float64:
     """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of one fitted pose.
 
     ``noise`` is that of the whole contour. Points at ignored pixels or farther than three standard deviations from the
-    mask's outline do not count.
+    mask's outline do not count. ``explained`` (N,), px outwards, are errors of the outline's points that are not noise.
     """
     (outline,) = view.outlines(Posed.stacked([at]))
     (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
+    # the distance from the mask is negative where the mask's contour is outside the outline
     off = sampled(signed_distance(view.mask), outline.pixels)
+    if explained is not None:
+        off = off + explained
     weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
     errors = view.shared_errors(outline, at, noise)

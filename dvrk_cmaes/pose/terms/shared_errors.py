@@ -70,7 +70,7 @@ def shared_errors(
 ) -> SharedErrors:
     """Return the shared errors of the outline of one pose ``seen`` in a camera, for a contour with some noise."""
     normals = outline.normals / np.linalg.norm(outline.normals, axis=1)[:, None]
-    axis = _image_axis(instrument, camera, seen)
+    axis = image_axis(instrument, camera, seen)
     ahead, aside = normals @ axis, normals @ np.array([-axis[1], axis[0]])
     side, link = side_deviation(noise), np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise))
     shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(ahead), dtype=np.bool_)
@@ -112,7 +112,7 @@ def without_last(terms: Quadratic, information: Float64) -> Quadratic:
     return Quadratic(left.information[:, count:, count:], left.slope[:, count:])
 
 
-def _image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
+def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
     """Return the unit vector (2,) in the image along which the shaft points, at the root's origin."""
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
     ends = seen.pose[:3, 3] - np.array([[0.0], [_AHEAD]]) * (seen.pose[:3, :3] @ along)
