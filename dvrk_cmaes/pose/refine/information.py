@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
-from dvrk_cmaes.pose.terms.shared_errors import without_last
+from dvrk_cmaes.pose.terms.shared_errors import USUAL_LENGTH, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
@@ -32,7 +32,7 @@ _CLIP = 3.0  # standard deviations, beyond which a point of the outline does not
 _LARGEST = 8.0  # standard deviations to which errors are limited in the variance of a link
 _SHARED = 100.0  # px of outline; weight of the variance of the whole outline in that of a link
 _ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
-_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.45, 0.25  # on the variance of a measurement; fitted as those of `shared_errors`
+_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.9, 0.25  # on the variance of a measurement; fitted as those of `shared_errors`
 _LARGE = 1.5  # px, standard deviation of errors that are neither small nor normal, by which the variance doubles
 
 
@@ -76,7 +76,7 @@ def _bounds(count: int) -> Float64:
 
 def _of_view(both: ViewAtFullSize, at: Posed, sizes: Float64 | None) -> Float64:
     """Compute the information of one view's outline, whose one-sided errors have expected ``sizes`` (K,) px, if any."""
-    if sizes is None or not sizes.any():
+    if sizes is None:
         return outline_information(both.sized, at, both.view.noise_at(at))
     (outline,) = both.sized.outlines(Posed.stacked([at]))
     errors = both.sized.one_sided_errors(outline, at).columns @ sizes
@@ -91,7 +91,8 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise, explain
     """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of one fitted pose.
 
     ``noise`` is that of the whole contour. Points at ignored pixels or farther than three standard deviations from the
-    mask's outline do not count. ``explained`` (N,), px outwards, are errors of the outline's points that are not noise.
+    mask's outline do not count. ``explained`` (N,), px outwards, are errors of the outline's points that are not noise,
+    where one-sided errors are accounted for: what stays the same over more contour than usual is then taken for these.
     """
     (outline,) = view.outlines(Posed.stacked([at]))
     (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
@@ -101,7 +102,8 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise, explain
         off = off + explained
     weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
-    errors = view.shared_errors(outline, at, noise)
+    usual = noise if explained is None else replace(noise, length=min(noise.length, USUAL_LENGTH))
+    errors = view.shared_errors(outline, at, usual)
     jacobian = np.column_stack([of_pose, errors.columns * length[:, None]])
     counts = weight * (np.abs(off) < _CLIP * max(noise.sigma, 0.5))
     variance = _link_variances(outline, off, length * weight, noise.sigma)[outline.link]

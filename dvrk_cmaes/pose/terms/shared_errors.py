@@ -34,6 +34,9 @@ Bool = NDArray[np.bool_]
 LASTING = 2
 """Number of shared errors of a view, the first ones, that last from frame to frame: both sides of the shaft's."""
 
+USUAL_LENGTH = 19.0
+"""px of contour, over which the noise of a segmentation usually stays the same."""
+
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
@@ -44,7 +47,7 @@ _MARGIN, _NODE, _SIDE, _LINK = 0.1, 0.2, 0.15, 0.15
 _LEAST_SIDE = 0.25  # px, of a side of the shaft
 # The same, in those of the part of the noise that stays the same over more contour than usual.
 _SIDE_OF_LONG, _LINK_OF_LONG = 0.8, 0.3
-_USUAL_LENGTH, _LENGTH_SCALE = 19.0, 17.0  # px of contour
+_LENGTH_SCALE = 17.0  # px of contour
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +97,7 @@ def side_deviation(noise: OutlineNoise) -> float:
 
 def _long(noise: OutlineNoise) -> float:
     """Return the standard deviation, px, of the part of the noise that stays the same over more contour than usual."""
-    return float(noise.sigma * np.sqrt(max(noise.length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
+    return float(noise.sigma * np.sqrt(max(noise.length - USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
 
 
 def without_last(terms: Quadratic, information: Float64) -> Quadratic:
