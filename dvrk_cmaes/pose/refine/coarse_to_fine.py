@@ -34,6 +34,7 @@ _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
 _TWINS = 3  # best candidates whose mirror twins are refined as well
+_PROBABLE = 0.5  # probability of no one-sided error, below which a mask that is not rough has one
 _OF_CONTOUR = Steps(6, tolerance=0.1, tested="none", largest=6.0)  # from a pose that is nearly right
 
 
@@ -193,13 +194,13 @@ class LocalSearch:
     def _with_one_sided_errors(self, coverage: Coverage, mode: Fit, *, rough: bool) -> tuple[Fit, OneSidedFit | None]:
         """Return a mode at its mean over the hypotheses of one-sided errors of the masks, and what these say.
 
-        Of masks that are not rough, only the shift by these errors is used: without them, the loss on the coverage is
-        more accurate.
+        Masks that are not rough are fitted better by the loss on the coverage: their poses are only shifted, and only
+        where an error is more probable than none.
         """
         if self._config.refine.method != "gauss-newton":
             return mode, None
         found = fit_one_sided(coverage.views, self._terms(), mode.at)
-        if found is None:
+        if found is None or not (rough or found.plain_probability < _PROBABLE):
             return mode, None
         at = mode.at[None].moved((found.plain + found.shift if rough else found.shift)[None])
         for term in self._terms():

@@ -82,8 +82,9 @@ def _of_view(both: ViewAtFullSize, at: Posed, sizes: Float64 | None) -> Float64:
     errors = both.sized.one_sided_errors(outline, at).columns @ sizes
     whole, window = both.view.evidence, both.sized.camera
     shift = np.array([whole.camera.cx - window.cx, whole.camera.cy - window.cy])
-    apart = whole.contour.pixels[:, None] - (outline.pixels + shift)
-    of_contour = errors[(apart**2).sum(axis=2).argmin(axis=1)]
+    points = outline.pixels + shift
+    nearest = (0.5 * (points**2).sum(axis=1) - whole.contour.pixels @ points.T).argmin(axis=1)
+    of_contour = errors[nearest]
     return outline_information(both.sized, at, both.view.noise_at(at, of_contour), errors)
 
 

@@ -28,6 +28,7 @@ Float64 = NDArray[np.float64]
 _REACH = 12  # px from the outline in which the contour is searched
 _FIRST_CLIP = 9.0  # px; larger errors are outliers before any hypothesis has been fitted
 _ROUNDS = 4
+_OFF_PX, _OFF_SHARE = 1.5, 0.02  # error of the contour, and share of it that a one-sided error makes at least as large
 _LOST = 1e-9  # of the largest diagonal element, by which an information is made invertible
 _TAIL = -8.0  # standard deviations, below which the normal distribution function is its asymptotic series
 
@@ -75,7 +76,8 @@ class _Contour:
 def fit_one_sided(views: Sequence[SizedView], terms: Sequence[Term], at: Posed) -> OneSidedFit | None:
     """Fit the contours of the views near one pose, with at most one one-sided error in all of them.
 
-    Returns None where a view has too little contour near the outline, or the instrument has no shaft.
+    Returns None where a view has too little contour near the outline, where hardly any of it is off, or where the
+    instrument has no shaft.
     """
     contours = []
     for view in views:
@@ -83,6 +85,8 @@ def fit_one_sided(views: Sequence[SizedView], terms: Sequence[Term], at: Posed) 
         contours.append(_Contour(found, view.one_sided_errors(found.outline, at)))
         if len(found) < LEAST_POINTS or not contours[-1].hypotheses.probabilities.size:
             return None
+    if all(float(np.mean(np.abs(contour.found.errors) > _OFF_PX)) < _OFF_SHARE for contour in contours):
+        return None
     others = sum_of_locals(terms, Posed.stacked([at]))
     dimension = others.dimension
     change, sizes = np.zeros(dimension), [np.zeros(len(c.hypotheses.deviations)) for c in contours]
