@@ -12,7 +12,7 @@ demo: $(VENV)/.package
 	$(BIN)/dvrk-cmaes demo
 
 test: $(VENV)/.tools
-	$(BIN)/python -m pytest --numprocesses=auto --dist=loadfile $(TESTS)
+	$(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder $(TESTS)
 
 lint: $(VENV)/.tools
 	$(BIN)/ruff check .

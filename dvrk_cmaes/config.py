@@ -348,6 +348,12 @@ class SessionConfig:
         Whether coupling, play and wander of the cables are estimated, beside the offsets.
     masks_again
         Whether masks that were found in images are found again around the silhouettes that the session expects.
+    shadows
+        Whether stretches of a mask that lie off the silhouette of a fit count less the farther off they are, as where a
+        shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
+    test_camera
+        Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is
+        followed as it comes do so when there are as many as are kept.
     """
 
     arm_deg: float = 0.1
@@ -372,6 +378,8 @@ class SessionConfig:
     largest_misfit: float = 12.0
     cables: bool = True
     masks_again: bool = True
+    shadows: bool = False
+    test_camera: bool = True
 
 
 @dataclass(frozen=True)

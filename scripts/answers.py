@@ -53,7 +53,7 @@ def _report(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Compare all chosen cases, and print each as soon as it is known; returns a row for each by name."""
     rows: dict[str, dict[str, Any]] = {}
     chosen = [case for case in CASES if arguments.only is None or case.name in arguments.only]
-    with two_checkouts(arguments.checkout, arguments.against) as both:
+    with two_checkouts(arguments.checkout, arguments.against, timed=False) as both:
         if not arguments.json:
             print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]))
         for case in chosen:
@@ -115,7 +115,7 @@ def _answers(checkout: Checkout, case: Case, instrument: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made).resolve()
         case.write(folder / "inputs")
-        cache = f"{checkout.compiled}/cache"
+        cache = f"{checkout.compiled}/cache of {checkout.name}"
         codes = [checkout.run(command, folder, DVRK_CMAES_CACHE=cache) for command in _commands(case, instrument)]
         return {"exit codes": codes, **read_answers(folder)}
 

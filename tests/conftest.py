@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.places import SHARED
+from helpers.processes_here import processes_here, real_processes
+from helpers.shared_estimates import shared_estimates
 from hypothesis import settings
 
 from dvrk_cmaes.camera import Camera
@@ -45,6 +47,12 @@ REQUIREMENTS = (
         lambda: None not in map(shutil.which, ("chromium", "chromedriver")),
     ),
 )
+LONGEST = ("scripts", "documents", "runs", "synth", "track", "calibration", "cli", "report")
+"""Folders of tests, those whose files take longest first; ``documents`` are the examples in README and reference pages.
+
+Files run in this order, so that towards the end no worker is left alone with one that takes long.
+"""
+DOCUMENTS = ("test_reference_examples", "test_readme_examples", "test_tutorial")
 DESELECTED = pytest.StashKey[dict[str, int]]()
 """Number of selected tests without what they require, by mark."""
 
@@ -59,15 +67,23 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def order(item: pytest.Item) -> int:
+    """Give the place of a test's folder in LONGEST."""
+    folder = "documents" if item.path.stem in DOCUMENTS else item.path.parent.name
+    return LONGEST.index(folder) if folder in LONGEST else len(LONGEST)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
-    """Mark the tests with the fixture ``shared``; after -m and -k, deselect tests whose requirements are not met.
+    """Mark the tests with the fixture ``shared``, and put the files that take longest first.
 
+    After -m and -k, deselect tests whose requirements are not met.
     With ``CI=true`` and any such test, all tests are removed and the run fails.
     """
     for item in items:
         if "shared" in getattr(item, "fixturenames", ()):
             item.add_marker("shared")
+    items.sort(key=order)
     yield
     deselected = config.stash[DESELECTED]
     for requirement in REQUIREMENTS:
@@ -113,6 +129,27 @@ def _instrument_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     """Set an instrument cache for the tests, separate from the user's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DVRK_CMAES_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def tasks_here() -> Iterator[None]:
+    """Let a test run the tasks of worker processes in its own process, which is quicker by a second for each worker."""
+    with processes_here():
+        yield
+
+
+@pytest.fixture
+def own_processes(tasks_here: None) -> Iterator[None]:
+    """Let a test have real worker processes where the others of its file do without."""
+    with real_processes():
+        yield
+
+
+@pytest.fixture
+def estimates_shared() -> Iterator[None]:
+    """Let commands and batches of a test, and of others with this fixture, estimate each frame once for all of them."""
+    with shared_estimates():
         yield
 
 

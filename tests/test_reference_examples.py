@@ -18,12 +18,15 @@ import pytest
 from helpers.made_examples import make_examples
 from helpers.places import ROOT
 from helpers.printed_blocks import PROGRAM, Block, blocks, run
+from helpers.processes_here import processes_here
+from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes import EstimateConfig, prepare, read_camera
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.toml_file import updated
+from dvrk_cmaes.synth import session as made_sessions
 
 PAGES = ROOT / "data" / "reference"
 README = {line for block in blocks((ROOT / "README.md").read_text(encoding="utf-8")) for line in block.commands}
@@ -60,6 +63,15 @@ COMMANDS = [each for each in EXAMPLES if each.block.commands]
 def needed(command: str) -> str | None:
     """Return what a command needs that is not here."""
     return next((what for word, what in NOT_HERE.items() if word in shlex.split(command)), None)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quicker() -> Iterator[None]:
+    """Let commands do without worker processes, estimate a frame once, and make sessions of a quarter of the pixels."""
+    camera = made_sessions.default_camera
+    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates():
+        patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from helpers.places import ROOT
 from helpers.printed_blocks import Block, blocks, has_in_order, printed_parts, run, words
+from helpers.processes_here import processes_here
+from helpers.shared_estimates import shared_estimates
 
 BLOCKS = list(blocks((ROOT / "data" / "reference" / "tutorial.md").read_text(encoding="utf-8")))
 CAMERA, REST = BLOCKS[0], BLOCKS[1:]
@@ -29,7 +31,8 @@ def test_commands_run_as_printed_and_print_what_is_shown(tmp_path: Path, monkeyp
     output: list[str] = []
     for block in REST:
         if block.commands:
-            output = [line for command in block.commands for line in words(_said(command))]
+            with processes_here(), shared_estimates():
+                output = [line for command in block.commands for line in words(_said(command))]
         else:
             assert has_in_order(output, printed_parts(block.text)), (block.text, output)
     named = {path for block in REST for path in re.findall(r"(?<=written: )\S+", block.text)}

@@ -177,7 +177,8 @@ def fit_frame(
     else:
         noises = own_estimate.noises
     own_iou = 0.0 if own_estimate is None else own_estimate.iou
-    return _without_shared(fits[0], coverage, terms, noises, overlap(views, drawn), own_iou, count)
+    iou, as_seen = overlap(views, drawn), config.session.shadows
+    return _without_shared(fits[0], coverage, terms, noises, iou, own_iou, count, as_seen=as_seen)
 
 
 def fit_predicted(
@@ -202,7 +203,8 @@ def fit_predicted(
     coverage = coverage.with_lengths(own.lengths)
     coverage = coverage.with_noise(coverage.noise_at(own.at))
     count = coverage.silhouettes + len(views)
-    fitted = _without_shared(fit, coverage, terms, own.noises, own.iou, own.iou, count, SINGLE_SIZE)
+    as_seen = config.session.shadows
+    fitted = _without_shared(fit, coverage, terms, own.noises, own.iou, own.iou, count, SINGLE_SIZE, as_seen=as_seen)
     return fitted, own
 
 
@@ -225,13 +227,16 @@ def _without_shared(
     own_iou: float,
     evaluations: int,
     size: LastingSize = USUAL_SIZE,
+    *,
+    as_seen: bool = False,
 ) -> FrameFit:
     """Return a fit after one step by which the errors that the masks share are eliminated.
 
     ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours, and ``size`` is that of the
-    errors that last from frame to frame; the others as in `FrameFit`.
+    errors that last from frame to frame; ``as_seen`` is as in `Coverage.near_with_lasting`, the others are as in
+    `FrameFit`.
     """
-    lasting = coverage.near_with_lasting(fit.at, noises)
+    lasting = coverage.near_with_lasting(fit.at, noises, as_seen=as_seen)
     own = 6 + len(fit.at.joints)
     outline = without_lasting(lasting, lasting.dimension - own, size)
     at, slope = stepped(fit.at, outline, terms)
@@ -317,7 +322,7 @@ def terms_of_constants(
     def constants(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
         return np.column_stack([of_camera(coverage.views[number], outline), of_margin(outline)])
 
-    return coverage.near_with_lasting(fitted, own_estimate.noises, constants)
+    return coverage.near_with_lasting(fitted, own_estimate.noises, constants, as_seen=config.session.shadows)
 
 
 def terms_of_rig(

@@ -41,6 +41,8 @@ _LARGEST_STD = 1.0  # frames, above which the lag is not determined
 _JOINT_STEPS = 6  # of the search for the additional lag of wrist and jaw, to both sides
 _DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
 _DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
+_TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
+_UNLIKELY = 1.5  # ratio to the least misfit, from which on a lag is unlikely
 _MOVE = "a recording in which the arm moves quickly would determine it"
 
 
@@ -62,6 +64,27 @@ class LagCurve:
     unit: Unit
     lags: Float64
     misfit: Float64
+
+    @property
+    def against_none(self) -> bool:
+        """Whether the frames disagree much more without a lag than at the lag at which they agree best."""
+        if len(self.lags) < 3:
+            return False
+        return bool(self.misfit[np.argmin(np.abs(self.lags))] > _UNLIKELY * self.misfit.min())
+
+    def root_mean_square(self, frames: int, unknown: float) -> float:
+        """Return the root mean square of the lags that the curve allows, in its unit.
+
+        Parameters
+        ----------
+        frames
+            Number of frames of which the curve is.
+        unknown
+            Standard deviation of the lag beforehand, in the unit of the curve; the result is at most this.
+        """
+        told = _TOLD_BY_A_FRAME * frames * (self.misfit - self.misfit.min())
+        weights = np.exp(-0.5 * (told + (self.lags / unknown) ** 2))
+        return float(min(np.sqrt(weights @ self.lags**2 / weights.sum()), unknown))
 
     @classmethod
     def from_document(cls, document: LagCurveDocument | None) -> LagCurve | None:

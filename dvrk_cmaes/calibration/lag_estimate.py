@@ -20,7 +20,8 @@ from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
 
-_UNTOLD = 2.0  # frames, standard deviation of a lag that is not determined
+_UNTOLD = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
+_UNKNOWN = 3.0  # ... largest
 
 
 class LagEstimate:
@@ -116,7 +117,8 @@ class LagEstimate:
         """Determine a lag that the modes did not tell from the frames' fits without one; arguments as in `solve`.
 
         Returns the lag, in the unit of the readings' times, if it differs from zero: it is to be tried. If it does not,
-        it is kept with its standard deviation.
+        it is kept with its standard deviation, but for where the modes tell against it: each fit is near what the
+        session without a lag expects, so that fits hardly tell others.
         """
         if self.lag is not None or self._clock is None:
             return None
@@ -127,7 +129,8 @@ class LagEstimate:
             return None
         if lag.applied:
             return value.value
-        self.lag = lag
+        if self.curve is None or not self.curve.against_none:
+            self.lag = lag
         return None
 
     def estimate_joints(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> None:
@@ -143,18 +146,26 @@ class LagEstimate:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
 
         They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
-        frame has none there. A lag that the frames do not determine has a standard deviation of `_UNTOLD` frames.
+        frame has none there. A lag that the frames do not determine has the standard deviation that the curve tells,
+        but at least `_UNTOLD` frames.
         """
         none = np.zeros((len(model.outer), 6 + len(model.names)))
         if self._clock is None or not self._clock.interpolable:
             return none
         unit, interval = self._clock.series.unit, self._clock.series.interval
         std = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
-        step, delay = _UNTOLD * interval if std is None else std, self._delay(self._clock)
+        step, delay = self._untold_std(interval) if std is None else std, self._delay(self._clock)
         ends = [self._clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
         return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
+
+    def _untold_std(self, interval: float) -> float:
+        """Return the standard deviation of a lag that is not determined, where frames are an ``interval`` apart."""
+        if self.curve is None or len(self.curve.lags) < 3:
+            return _UNTOLD * interval
+        told = self.curve.root_mean_square(len(self._clock.times) if self._clock else 0, _UNKNOWN * interval)
+        return max(_UNTOLD * interval, told)
 
     def has_readings(self) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).

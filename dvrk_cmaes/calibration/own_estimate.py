@@ -45,6 +45,10 @@ class OwnEstimate:
     @classmethod
     def of(cls, views: Sequence[FrameView], at: Posed) -> OwnEstimate:
         """Measure an estimate in the views that show the instrument."""
-        drawn = [view.silhouette(at) for view in views]
+        return cls.drawn_as(views, at, [view.silhouette(at) for view in views])
+
+    @classmethod
+    def drawn_as(cls, views: Sequence[FrameView], at: Posed, drawn: Sequence[NDArray[np.bool_]]) -> OwnEstimate:
+        """Measure an estimate whose silhouettes (H, W) in the views have been drawn."""
         noises = [measure_noise(view.evidence.contour, seen) for view, seen in zip(views, drawn, strict=True)]
         return cls(at, tuple(noises), overlap(views, drawn))

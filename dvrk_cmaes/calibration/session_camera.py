@@ -30,6 +30,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
 _HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
+_NOT_ASKED = "camera: not tested, as the settings say"
 _NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
@@ -173,7 +174,7 @@ def check_camera(
     ``applied`` is the change (3,) of the camera with which the frames were fitted, None if they were fitted with the
     file's; the other arguments are as in `estimate_camera`.
     """
-    reason = untested(model)
+    reason = untested(model) if config.test_camera or applied is not None else _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(model, calibration, prior, config, at, outlines, start=applied, passes=passes)

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
+
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
@@ -60,6 +62,7 @@ class Colours:
 
 def measure_colours(image: NDArray[np.uint8]) -> Colours:
     """Denoise an image (H, W, 3) uint8 BGR and compute its colour features."""
+    stage(SEGMENTING)
     noise = max(_noise(image), 1.0)
     smooth = np.asarray(cv2.bilateralFilter(image, 7, 30, 3), np.float32) + 1
     brightness = smooth.max(axis=2)

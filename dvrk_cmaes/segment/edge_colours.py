@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -56,6 +57,7 @@ def edge_log_odds(image: NDArray[np.uint8], mask: Bool) -> Float32:
 
 def _local_mean(parts: Float32, where: Bool) -> Float32:
     """Return the Gaussian-weighted local mean (H, W, C) of an image (H, W, C) over a region (H, W); 0 far from it."""
+    stage(SEGMENTING)
     weight = cv2.GaussianBlur(where.astype(np.float32), (0, 0), _NEARBY)
     total = cv2.GaussianBlur(parts * where[..., None], (0, 0), _NEARBY)
     return np.asarray(total / np.maximum(weight, 1e-6)[..., None], np.float32)

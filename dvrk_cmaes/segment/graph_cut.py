@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
+
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
@@ -48,6 +50,7 @@ def cut(
     (H, W) bool
         True on the instrument.
     """
+    stage(SEGMENTING)
     picture = np.zeros((*log_odds.shape, 3), np.uint8)
     picture[..., 0] = np.round((np.clip(log_odds, -LARGEST, LARGEST) / LARGEST + 1) * _RANGE / 2)
     for k in range(2):

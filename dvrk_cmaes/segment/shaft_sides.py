@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
+from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -27,6 +28,7 @@ def shaft_log_odds(mask: Bool) -> Float32 | None:
 
     They are 0 distally of the more proximal of the two sides' distal ends, where the wrist begins.
     """
+    stage(SEGMENTING)
     height, width = mask.shape
     focal = _FOCAL * max(height, width)
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)

@@ -9,9 +9,12 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Generic, TypeVar, cast
+from typing import Final, Generic, TypeVar, cast
 
 R = TypeVar("R")
+
+SEGMENTING: Final = "segmenting"
+"""Name of the work that finds a mask in an image."""
 
 _local = threading.local()
 _OF_A_DRAWING = 100
@@ -23,6 +26,13 @@ def worked(rows: int) -> None:
     call: _Call | None = getattr(_local, "call", None)
     if call is not None:
         call.worked(rows + _OF_A_DRAWING)
+
+
+def stage(name: str) -> None:
+    """Begin a piece of work that draws nothing; in a `SlicedCall`, wait for the next slice first."""
+    call: _Call | None = getattr(_local, "call", None)
+    if call is not None:
+        call.begin(name)
 
 
 class SlicedCall(Generic[R]):
@@ -43,6 +53,11 @@ class SlicedCall(Generic[R]):
         self._call.advance(work)
         return self._call.ended
 
+    @property
+    def stage(self) -> str:
+        """Name of the piece of work that is being done or is next; empty while it draws."""
+        return self._call.stage
+
     def value(self) -> R:
         """Return the value of the call, which has ended, or raise what it raised."""
         if self._call.error is not None:
@@ -59,6 +74,7 @@ class _Call:
 
     def __init__(self, function: Callable[[], object]) -> None:
         self.ended, self.value, self.error = False, cast(object, None), cast(BaseException | None, None)
+        self.stage = ""
         self._function = function
         self._left, self._given_up = 0.0, False
         self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
@@ -80,7 +96,15 @@ class _Call:
             self._given_up = True
             self._go.release()
 
+    def begin(self, name: str) -> None:
+        self.stage = name
+        self._spend(self._left)
+
     def worked(self, rows: int) -> None:
+        self.stage = ""
+        self._spend(rows)
+
+    def _spend(self, rows: float) -> None:
         self._left -= rows
         if self._left <= 0:
             self._back.release()

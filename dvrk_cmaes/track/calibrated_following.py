@@ -34,7 +34,7 @@ from dvrk_cmaes.track.calibrated_frames import (
 )
 from dvrk_cmaes.track.calibration_lag import predicted_with_lag
 from dvrk_cmaes.track.describe import without_pose
-from dvrk_cmaes.track.offset_smoother import smooth
+from dvrk_cmaes.track.offset_smoother import filtered
 from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
@@ -251,16 +251,15 @@ class CalibratedFollowing:
         """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""
         images = list(self._images)
         calibrated = calibration_covariance(self.calibration)
-        smoothed = smooth(
+        deviation, own, response = filtered(
             np.array([image.time for image in images]),
             np.array([image.prior for image in images]),
             np.array([image.told.information for image in images]),
             np.array([image.told.optimum for image in images]),
             np.array([image.jacobian for image in images]),
         )
-        at = images[-1].predicted.moved(smoothed.deviations[-1])
-        response = smoothed.response[-1]
-        covariance = smoothed.covariance[-1] + response @ calibrated @ response.T
+        at = images[-1].predicted.moved(deviation)
+        covariance = own + response @ calibrated @ response.T
         camera = self.calibration.corrected(self._rig.views[0].camera)
         covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
         return at, np.asarray(covariance)

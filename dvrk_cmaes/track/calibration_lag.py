@@ -12,7 +12,6 @@ from dvrk_cmaes.track.lag import FoundLag
 
 Float64 = NDArray[np.float64]
 
-_TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
 _STEP = 1e-3  # s, of the difference by which the change of the pose by the lag is found
 
 
@@ -35,9 +34,7 @@ def _by_curve(calibration: SessionCalibration, unknown: float) -> FoundLag | Non
     curve = calibration.lag_curve
     if curve is None or curve.unit != "s" or len(curve.lags) < 2:
         return None
-    told = _TOLD_BY_A_FRAME * len(calibration.frames) * (curve.misfit - curve.misfit.min())
-    weights = np.exp(-0.5 * (told + (curve.lags / unknown) ** 2))
-    return FoundLag(0.0, float(min(np.sqrt(weights @ curve.lags**2 / weights.sum()), unknown)))
+    return FoundLag(0.0, curve.root_mean_square(len(calibration.frames), unknown))
 
 
 def predicted_with_lag(

@@ -30,7 +30,7 @@ from dvrk_cmaes.track.recovery import (
 )
 from dvrk_cmaes.track.searching import WORSE, Searching, is_better
 from dvrk_cmaes.track.sight import Seen, Sight
-from dvrk_cmaes.track.sliced_search import CAUGHT_UP, Purpose, SlicedSearch
+from dvrk_cmaes.track.sliced_search import CAUGHT_UP, CAUGHT_UP_BY_COLOURS, Purpose, SlicedSearch
 from dvrk_cmaes.track.smoother import FilterStep
 from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -229,7 +229,7 @@ class Following:
                 return result
         else:
             self._behind.append((time, seen.copied()))
-        for _ in range(CAUGHT_UP):
+        for _ in range(CAUGHT_UP_BY_COLOURS if seen.masks[seen.main] is None else CAUGHT_UP):
             at, image = self._behind.pop(0)
             result = self.follow(at, at - self._followed, image)
             self._followed = at

@@ -38,8 +38,11 @@ from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 
-SOLVED_AT: Final = (4, 8, 16, 32, MOST_KEYFRAMES)
+SOLVED_AT: Final = (4, 8, 16, 24, 36, 48, MOST_KEYFRAMES)
 """Numbers of keyframes at which they are solved together."""
+
+NEW_AT_MOST: Final = 20
+"""Of the largest number of keyframes, those that are new since they were last solved, at which they are solved anew."""
 
 _LEAST_APART = 0.15  # of `distance_units`, between two keyframes
 _LEAST_SECONDS = 0.09  # between two keyframes
@@ -123,7 +126,9 @@ class KeyframeProblem:
         threads
             Number of threads.
         """
-        config = replace(self.config, threads=threads)
+        many = len(self.keyframes) >= MOST_KEYFRAMES
+        session = replace(self.config.session, shadows=True, test_camera=self.config.session.test_camera and many)
+        config = replace(self.config, threads=threads, session=session)
         alone: dict[str, Result] = {}
         frames = []
         for keyframe in self.keyframes:
@@ -163,11 +168,15 @@ class KeyframeProblem:
 
 
 class KeyframeStore:
-    """Keyframes of what is followed, and the readings around them."""
+    """Keyframes of what is followed, and the readings around them.
+
+    ``taken`` is the number of images that were kept so far, whether they still are or not.
+    """
 
     def __init__(self, rig: Rig, joint_names: tuple[str, ...]) -> None:
         self._rig = rig
         self._names = (*OUTER_JOINTS, *joint_names)
+        self.taken = 0
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
         self._shapes: list[MaskShape] = []
@@ -224,6 +233,7 @@ class KeyframeStore:
             return False
         self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings), dict(rates)))
         self._places = np.vstack([self._places, place])
+        self.taken += 1
         return True
 
     def _drops_one(self, nearest: float) -> bool:
@@ -267,6 +277,7 @@ class KeyframeStore:
                 for one in self._kept
             ],
             "places": self._places.tolist(),
+            "taken": self.taken,
             "shapes": [[shape.area, shape.on_border] for shape in self._shapes],
             "rows": [[time, joints] for time, _, joints in self._rows],
             "last": self._last,
@@ -280,6 +291,7 @@ class KeyframeStore:
             for time, masks, ignored, readings, rates in saved["keyframes"]
         ]
         self._places = np.array(saved["places"], dtype=np.float64).reshape(len(self._kept), len(self._names) + 1)
+        self.taken = int(saved["taken"])
         self._shapes = [MaskShape(float(area), float(share)) for area, share in saved["shapes"]]
         self._rows = [(float(time), number, dict(joints)) for number, (time, joints) in enumerate(saved["rows"])]
         self._added = len(self._rows)

@@ -19,7 +19,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.calibration_lag import lag_of
-from dvrk_cmaes.track.keyframe_store import SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
+from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight
@@ -30,6 +30,7 @@ _AGREES = 4.0  # largest squared misfit per parameter of such an image
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _RELIED_ON = 16  # keyframes of a solution, from which on its stated errors held in recordings with long shadows
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
+_NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
@@ -55,6 +56,7 @@ class KnownBase:
         self._alone: dict[str, Result] = {}
         self._solved = 0  # keyframes of the last solution
         self._asked = 0  # keyframes when they were last given to be solved
+        self._asked_taken = 0  # images that had been kept as keyframes until then
         self._reason = ""
         self._known_mm = np.inf  # as `Solution.tip_mm`, of the last solution
         self._bases = 0  # that were given up
@@ -97,16 +99,21 @@ class KnownBase:
     def due(self) -> bool:
         """Whether there are more keyframes than when they were last solved, by enough that it pays.
 
-        Where the last images disagree with the calibration, one more is enough.
+        Where the last images disagree with the calibration, one more is enough. When there are as many as are kept, a
+        third of them must be new, or some where images disagree.
         """
         given = max(self._solved, self._asked)
-        if self._following is not None and self._following.disagrees and len(self.store) > max(given, SOLVED_AT[0]):
+        new = self.store.taken - self._asked_taken
+        waiting = self._asked > self._solved
+        if self._following is not None and self._following.disagrees and not waiting and len(self.store) > SOLVED_AT[0]:
+            return new >= (_NEW_THAT_DISAGREE if len(self.store) >= SOLVED_AT[-1] else 1)
+        if given >= SOLVED_AT[-1] and new >= NEW_AT_MOST:
             return True
         return any(given < count <= len(self.store) for count in SOLVED_AT)
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved."""
-        self._asked = len(self.store)
+        self._asked, self._asked_taken = len(self.store), self.store.taken
         return self.store.problem(self._arm, self._config, self._alone, self._bases)
 
     def use(self, solution: Solution) -> bool:
@@ -235,6 +242,7 @@ class KnownBase:
             "alone": {name: result.to_dict() for name, result in self._alone.items()},
             "solved": self._solved,
             "asked": self._asked,
+            "asked_taken": self._asked_taken,
             "reason": self._reason,
             "known_mm": self._known_mm if np.isfinite(self._known_mm) else None,
             "bases": self._bases,
@@ -248,7 +256,7 @@ class KnownBase:
         self.store.restore(saved["store"])
         self._alone = {name: Result.from_dict(document) for name, document in saved["alone"].items()}
         self._solved, self._reason = int(saved["solved"]), str(saved["reason"])
-        self._asked = int(saved["asked"])
+        self._asked, self._asked_taken = int(saved["asked"]), int(saved["asked_taken"])
         self._known_mm = np.inf if saved["known_mm"] is None else float(saved["known_mm"])
         self._bases, self._own = int(saved["bases"]), bool(saved["own"])
         self._agreeing = None if saved["agreeing"] is None else int(saved["agreeing"])

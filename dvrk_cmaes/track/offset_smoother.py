@@ -66,28 +66,81 @@ def smooth(
     slow_share, slow, fast
         Share of the variance that wanders slowly, and the times, s, over which both parts do.
     """
-    count, size = optimum.shape
-    both = np.concatenate([np.eye(size), np.eye(size)], axis=1)  # the deviation is the sum of both parts
-    covariance = np.zeros((count, 2 * size, 2 * size))
-    covariance[:, :size, :size] = slow_share * prior
-    covariance[:, size:, size:] = (1 - slow_share) * prior
-    scale = np.repeat([slow, fast], size)
-    steps = np.exp(-np.diff(times)[:, None] / scale)
-    diagonal = np.zeros_like(covariance)
-    beside = np.zeros((count - 1, 2 * size, 2 * size))  # between a frame and the next one
-    diagonal[0] = np.linalg.inv(covariance[0])
-    for k, step in enumerate(steps):
-        root = _carried(covariance[k], covariance[k + 1], step, size)
-        noise = covariance[k + 1] - root @ covariance[k] @ root.T
-        precision = np.linalg.inv(noise + _JITTER * covariance[k + 1])
-        diagonal[k] += root.T @ precision @ root
-        diagonal[k + 1] += precision
-        beside[k] = -root.T @ precision
-    diagonal += both.T @ information @ both
-    right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
-    solution, blocks = _solve(diagonal, beside, both.T @ right)
+    system = _System.of(times, prior, information, optimum, jacobian, slow_share, slow, fast)
+    solution, blocks = _solve(system.diagonal, system.beside, system.right)
+    both = system.both
     found = both @ solution
     return Smoothed(found[:, :, 0], both @ blocks @ both.T, jacobian + found[:, :, 1:])
+
+
+@single_blas_thread()
+def filtered(
+    times: Float64,
+    prior: Float64,
+    information: Float64,
+    optimum: Float64,
+    jacobian: Float64,
+    *,
+    slow_share: float = SLOW_SHARE,
+    slow: float = SLOW_SECONDS,
+    fast: float = FAST_SECONDS,
+) -> tuple[Float64, Float64, Float64]:
+    """Find the most probable deviation of the last of N frames, as `smooth` does for all of them.
+
+    Returns the deviation (D,), its covariance (D, D), and the change (D, K) of pose and joints with the calibration.
+    """
+    system = _System.of(times, prior, information, optimum, jacobian, slow_share, slow, fast)
+    pivots, sides = _eliminated(system.diagonal, system.beside, system.right)
+    found, both = system.both @ pivots[-1] @ sides[-1], system.both
+    return found[:, 0], both @ pivots[-1] @ both.T, jacobian[-1] + found[:, 1:]
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Block-tridiagonal system of the deviations' slow and fast parts (N, M), M = 2 D, with C = 1 + K right sides.
+
+    ``diagonal`` (N, M, M), ``beside`` (N - 1, M, M) between a frame and the next one, ``right`` (N, M, C); ``both`` (D,
+    M) sums the parts.
+    """
+
+    diagonal: Float64
+    beside: Float64
+    right: Float64
+    both: Float64
+
+    @classmethod
+    def of(
+        cls,
+        times: Float64,
+        prior: Float64,
+        information: Float64,
+        optimum: Float64,
+        jacobian: Float64,
+        slow_share: float,
+        slow: float,
+        fast: float,
+    ) -> _System:
+        """Set the system up; arguments as of `smooth`."""
+        count, size = optimum.shape
+        both = np.concatenate([np.eye(size), np.eye(size)], axis=1)  # the deviation is the sum of both parts
+        covariance = np.zeros((count, 2 * size, 2 * size))
+        covariance[:, :size, :size] = slow_share * prior
+        covariance[:, size:, size:] = (1 - slow_share) * prior
+        scale = np.repeat([slow, fast], size)
+        steps = np.exp(-np.diff(times)[:, None] / scale)
+        diagonal = np.zeros_like(covariance)
+        beside = np.zeros((count - 1, 2 * size, 2 * size))  # between a frame and the next one
+        diagonal[0] = np.linalg.inv(covariance[0])
+        for k, step in enumerate(steps):
+            root = _carried(covariance[k], covariance[k + 1], step, size)
+            noise = covariance[k + 1] - root @ covariance[k] @ root.T
+            precision = np.linalg.inv(noise + _JITTER * covariance[k + 1])
+            diagonal[k] += root.T @ precision @ root
+            diagonal[k + 1] += precision
+            beside[k] = -root.T @ precision
+        diagonal += both.T @ information @ both
+        right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
+        return cls(diagonal, beside, both.T @ right, both)
 
 
 def _carried(before: Float64, after: Float64, step: Float64, size: int) -> Float64:
@@ -105,12 +158,7 @@ def _solve(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64,
     Also returns the diagonal blocks (N, M, M) of the inverse.
     """
     count = len(diagonal)
-    pivots, sides = np.empty_like(diagonal), right.copy()
-    pivots[0] = np.linalg.inv(diagonal[0])
-    for k in range(1, count):
-        gain = beside[k - 1].T @ pivots[k - 1]
-        pivots[k] = np.linalg.inv(diagonal[k] - gain @ beside[k - 1])
-        sides[k] = right[k] - gain @ sides[k - 1]
+    pivots, sides = _eliminated(diagonal, beside, right)
     solution, blocks = np.empty_like(right), np.empty_like(diagonal)
     solution[-1], blocks[-1] = pivots[-1] @ sides[-1], pivots[-1]
     for k in range(count - 2, -1, -1):
@@ -118,3 +166,17 @@ def _solve(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64,
         solution[k] = pivots[k] @ sides[k] - gain @ solution[k + 1]
         blocks[k] = pivots[k] + gain @ blocks[k + 1] @ gain.T
     return solution, blocks
+
+
+def _eliminated(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64, Float64]:
+    """Eliminate the frames of a system one after the other.
+
+    Returns the inverses (N, M, M) of what is left of the diagonal, and what is left of the right sides (N, M, C).
+    """
+    pivots, sides = np.empty_like(diagonal), right.copy()
+    pivots[0] = np.linalg.inv(diagonal[0])
+    for k in range(1, len(diagonal)):
+        gain = beside[k - 1].T @ pivots[k - 1]
+        pivots[k] = np.linalg.inv(diagonal[k] - gain @ beside[k - 1])
+        sides[k] = right[k] - gain @ sides[k - 1]
+    return pivots, sides

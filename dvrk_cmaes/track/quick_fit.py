@@ -42,6 +42,7 @@ _LINES_PER_PIXEL: Final = 1
 _STRIDE: Final = 2  # of the outline's points from which the covariance is found
 _FOLLOWED, _FOUND = 2, 6  # drawings of a fit from the image before, and of one from the prediction alone
 _INNER = 4  # steps on what was drawn
+_SETTLED = 0.7  # standard deviations per parameter, of a step from the image before, after which no other is taken
 _LARGEST_CHANGE = 4.0  # standard deviations of a step
 
 
@@ -84,8 +85,10 @@ def quick_fit(
     terms = terms_of_frame(views, limits, outline, expected)
     at, steps = _starts(expected, before, outline)
     fit = min(refine(coverage, terms, at, steps), key=lambda each: each.score)
-    own = OwnEstimate.of(views, fit.at)
-    lasting = coverage.near_with_lasting(fit.at, own.noises, stride=_STRIDE)
+    (drawn,) = coverage.draw(Posed.stacked([fit.at]))
+    silhouettes = [view.silhouette(image) for view, image in zip(sized, drawn.images, strict=True)]
+    own = OwnEstimate.drawn_as(views, fit.at, silhouettes)
+    lasting = coverage.near_with_lasting(fit.at, own.noises, drawn=drawn, stride=_STRIDE, as_seen=True)
     told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)
     end, slope = stepped(fit.at, told, terms)
     found = FrameFit(end, told.information[0], slope, score=fit.score, evaluations=coverage.silhouettes, iou=own.iou)
@@ -116,4 +119,4 @@ def _starts(expected: Expected, before: Float64 | None, outline: OutlineConfig) 
     near = expected.mean.moved(before)
     if apart > _ANOTHER_START:
         return Posed.stacked([near, expected.mean]), Steps(_FOLLOWED, _INNER, outline.tolerance, "long")
-    return Posed.stacked([near]), Steps(_FOLLOWED, _INNER, outline.tolerance, "none", _LARGEST_CHANGE)
+    return Posed.stacked([near]), Steps(_FOLLOWED, _INNER, _SETTLED, "none", _LARGEST_CHANGE)

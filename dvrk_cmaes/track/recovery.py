@@ -18,6 +18,7 @@ from dvrk_cmaes.pose.search.modes import are_distinct, is_twin
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.sliced_call import stage
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.judge import is_supported
@@ -133,6 +134,7 @@ class GlobalSearch:
         masks = self.sight.masks(seen, hinted=first, around=self._around(anchor) if first else {})
         if not masks:
             return None
+        stage("")
         rig, ignore, readings = self.follower.model.rig, self.sight.ignored(seen), self._readings(anchor)
         session, config = self.calibration, self.config
         try:

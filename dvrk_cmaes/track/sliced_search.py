@@ -16,11 +16,13 @@ from dvrk_cmaes.track.update import Fit
 
 Purpose = Literal["first", "lost", "confirm"]
 
-SLICE: Final = 6000.0
-"""Pixel rows of silhouettes that are drawn for a search in one step; some 30 ms."""
+SLICE: Final = 4500.0
+"""Pixel rows of silhouettes that are drawn for a search in one step; some 20 ms."""
 _MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
-CAUGHT_UP: Final = 3
-"""Images that are followed in one step after a search, until the present one is reached."""
+CAUGHT_UP: Final = 2
+"""Images with a mask that are followed in one step after a search, until the present one is reached."""
+CAUGHT_UP_BY_COLOURS: Final = 3
+"""The same of images without a mask, which take half as long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,4 +71,5 @@ class SlicedSearch:
     @property
     def reason(self) -> str:
         """What a step says that has no pose yet."""
-        return f"searching: the image of {self.time:.3f} s"
+        doing = self.call.stage or "searching"
+        return f"{doing}: the image of {self.time:.3f} s"

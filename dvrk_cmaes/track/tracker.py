@@ -81,8 +81,8 @@ class Tracker:
         it is ok before five images that differ agree with it, and it is given up if images contradict it.
     sliced
         No step waits for the search of an image: it goes on in the steps after it, a slice in each, and what it finds
-        is followed to the image that is present then. Until the first pose, steps say ``searching``. The search is done
-        in a thread, but only while a step waits for it.
+        is followed to the image that is present then. Until the first pose, steps say ``searching``, or ``segmenting``
+        while a mask is found in an image. The search is done in a thread, but only while a step waits for it.
 
     Raises
     ------
@@ -249,7 +249,7 @@ class Tracker:
 
     @property
     def solution_due(self) -> bool:
-        """Whether solving the keyframes anew pays: at 4, 8, 16, 32 and 60 of them, and where images disagree."""
+        """Whether solving the keyframes anew pays: at some numbers of them, and where images disagree."""
         return self._known is not None and self._known.due
 
     def problem(self) -> KeyframeProblem:

@@ -277,6 +277,31 @@ def test_fits_tell_that_there_is_no_lag_or_which_is_to_be_tried(lag: float) -> N
         assert estimate.lag is None
 
 
+def test_fits_do_not_tell_that_there_is_no_lag_where_the_modes_agree_on_another() -> None:
+    """Fits are near what a session without a lag expects, and hardly tell others; the modes do not know of it."""
+    world, clock, modes = moving_world(0.0, seed=1)
+    estimate = LagEstimate(clock.series, list(clock.series.frames), world.model.deviations.outer)
+    estimate.curve = LagCurve("frames", np.arange(-2.0, 6.0), np.array([3.0, 2.0, 1.0, 0.7, 0.4, 0.2, 0.5, 1.0]))
+    found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
+    before = estimate.change_of_predictions(world.model, found.calibration)
+    assert estimate.tell_by_fits(world.model, fits_of(modes), found.calibration, PRIOR) is None
+    assert estimate.lag is None
+    estimate.curve = None
+    without = estimate.change_of_predictions(world.model, found.calibration)
+    assert np.linalg.norm(before) > 1.3 * np.linalg.norm(without)  # the base is expected to err by more
+
+
+def test_curve_tells_how_large_the_lag_may_be() -> None:
+    lags = 0.1 * np.arange(-3.0, 6.0)
+    sharp = LagCurve("s", lags, 50.0 * (lags - 0.0) ** 2)
+    flat = LagCurve("s", lags, np.full(len(lags), 1.0))
+    late = LagCurve("s", lags, 50.0 * (lags - 0.3) ** 2)
+    assert sharp.root_mean_square(60, 0.1) < 0.03
+    assert flat.root_mean_square(60, 0.1) == pytest.approx(0.1, rel=0.1)
+    assert late.root_mean_square(60, 0.1) == 0.1  # no more than what is expected beforehand
+    assert [curve.against_none for curve in (sharp, flat, late)] == [False, False, True]
+
+
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:
     world, clock, _ = moving_world(0.0, 1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer

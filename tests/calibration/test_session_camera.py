@@ -36,7 +36,9 @@ def made(bundled_body: Body) -> Made:
     return make_frames_in_memory(bundled_body, FRAMES, level="clean")
 
 
-def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0) -> tuple[CameraCheck, Solution]:
+def check(
+    body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0, config: SessionConfig = CONFIG
+) -> tuple[CameraCheck, Solution]:
     """Check a file whose focal length is the true one divided by ``focal_scale``, from poses as seen with that file.
 
     The readings of insertion are scaled about their mean by ``insertion``.
@@ -65,7 +67,7 @@ def check(body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0)
     of_camera = outlines.near(at, np.zeros(4)).outlines
     fits = FrameFits(at, Quadratic(of_camera.information[:, :-4, :-4], of_camera.slope[:, :-4]))
     solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
-    return check_camera(model, solution.calibration, PRIOR, CONFIG, at, outlines), solution
+    return check_camera(model, solution.calibration, PRIOR, config, at, outlines), solution
 
 
 def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:
@@ -122,6 +124,13 @@ def test_few_frames_and_still_insertion_do_not_test_the_camera(bundled_body: Bod
     still, _ = check(bundled_body, made, 1.0, insertion=0.01)
     assert still.camera is None
     assert still.undetermined.endswith(" mm; at least 5 mm are needed to test its focal length")
+
+
+def test_camera_is_not_tested_where_the_settings_say_so(bundled_body: Body, made: Made) -> None:
+    untested, _ = check(bundled_body, made, 1.1, config=replace(CONFIG, test_camera=False))
+    assert untested.camera is None
+    assert untested.undetermined == "camera: not tested, as the settings say"
+    assert np.linalg.matrix_rank(untested.covariance) == 3  # the errors of the file are expected all the same
 
 
 @pytest.mark.parametrize("focal_scale", [0.98, 1.1])

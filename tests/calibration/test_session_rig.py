@@ -50,6 +50,11 @@ def turned(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> Solv
     return calibrate_session(frames_of["turned"], bundled_body, config=SETTINGS)
 
 
+@pytest.fixture(scope="module")
+def by_right(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> SolvedSession:
+    return calibrate_session(frames_of["right"], bundled_body, config=SETTINGS)
+
+
 def test_rotation_is_found_with_its_error(turned: SolvedSession) -> None:
     (rotation,) = turned.calibration.rig
     assert (rotation.view, rotation.frames, rotation.applied) == ("right", 5, True)
@@ -70,8 +75,8 @@ def test_rotation_is_stated_once_and_not_by_each_frame(
         assert np.abs(result.view_fits[1].rotation_deg[0]) < 0.15
 
 
-def test_right_file_is_left_as_it_is(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> None:
-    calibration = calibrate_session(frames_of["right"], bundled_body, config=SETTINGS).calibration
+def test_right_file_is_left_as_it_is(by_right: SolvedSession) -> None:
+    calibration = by_right.calibration
     assert [rotation.applied for rotation in calibration.rig] == [False]
     assert not any("eye" in text for text in calibration.warnings)
     assert calibration.rig[0].describe().startswith("the right eye is as in the file: ")
@@ -93,10 +98,7 @@ def test_new_frame_is_seen_with_the_turned_eye(
     assert found.quality.iou > 0.95
 
 
-def test_poses_are_as_good_as_with_the_right_file(
-    bundled_body: Body, frames_of: dict[str, list[SessionFrame]], turned: SolvedSession
-) -> None:
-    by_right = calibrate_session(frames_of["right"], bundled_body, config=SETTINGS)
+def test_poses_are_as_good_as_with_the_right_file(by_right: SolvedSession, turned: SolvedSession) -> None:
     for name, result in turned.results.items():
         other = by_right.results[name].camera_from_root
         assert result.camera_from_root is not None
@@ -148,8 +150,6 @@ def test_rig_that_was_used_is_written_in_a_format_that_is_read(turned: SolvedSes
         np.testing.assert_allclose(found.view_from_camera, used.view_from_camera, atol=1e-9)
 
 
-def test_rig_as_in_the_file_is_not_written(
-    bundled_body: Body, frames_of: dict[str, list[SessionFrame]], tmp_path: Path
-) -> None:
-    write_cameras(calibrate_session(frames_of["right"], bundled_body, config=SETTINGS).calibration, RIG, tmp_path)
+def test_rig_as_in_the_file_is_not_written(by_right: SolvedSession, tmp_path: Path) -> None:
+    write_cameras(by_right.calibration, RIG, tmp_path)
     assert list(tmp_path.iterdir()) == []

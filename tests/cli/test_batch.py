@@ -66,6 +66,7 @@ def test_default_output_folder_and_summary(run: Run, tmp_path: Path) -> None:
     assert (code, out.splitlines()[0], said) == (0, "1 frame: 1 ok", "")
 
 
+@pytest.mark.usefixtures("tasks_here", "estimates_shared")
 def test_shards_are_merged(run: Run, tmp_path: Path) -> None:
     make_session(tmp_path / "session", ["a", "b"])
     code, out, _ = run("session", "--out", "out", *QUICKLY, "--shard", "1/2")
@@ -79,6 +80,7 @@ def test_shards_are_merged(run: Run, tmp_path: Path) -> None:
     assert (code, said, json.loads(out)["counts"]["ok"]) == (0, "", 2)
 
 
+@pytest.mark.usefixtures("tasks_here", "estimates_shared")
 def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
     session = make_session(tmp_path / "session", ["a"])
     path = session / "masks" / "a.png"

@@ -27,6 +27,8 @@ from dvrk_cmaes.runs import processes
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.silhouette import Body, Renderer
 
+pytestmark = pytest.mark.usefixtures("tasks_here")
+
 Command = Callable[..., Ran]
 
 SETTINGS = QUICK + "[session]\nrounds = 1\n"
@@ -84,6 +86,7 @@ def test_doubtful_frames_are_named(calibrated: Path) -> None:
     assert f"1 of {len(folder.frames)} frames are doubtful" in lines
 
 
+@pytest.mark.usefixtures("own_processes")
 def test_results_do_not_depend_on_number_of_processes(calibrated: Path, command: Command, place: Path) -> None:
     ran = command("calibrate", "session", "--results", "results", "--out", "two", *QUICKLY[:-1], "2")
     assert ran.code == 0
@@ -154,6 +157,7 @@ def test_estimate_and_batch_use_calibration(command: Command, calibrated: Path) 
     np.testing.assert_equal([found[key] for key in keys], [results[0][key] for key in keys])
 
 
+@pytest.mark.usefixtures("own_processes")
 def test_frames_are_estimated_first_without_results(
     command: Command, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,8 @@ from helpers.instrument_files import mesh_link, write_urdf
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.io.bundled import bundled_path
 
+pytestmark = pytest.mark.usefixtures("estimates_shared")
+
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"
 CAMERA_TEXT = CAMERA.read_text(encoding="utf-8")

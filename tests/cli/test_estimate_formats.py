@@ -11,6 +11,8 @@ import pytest
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.io.bundled import bundled_path
 
+pytestmark = pytest.mark.usefixtures("estimates_shared")
+
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"
 READ = {"wrist_pitch": 0.826268, "wrist_yaw": -0.555, "jaw": 0.95}

@@ -17,6 +17,8 @@ from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.two_arms import write_two_arms
 from dvrk_cmaes.synth.two_arms_recording import write_recording_of_arms
 
+pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
+
 TOOL = ToolEntry("PSM1", "classic", "lnd")
 EXCHANGED = "PSM1 and PSM2: the readings of each fit the masks of the other better"
 

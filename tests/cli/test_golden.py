@@ -69,6 +69,7 @@ def test_ok_frames_are_recorded_and_pass_check(session: Path, run: Run) -> None:
     assert again.result["frames"][0]["errors"]["root_mm"] < 1e-5
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_doubtful_frames_are_recorded_on_request(session: Path, run: Run) -> None:
     (session / "masks" / f"{SURE}.png").unlink()
     other = session.parent / "elsewhere.json"
@@ -80,6 +81,7 @@ def test_doubtful_frames_are_recorded_on_request(session: Path, run: Run) -> Non
     assert allowed.out == f"kept 1 of 1 frames\nwritten: {other}\n"
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_deviation_gives_table_and_exit_code_1(kept: Path, run: Run) -> None:
     golden = read_golden(kept / "golden.json").frames[SURE]
     away = moved(golden.camera_from_root, [0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
@@ -97,6 +99,7 @@ def test_deviation_gives_table_and_exit_code_1(kept: Path, run: Run) -> None:
     )
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_failed_frame_fails_check(kept: Path, run: Run) -> None:
     (kept / "masks" / f"{SURE}.png").write_bytes(b"no picture")
     ran = run("check", kept, "--json")
@@ -105,6 +108,7 @@ def test_failed_frame_fails_check(kept: Path, run: Run) -> None:
     assert str(kept / "masks" / f"{SURE}.png") in ran.result["frames"][0]["reasons"][0]
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_golden_poses_are_overwritten_on_request_only(kept: Path, run: Run) -> None:
     before = (kept / "golden.json").read_bytes()
     assert run("record", kept).refusal == (
@@ -115,6 +119,7 @@ def test_golden_poses_are_overwritten_on_request_only(kept: Path, run: Run) -> N
     assert (kept / "golden.json").read_bytes() != before
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_missing_frames_are_named(kept: Path, run: Run) -> None:
     path = kept / "golden.json"
     assert run("check", kept, "--jaw-deg", "-1").refusal == ("--jaw-deg: expected a number of at least 0, got -1")
@@ -130,6 +135,7 @@ def test_missing_frames_are_named(kept: Path, run: Run) -> None:
     )
 
 
+@pytest.mark.usefixtures("estimates_shared")
 def test_golden_pose_without_a_joint_is_compared_by_the_others(kept: Path, run: Run) -> None:
     demo = bundled_path("demo")
     shutil.copy(demo / "masks" / "0000.png", kept / "masks")

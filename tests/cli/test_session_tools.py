@@ -24,6 +24,8 @@ from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.silhouette import Body
 
+pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
+
 SHIFTS = {"PSM1": transform(np.eye(3), [-0.012, 0, 0]), "PSM2": transform(np.eye(3), [0.012, 0, 0])}
 
 

@@ -14,6 +14,8 @@ from helpers.stereo_sessions import JOINTS, POSES, make_stereo_session
 
 from dvrk_cmaes.silhouette import Body
 
+pytestmark = pytest.mark.usefixtures("tasks_here")
+
 READ = ",".join(f"{name}={value}" for name, value in JOINTS.items())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import shlex
+from functools import cache
 
 import pytest
 
@@ -34,10 +35,11 @@ class Terminal(io.StringIO):
         return True
 
 
-def printed(monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], columns: int) -> str:
+@cache
+def printed(arguments: tuple[str, ...], columns: int) -> str:
     """Give what a command prints on a terminal of a number of columns, without styles."""
     terminal = Terminal()
-    with monkeypatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.stdout", terminal)
         patch.setenv("COLUMNS", str(columns))
         patch.setenv("TERM", "xterm-256color")
@@ -51,37 +53,35 @@ def words_of(text: str) -> set[str]:
 
 @pytest.mark.parametrize("arguments", PAGES, ids=" ".join)
 @pytest.mark.parametrize("columns", [80, 60])
-def test_page_fits_without_broken_words(
-    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], columns: int
-) -> None:
-    lines = printed(monkeypatch, arguments, columns).splitlines()
+def test_page_fits_without_broken_words(arguments: tuple[str, ...], columns: int) -> None:
+    lines = printed(arguments, columns).splitlines()
     assert [line for line in lines if len(line) > columns] == []
     assert [line for line in lines if line.endswith(" ")] == []
-    wide = printed(monkeypatch, arguments, 400)
+    wide = printed(arguments, 400)
     assert words_of("\n".join(lines)) - words_of(wide) - {"-h"} == set()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_option_has_a_text(monkeypatch: pytest.MonkeyPatch, command: str) -> None:
-    lines = printed(monkeypatch, (command, "--help"), 60).splitlines()
+def test_every_option_has_a_text(command: str) -> None:
+    lines = printed((command, "--help"), 60).splitlines()
     named = [number for number, line in enumerate(lines) if re.match(r"  [-A-Z]", line) and ":" not in line]
     assert [lines[number] for number in named if not lines[number + 1].startswith("      ")] == []
 
 
 @pytest.mark.parametrize("command", ["batch", "calibrate", "track", "golden record"])
-def test_argument_comes_before_all_options(monkeypatch: pytest.MonkeyPatch, command: str) -> None:
-    lines = printed(monkeypatch, (*command.split(), "--help"), 60).splitlines()
+def test_argument_comes_before_all_options(command: str) -> None:
+    lines = printed((*command.split(), "--help"), 60).splitlines()
     assert next(line for line in lines if re.match(r"  [-A-Z]", line)).strip() == "SESSION"
 
 
-def test_what_estimate_requires_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    entries = re.split(r"\n  (?=--)", printed(monkeypatch, ("estimate", "--help"), 60))
+def test_what_estimate_requires_is_marked() -> None:
+    entries = re.split(r"\n  (?=--)", printed(("estimate", "--help"), 60))
     required = {entry.split()[0] for entry in entries if "required]" in " ".join(entry.split())}
     assert required == {"--mask", "--image", "--joints", "--camera"}
 
 
-def test_examples_can_be_pasted(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = printed(monkeypatch, ("estimate", "--help"), 80)
+def test_examples_can_be_pasted() -> None:
+    text = printed(("estimate", "--help"), 80)
     example = re.search(r"^ (dvrk-cmaes estimate --mask.*?[^\\])$", text, re.MULTILINE | re.DOTALL)
     assert example is not None
     tokens = shlex.split(example[1].replace("\\\n", " "))
@@ -89,13 +89,13 @@ def test_examples_can_be_pasted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tokens[-2:] == ["--out", "x"]
 
 
-def test_help_of_a_command_is_its_help(monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = printed(monkeypatch, ("estimate", "--help"), 80)
-    assert printed(monkeypatch, ("help", "estimate"), 80) == expected
+def test_help_of_a_command_is_its_help() -> None:
+    expected = printed(("estimate", "--help"), 80)
+    assert printed(("help", "estimate"), 80) == expected
 
 
-def test_topic_of_a_command_s_name_is_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "Live: following an instrument on a running robot" in printed(monkeypatch, ("help", "live"), 100)
+def test_topic_of_a_command_s_name_is_the_page() -> None:
+    assert "Live: following an instrument on a running robot" in printed(("help", "live"), 100)
 
 
 def test_wide_code_is_continued_and_its_comment_goes_before_it() -> None:

@@ -21,7 +21,7 @@ from helpers.printed_blocks import run
 FRAMES, EVERY = 60, 6
 """Frames of the recording that session is made of, and which of them it has."""
 ARM_JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
-SMALL_CAMERA = "width: 400\nheight: 300\nK: [640, 0, 200, 0, 640, 150, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"
+SMALL_CAMERA = "width: 320\nheight: 240\nK: [512, 0, 160, 0, 512, 120, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"
 _BEGIN = 12.4
 """Time of the first image of suturing.mp4, s."""
 
@@ -52,7 +52,7 @@ def _sessions(folder: Path) -> None:
         _run(command)
     images = ["frame,time", *(f"{k:04d},{k / 30!r}" for k in range(FRAMES))]
     (folder / "session" / "images.csv").write_text("\n".join(images) + "\n")
-    labels = ["frame,marker,u,v", *(f"{frame:04d},{marker},200,150" for frame in (0, EVERY) for marker in (1, 2))]
+    labels = ["frame,marker,u,v", *(f"{frame:04d},{marker},160,120" for frame in (0, EVERY) for marker in (1, 2))]
     (folder / "session" / "markers.csv").write_text("\n".join(labels) + "\n")
     for name in ("before", "after"):
         shutil.copytree(folder / "results", folder / name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +101,16 @@ def make_frames_in_memory(
 ) -> tuple[np.ndarray, list[Truth], list[SessionFrame]]:
     """Make masks and readings of a moving arm, and a result near the truth for each frame.
 
-    Returns camera_from_base (4, 4), the frames' truth, and the frames.
+    Returns camera_from_base (4, 4), the frames' truth, and the frames; they are made once for the same arguments.
     """
+    base, truths, made = _frames_in_memory(body, frames, seed, level, camera)
+    return base.copy(), list(truths), list(made)
+
+
+@cache
+def _frames_in_memory(
+    body: Body, frames: int, seed: int, level: LevelName, camera: Camera
+) -> tuple[np.ndarray, list[Truth], list[SessionFrame]]:
     plan = SessionPlan(body, camera, LEVELS[level], "rcm", frames, seed, {})
     base, truths = make_truths(plan)
     assert base is not None

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from helpers.made_examples import SMALL_CAMERA
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import InputError
@@ -256,8 +257,10 @@ def test_command_prints_text_or_json(capsys: pytest.CaptureFixture[str], tmp_pat
 
 
 def test_session_of_several_arms_is_described_by_arm(tmp_path: Path) -> None:
-    folder = tmp_path / "two"
-    assert main(["synth", str(folder), "--arms", "2", "--frames", "2", "--level", "easy"]) == 0
+    folder, camera = tmp_path / "two", tmp_path / "camera.yaml"
+    camera.write_text(SMALL_CAMERA)
+    made = ["synth", str(folder), "--arms", "2", "--frames", "2", "--level", "clean", "--camera", str(camera)]
+    assert main(made) == 0
     found = inspect_path(folder)
     assert found.kind == "session of 2 arms"
     for arm in ("PSM1", "PSM2"):

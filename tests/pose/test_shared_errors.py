@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.frame_terms import view_at
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import OutlineConfig
+from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.pose.terms.coverage import of_camera
+from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -58,6 +62,38 @@ def test_noise_over_much_contour_tells_of_shadows(bundled_body: Body) -> None:
     usual, long = (errors_of(bundled_body, OutlineNoise(1.0, length)).deviations for length in (15.0, 35.0))
     assert (long >= usual).all()
     assert long.max() > 2 * usual.max()
+
+
+def test_a_side_whose_mask_is_far_from_the_outline_is_expected_to_err_as_much(bundled_body: Body) -> None:
+    """A shadow beside one side of the shaft: that side tells little, and the other one as much as without it."""
+    errors = errors_of(bundled_body)
+    side, other = errors.columns[:, 0], errors.columns[:, 1]
+    seen = errors.as_seen(6.0 * side)
+    assert seen.deviations[0] > 6.0
+    assert seen.deviations[1] == errors.deviations[1]
+    assert seen.deviations[LASTING] == errors.deviations[LASTING]  # the margin of the whole mask
+    np.testing.assert_array_equal(errors.as_seen(-6.0 * other).deviations[:LASTING] > 6.0, [False, True])
+
+
+def test_usual_distances_of_the_mask_change_no_error(bundled_body: Body) -> None:
+    errors = errors_of(bundled_body)
+    offsets = np.random.default_rng(0).uniform(-0.4, 0.4, len(errors.columns))
+    np.testing.assert_array_equal(errors.as_seen(offsets).deviations, errors.deviations)
+
+
+def test_shadow_beside_the_shaft_hardly_moves_a_fit_that_sees_it(bundled_body: Body) -> None:
+    """At the true pose, the step to a mask whose one side is 5 px too far out is small if the shadow is seen."""
+    view = view_at(bundled_body, CAMERA, TRUE)
+    aside = np.roll(view.evidence.mask, 5, axis=1)
+    shadowed = gather_evidence(view.evidence.mask | aside, CAMERA, bundled_body.instrument, features=False)
+    outline = OutlineConfig()
+    coverage = Coverage([SizedView(replace(view, evidence=shadowed), blur=outline.blur)], outline)
+    steps = []
+    for as_seen in (False, True):
+        terms = without_last(coverage.near_with_lasting(TRUE, [NOISE], as_seen=as_seen), np.eye(LASTING))
+        known = terms.information[0] + np.diag([1 / 0.001**2] * 3 + [1 / 0.02**2] * 6)
+        steps.append(np.linalg.norm(np.linalg.solve(known, terms.slope[0])[:3]))
+    assert steps[1] < 0.5 * steps[0]
 
 
 def test_elimination_leaves_the_marginal_of_the_pose() -> None:

@@ -19,6 +19,8 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
 from dvrk_cmaes.results.folder import read_results
 
+pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
+
 Import = Callable[..., Ran]
 REFERENCE_FROM_BASE = RigidTransform.from_exp_coords([0.3, -0.4, 0.2, 0.1, -0.2, 0.3])
 NAMES = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")

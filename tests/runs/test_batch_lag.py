@@ -22,6 +22,8 @@ from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 
+pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
+
 NAMES = [f"{k:04d}" for k in range(4)]
 
 Command = Callable[..., Ran]

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import pytest
+from helpers.commands import Ran
 from helpers.places import SCRIPTS
 
 from dvrk_cmaes.io.bundled import bundled_path
@@ -25,3 +30,23 @@ def cases(scripts_on_path: None) -> list[Case]:
     from measure.cases import Measurement
 
     return Measurement([str(bundled_path("demo"))]).cases()
+
+
+@pytest.fixture
+def run_here(
+    scripts_on_path: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Ran]:
+    """Run a script of accuracy.py's kind with arguments, in this process, and its tasks in a thread."""
+    from measure import processes
+
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")  # as the script does, but not beyond this test
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", lambda *_, **__: ThreadPoolExecutor(1))
+
+    def run(name: str, *arguments: object) -> Ran:
+        monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])
+        code = import_module(name).main()
+        printed = capsys.readouterr()
+        return Ran(code, printed.out, printed.err)
+
+    return run

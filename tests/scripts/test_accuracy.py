@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
+from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
 
 from dvrk_cmaes.errors import InputError
@@ -153,26 +154,24 @@ def test_false_inputs_change_stated_part_only(cases: list[Case]) -> None:
             assert (lie.mask | truth.mask == lie.mask).all()
 
 
-def test_quick_run_reports_json_and_reuses_results(tmp_path: Path) -> None:
-    def run() -> dict[str, Any]:
-        options = ["--quick", "--json", "--workers", "1", "--keep", str(tmp_path)]
-        done = subprocess.run(
-            [sys.executable, str(SCRIPTS / "accuracy.py"), "errors", *options, str(ROOT / "data" / "demo")],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        report: dict[str, Any] = json.loads(done.stdout)
-        return report
-
-    report = run()
+def test_quick_run_reports_json_and_reuses_results(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
+    options = ["errors", "--quick", "--json", "--workers", "1", "--keep", str(tmp_path), str(ROOT / "data" / "demo")]
+    done = subprocess.run(
+        [sys.executable, str(SCRIPTS / "accuracy.py"), *options],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report: dict[str, Any] = json.loads(done.stdout)
     (session,) = report["sessions"]
     assert (session["frames"], session["right_mode"], session["ok"]) == (2, 1, 1)
     assert session["tip_mm"][0] < 1
     assert len(list((tmp_path / "demo" / "honest").iterdir())) == 2
-    assert run() == report  # equal seconds: nothing is estimated again
+    again = run_here("accuracy", *options)
+    assert again.code == 0, again.err
+    assert again.result == report  # equal seconds: nothing is estimated again
 
 
 def test_frame_with_empty_mask_is_left_out_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,14 +189,8 @@ def test_frame_with_empty_mask_is_left_out_and_named(tmp_path: Path, capsys: pyt
         Measurement([str(session)]).cases()
 
 
-def test_missing_session_is_refused(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, str(SCRIPTS / "accuracy.py"), "errors", str(tmp_path / "none")],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "no such folder" in done.stderr
+def test_missing_session_is_refused(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
+    done = run_here("accuracy", "errors", tmp_path / "none")
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "no such folder" in done.err

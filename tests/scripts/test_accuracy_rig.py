@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.places import ROOT, SCRIPTS
+from helpers.commands import Ran
+from helpers.places import ROOT
 from helpers.stereo_sessions import make_stereo_session
 
 from dvrk_cmaes.errors import InputError
@@ -33,12 +32,11 @@ def test_eyes_have_their_own_masks_and_a_wrong_rig_is_off_by_what_is_said(bundle
     assert abs(lengths[1] / lengths[0] - 1) == pytest.approx(0.02)
 
 
-def test_report_compares_eyes_and_rigs(bundled_body: Body, tmp_path: Path) -> None:
+def test_report_compares_eyes_and_rigs(bundled_body: Body, tmp_path: Path, run_here: Callable[..., Ran]) -> None:
     folder = make_stereo_session(tmp_path / "stereo", bundled_body)
-    command = [sys.executable, SCRIPTS / "accuracy.py", "rig", folder, "--workers", "1", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+    done = run_here("accuracy", "rig", folder, "--workers", "1", "--json")
+    assert done.code == 0, done.err
+    report = done.result
     assert [row["estimated from"] for row in report["estimates"]] == [
         "left eye",
         "right eye",

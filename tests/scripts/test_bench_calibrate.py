@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+from collections.abc import Callable
 
 import pytest
-from helpers.places import ROOT, SCRIPTS
+from helpers.commands import Ran
+from helpers.places import ROOT
 
 
-def test_stages_add_up() -> None:
-    command = [sys.executable, SCRIPTS / "bench.py", "calibrate", "--instrument", "lnd", "--quick", "--json"]
-    done = subprocess.run([*command, "--sessions", ROOT / "data" / "demo"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    (row,) = json.loads(done.stdout)["calibrate, processor seconds"]
+def test_stages_add_up(run_here: Callable[..., Ran]) -> None:
+    options = ("--instrument", "lnd", "--quick", "--json", "--sessions", ROOT / "data" / "demo")
+    done = run_here("bench", "calibrate", *options)
+    assert done.code == 0, done.err
+    (row,) = done.result["calibrate, processor seconds"]
     assert (row.pop("session"), row.pop("frames")) == ("data/demo", 5)
     whole = row.pop("all, s")
     assert {"lag and consensus", "gathering evidence", "round 1 of 4", "leaving one out"} < set(row)

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import make_session
-from helpers.places import SCRIPTS
+from helpers.commands import Ran
 
 
-def test_shares_of_stages_add_up(tmp_path: Path) -> None:
+def test_shares_of_stages_add_up(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
     session = make_session(tmp_path / "session", ["a"])
-    command = [sys.executable, SCRIPTS / "bench.py", "stages", "--instrument", "lnd", "--sessions", session, "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    *stages, whole = json.loads(done.stdout)["estimate, where the processor time goes"]
+    done = run_here("bench", "stages", "--instrument", "lnd", "--sessions", session, "--json")
+    assert done.code == 0, done.err
+    *stages, whole = done.result["estimate, where the processor time goes"]
     names = [row["stage"] for row in stages]
     assert {"search", "refinement, whole size", "evidence of the mask", "rest"} < set(names)
     assert whole["stage"] == "all, 1 frames"

@@ -8,19 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from helpers.budget import ANY, INSPECTED, SLOW, quick_tries
 from helpers.places import SCRIPTS
 
 if TYPE_CHECKING:
     from measure.fuzz.runs import Outcome
-
-TRIES = 12
-"""Tries of a family by any of its commands."""
-
-INSPECTED = 200
-"""Tries of a family whose file `inspect` reads, most of them by that: they take 20 to 30 ms of processor time each."""
-
-SLOW = {"URDF": 60, "camera": 120, "golden.json": 100, "options": 200}
-"""Tries of families that take longer, or that are quick without `inspect`; 40 to 100 ms each."""
 
 NAMES = (
     *(
@@ -63,8 +55,9 @@ def test_damage_is_refused_in_one_line_or_read_as_valid(material: Path, tmp_path
 
     (family,) = (one for one in FAMILIES if one.name == name)
     quick = any(command[0] == "inspect" for command in family.commands)
-    for number in range(SLOW.get(name, INSPECTED if quick else TRIES)):
-        inspected = number >= TRIES
+    tries = quick_tries(SLOW.get(name, INSPECTED)) if quick or name in SLOW else ANY
+    for number in range(tries):
+        inspected = number >= ANY
         command, _, violation = attempt(
             family, number, 0, material, tmp_path / "try", in_this_process, inspected=inspected
         )
@@ -215,19 +208,13 @@ def test_violations_are_seen(material: Path, code: int, out: str, err: str, chan
     assert (found is None) if told is None else (found is not None and told in found)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        *("batch", "batch --overwrite", "calibrate", "track", "track --overwrite", "segment", "synth"),
-        *("synth --overwrite", "import", "import --overwrite", "estimate", "export"),
-    ],
-)
-def test_no_file_of_the_user_is_changed_in_any_kind_of_folder(material: Path, tmp_path: Path, command: str) -> None:
-    from measure.fuzz.folders import KINDS, fuzz_folders
+def test_no_file_of_the_user_is_changed_in_any_kind_of_folder(material: Path, tmp_path: Path) -> None:
+    from measure.fuzz.folders import COMMANDS, KINDS, fuzz_folders
     from measure.fuzz.runs import in_this_process
 
-    report = fuzz_folders(material, tmp_path / "try", in_this_process, (command,))
-    assert report.tries == 2 * len(KINDS)
+    assert len(COMMANDS) == 12
+    report = fuzz_folders(material, tmp_path / "try", in_this_process)
+    assert report.tries == 2 * len(KINDS) * len(COMMANDS)
     assert report.violations == []
 
 

@@ -8,14 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.moving_worlds import MovingWorld, moving_world
+from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.keyframe_store import Solution
+from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, Solution
+from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
+from dvrk_cmaes.track.known_base import KnownBase
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
 """Settings for small images, which tell less about the depth."""
@@ -124,3 +128,41 @@ def test_instrument_whose_readings_are_missing_is_followed_without_the_calibrati
     tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
     results = world.follow(tracker, frames=range(4), readings=lambda k: {})
     assert all(result.camera_from_root is not None for result in results)
+
+
+def keep(known: KnownBase, count: int) -> None:
+    """Keep further images as keyframes, each farther from the one before than all others are from each other."""
+    mask = np.zeros((SMALL.height, SMALL.width), np.bool_)
+    mask[80:160, 100:200] = True
+    for _ in range(count):
+        k = known.store.taken
+        readings = dict.fromkeys(OUTER_JOINTS, 0.0) | {"yaw": 0.02 * k**2}
+        assert known.store.offer(0.1 * k, dict.fromkeys(Rig.of(SMALL).names, mask), {}, readings, {})
+
+
+def failed(known: KnownBase) -> Solution:
+    """Return a solution without a calibration of all keyframes."""
+    return Solution(None, "no calibration", len(known.problem().keyframes), {})
+
+
+def test_keyframes_are_solved_at_some_numbers_and_when_a_third_of_the_most_are_new(world: MovingWorld) -> None:
+    known = KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None)
+    solved_at = []
+    for number in range(1, MOST_KEYFRAMES + 2 * NEW_AT_MOST + 1):
+        keep(known, 1)
+        if known.due:
+            solved_at.append(number)
+            known.use(failed(known))
+            assert not known.due
+    assert solved_at == [*SOLVED_AT, MOST_KEYFRAMES + NEW_AT_MOST, MOST_KEYFRAMES + 2 * NEW_AT_MOST]
+
+
+def test_state_of_the_keyframes_tells_how_many_of_them_are_new(world: MovingWorld) -> None:
+    first, second = (KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None) for _ in range(2))
+    keep(first, MOST_KEYFRAMES)
+    first.use(failed(first))
+    keep(first, NEW_AT_MOST - 1)
+    second.restore(json.loads(json.dumps(first.checkpoint())))
+    assert (first.due, second.due) == (False, False)
+    keep(second, 1)
+    assert second.due

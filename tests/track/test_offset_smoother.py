@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.track.offset_smoother import smooth
+from dvrk_cmaes.track.offset_smoother import filtered, smooth
 
 COUNT, SIZE, CONSTANTS = 6, 3, 2
 TIMES = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 1.0])
@@ -31,6 +31,9 @@ def test_result_is_that_of_the_dense_system() -> None:
     for k in range(COUNT):
         told[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] = information[k]
     covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES, 1.0, 0.1, 0.7)) + told)
+    last = filtered(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
+    for value, of_all in zip(last, (found.deviations, found.covariance, found.response), strict=True):
+        assert value == pytest.approx(of_all[-1], rel=1e-9, abs=1e-12)
     assert found.deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)
     blocks = [covariance[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] for k in range(COUNT)]
     assert found.covariance == pytest.approx(np.array(blocks), abs=1e-6)

@@ -184,6 +184,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         drawn: DrawnCoverage | None = None,
         *,
         stride: int = 1,
+        as_seen: bool = False,
     ) -> Quadratic:
         """Return the approximation near one pose, with most of what the errors of the masks share eliminated.
 
@@ -191,7 +192,8 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         standard deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
         gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
         ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
-        outlines is used, which stands for those beside it.
+        outlines is used, which stands for those beside it. ``as_seen`` is whether errors are expected to be as large as
+        the mask shows them at the pose, where that is more than usual (`SharedErrors.as_seen`).
         """
         if drawn is None:
             (drawn,) = self.draw(Posed.stacked([at]))
@@ -202,6 +204,8 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             outline = drawn_outline.every(stride)
             (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
             errors = view.shared_errors(outline, at, noise)
+            if as_seen:
+                errors = errors.as_seen(view.offsets(outline))
             of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
             lasting = np.zeros((len(of_errors), LASTING * len(self.views)))
             lasting[:, LASTING * k : LASTING * (k + 1)] = of_errors[:, :LASTING] * errors.deviations[:LASTING]

@@ -47,6 +47,10 @@ _MARGIN, _NODE, _SIDE, _LINK = 0.1, 0.2, 0.15, 0.15
 _LEAST_SIDE = 0.25  # px, of a side of the shaft
 # The same, in those of the part of the noise that stays the same over more contour than usual.
 _SIDE_OF_LONG, _LINK_OF_LONG = 0.8, 0.3
+_USUALLY_SEEN = 0.5  # px, of an error at a pose, beyond which it is larger than usual by ...
+_SEEN_FACTOR = 2.0  # ... that many standard deviations a pixel
+_MOST_SEEN = 8.0  # px
+_LEAST_SHARE = 1e-9
 _LENGTH_SCALE = 17.0  # px of contour
 
 
@@ -61,6 +65,24 @@ class SharedErrors:
 
     columns: Float64
     deviations: Float64
+
+    def as_seen(self, offsets: Float64) -> SharedErrors:
+        """Return the errors with standard deviations as large as the mask shows them, where that is more than usual.
+
+        A shadow that is taken for the shaft moves one side of the mask by several pixels for a second. A few such
+        frames would pull a session's solution as hard as many that are right: the farther a stretch of the mask lies
+        from where a pose expects it, the less it tells. The margin of the whole mask stays as it is.
+
+        Parameters
+        ----------
+        offsets : (N,)
+            By how much the mask lies outwards of the outline's points, px.
+        """
+        shares = np.maximum(self.columns.sum(axis=0), _LEAST_SHARE)
+        seen = self.columns.T @ np.clip(offsets, -_MOST_SEEN, _MOST_SEEN) / shares
+        more = _SEEN_FACTOR * np.maximum(np.abs(seen) - _USUALLY_SEEN, 0.0)
+        more[LASTING] = 0.0
+        return SharedErrors(self.columns, np.hypot(self.deviations, more))
 
     @property
     def information(self) -> Float64:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.one_sided import OneSidedErrors, one_sided_errors
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
@@ -65,14 +65,16 @@ class SizedView:
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
         self._blur = blur
         beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
-        clear = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(clear[window])
+        if weight.min() < 1:
+            weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(weight[window])
         self.mask = mask[window] > 0.5
         self.target = self._blurred(np.ascontiguousarray(mask[window]))
         self.shrink = shrink
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
         self._remembered: dict[bytes, Drawing] = {}
+        self._distance: Float32 | None = None
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
@@ -141,6 +143,13 @@ class SizedView:
         pairs = zip(coverage, points.of_each(len(seen)), strict=True)
         return [(self._blurred(image), outline) for image, outline in pairs]
 
+    def silhouette(self, drawn: Float32) -> NDArray[np.bool_]:
+        """Return the silhouette of a blurred coverage (H, W) in the whole image; nothing is outside the window."""
+        left, top, width, height = self._window
+        whole = np.zeros(self._size[::-1], dtype=np.bool_)
+        whole[top : top + height, left : left + width] = drawn > 0.5
+        return whole
+
     def outlines(self, at: Posed) -> list[OutlinePoints]:
         """Find the outline of each of C poses."""
         seen = at.seen_from(self.view_from_camera)
@@ -151,6 +160,12 @@ class SizedView:
         seen = at.seen_from(self.view_from_camera)
         of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
+
+    def offsets(self, outline: OutlinePoints) -> Float64:
+        """Return by how much the mask lies outwards of an outline at its N points, px."""
+        if self._distance is None:
+            self._distance = signed_distance(self.mask)
+        return -sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""

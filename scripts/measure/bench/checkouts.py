@@ -83,15 +83,18 @@ class Checkout:
 
 
 @contextmanager
-def two_checkouts(this: Path, other: Path) -> Iterator[tuple[Checkout, Checkout]]:
-    """Yield the checkout of --checkout and that of --against; InputError if one has not the package."""
+def two_checkouts(this: Path, other: Path, *, timed: bool = True) -> Iterator[tuple[Checkout, Checkout]]:
+    """Yield the checkout of --checkout and that of --against; InputError if one has not the package.
+
+    If they are ``timed``, each compiles other packages for itself, too; otherwise what one has compiled serves both.
+    """
     for option, folder in (("--checkout", this), ("--against", other)):
         if not (folder / "dvrk_cmaes" / "__init__.py").is_file():
             raise InputError(f"{option} {folder}: expected a checkout with the package dvrk_cmaes")
     with tempfile.TemporaryDirectory() as compiled:
         yield (
             Checkout("this", this.resolve(), f"{compiled}/this"),
-            Checkout("other", other.resolve(), f"{compiled}/other"),
+            Checkout("other", other.resolve(), f"{compiled}/{'other' if timed else 'this'}"),
         )
 
 

@@ -119,6 +119,7 @@ def stubbed(material: Path) -> Iterator[None]:
 
     with (
         mock.patch("dvrk_cmaes.runs.frame.estimate_views", estimate),
+        mock.patch("dvrk_cmaes.estimation.image_frame.estimate_views", estimate),
         mock.patch("dvrk_cmaes.runs.batch.run_in_processes", run_in_processes),
         mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
         mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
