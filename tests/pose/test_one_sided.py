@@ -172,6 +172,11 @@ def test_explained_errors_are_not_noise(bundled_body: Body) -> None:
     assert explained == pytest.approx(without, rel=0.4)
 
 
+def test_exact_mask_has_nothing_to_explain(bundled_body: Body) -> None:
+    view = SizedView(seen(bundled_body, silhouette(bundled_body)), blur=1.2)
+    assert fit_one_sided([view], [ReadingsTerm(readings_of(bundled_body, TRUE.joints))], TRUE) is None
+
+
 def test_positive_part_of_normal_distributions() -> None:
     mean, deviation = np.array([-30.0, -9.0, -2.0, 0.0, 1.0, 8.0]), np.array([1.0, 1.0, 2.0, 3.0, 0.5, 1.0])
     first, variance, mass = _positive(mean, deviation)

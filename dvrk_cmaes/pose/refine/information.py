@@ -64,12 +64,12 @@ def information_of_views(
         of_view = _of_view(both, at, sizes[k] if sizes else None)
         if k == 0:
             of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
-            of_view = of_view + np.diag(_bounds(len(of_view)))
+            of_view = of_view + np.diag(bounds(len(of_view)))
         information.append(of_view)
     return information
 
 
-def _bounds(count: int) -> Float64:
+def bounds(count: int) -> Float64:
     """Return the information of the largest standard deviations of ``count`` parameters, (count,)."""
     return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 

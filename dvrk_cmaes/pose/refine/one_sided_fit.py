@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.refine.information import bounds
 from dvrk_cmaes.pose.terms.contour import CLIP, LEAST_POINTS, ContourErrors, robust_sigma
 from dvrk_cmaes.pose.terms.one_sided import OneSidedErrors
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -29,7 +30,7 @@ _REACH = 12  # px from the outline in which the contour is searched
 _FIRST_CLIP = 9.0  # px; larger errors are outliers before any hypothesis has been fitted
 _ROUNDS = 4
 _OFF_PX, _OFF_SHARE = 1.5, 0.02  # error of the contour, and share of it that a one-sided error makes at least as large
-_LOST = 1e-9  # of the largest diagonal element, by which an information is made invertible
+_LARGEST_M, _LARGEST_RAD = 0.03, 0.35  # changes of the pose for which the equations are linear
 _TAIL = -8.0  # standard deviations, below which the normal distribution function is its asymptotic series
 
 
@@ -40,7 +41,7 @@ class OneSidedFit:
     ``plain`` (D,) are the small changes to the pose that is the best one if no error is one-sided, ``shift`` (D,) those
     from there to the mean over the hypotheses, whose scatter is ``spread`` (D, D). ``plain_probability`` is that of no
     error being one-sided, ``sizes`` has the expected size, px, of the error of each hypothesis of each view, zero for
-    those that do not hold. ``sigma`` is the standard deviation, px, of the other errors.
+    those that do not hold.
     """
 
     plain: Float64
@@ -48,7 +49,6 @@ class OneSidedFit:
     spread: Float64
     plain_probability: float
     sizes: tuple[Float64, ...]
-    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,8 @@ class _Contour:
     found: ContourErrors
     hypotheses: OneSidedErrors
 
-    def terms(self, change: Float64, sizes: Float64, *, first: bool) -> tuple[Float64, float]:
-        """Return the information about pose, error and sizes, (D + 1 + K, D + 1 + K), and the errors' deviation, px.
+    def information(self, change: Float64, sizes: Float64, *, first: bool) -> Float64:
+        """Return the information about pose, error and sizes, (D + 1 + K, D + 1 + K).
 
         Points that are outliers after a ``change`` (D,) of the pose and with errors of given ``sizes`` (K,) are left
         out; in the ``first`` round those that no hypothesis explains.
@@ -70,14 +70,14 @@ class _Contour:
         index = np.flatnonzero(np.abs(left) < (_FIRST_CLIP if first else CLIP * sigma))
         right = np.column_stack([found.jacobian[index], found.errors[index], columns[index]])
         usual = np.clip(left[index], -CLIP * sigma, CLIP * sigma)
-        return right.T @ found.weighted(index, usual, right), sigma
+        return np.asarray(right.T @ found.weighted(index, usual, right))
 
 
 def fit_one_sided(views: Sequence[SizedView], terms: Sequence[Term], at: Posed) -> OneSidedFit | None:
     """Fit the contours of the views near one pose, with at most one one-sided error in all of them.
 
-    Returns None where a view has too little contour near the outline, where hardly any of it is off, or where the
-    instrument has no shaft.
+    Returns None where a view has too little contour near the outline, where hardly any of it is off, where the changes
+    are too large for linear equations, or where the instrument has no shaft.
     """
     contours = []
     for view in views:
@@ -91,16 +91,17 @@ def fit_one_sided(views: Sequence[SizedView], terms: Sequence[Term], at: Posed) 
     dimension = others.dimension
     change, sizes = np.zeros(dimension), [np.zeros(len(c.hypotheses.deviations)) for c in contours]
     for number in range(_ROUNDS):
-        of_views = [c.terms(change, own, first=number == 0) for c, own in zip(contours, sizes, strict=True)]
+        of_views = [c.information(change, own, first=number == 0) for c, own in zip(contours, sizes, strict=True)]
         information, slope = others.information[0].copy(), -others.slope[0]
-        for both, _ in of_views:
+        for both in of_views:
             information += both[:dimension, :dimension]
             slope += both[:dimension, dimension]
-        information += _LOST * np.diag(information).max() * np.eye(dimension)
-        marginal = _marginal(information, slope, [both for both, _ in of_views], [c.hypotheses for c in contours])
+        information += np.diag(bounds(dimension))
+        marginal = _marginal(information, slope, of_views, [c.hypotheses for c in contours])
         change, sizes = marginal.most_probable()
-    sigma = float(np.sqrt(np.mean([own**2 for _, own in of_views])))
-    return marginal.summed(sigma)
+    found = marginal.summed()
+    far = np.abs(found.plain) + np.abs(found.shift)
+    return None if far[:3].max() > _LARGEST_M or far[3:].max() > _LARGEST_RAD else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +132,14 @@ class _Marginal:
             sizes[best] = self.mean[best]
         return self.plain + self.slopes @ sizes, self.of_views(sizes)
 
-    def summed(self, sigma: float) -> OneSidedFit:
+    def summed(self) -> OneSidedFit:
         """Return the mean over all hypotheses."""
         expected = self.probability * self.mean
         shift = self.slopes @ expected
         square = self.probability * (self.variance + self.mean**2)
         spread = (self.slopes * square) @ self.slopes.T - np.outer(shift, shift)
         plain = 1.0 - float(self.probability.sum())
-        return OneSidedFit(self.plain, shift, spread, plain, tuple(self.of_views(expected)), sigma)
+        return OneSidedFit(self.plain, shift, spread, plain, tuple(self.of_views(expected)))
 
 
 def _marginal(
