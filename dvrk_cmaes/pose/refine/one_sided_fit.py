@@ -81,23 +81,20 @@ def fit_one_sided(views: Sequence[SizedView], terms: Sequence[Term], at: Posed) 
     """
     contours = []
     for view in views:
-        found = ContourErrors.of(view, at, _REACH)
-        contours.append(_Contour(found, view.one_sided_errors(found.outline, at)))
-        if len(found) < LEAST_POINTS or not contours[-1].hypotheses.probabilities.size:
+        errors = ContourErrors.of(view, at, _REACH)
+        contours.append(_Contour(errors, view.one_sided_errors(errors.outline, at)))
+        if len(errors) < LEAST_POINTS or not contours[-1].hypotheses.probabilities.size:
             return None
     if all(float(np.mean(np.abs(contour.found.errors) > _OFF_PX)) < _OFF_SHARE for contour in contours):
         return None
     others = sum_of_locals(terms, Posed.stacked([at]))
-    dimension = others.dimension
-    change, sizes = np.zeros(dimension), [np.zeros(len(c.hypotheses.deviations)) for c in contours]
+    dimension, hypotheses = others.dimension, [contour.hypotheses for contour in contours]
+    change, sizes = np.zeros(dimension), [np.zeros(len(each.deviations)) for each in hypotheses]
     for number in range(_ROUNDS):
         of_views = [c.information(change, own, first=number == 0) for c, own in zip(contours, sizes, strict=True)]
-        information, slope = others.information[0].copy(), -others.slope[0]
-        for both in of_views:
-            information += both[:dimension, :dimension]
-            slope += both[:dimension, dimension]
-        information += np.diag(bounds(dimension))
-        marginal = _marginal(information, slope, of_views, [c.hypotheses for c in contours])
+        of_pose = np.sum([both[:dimension, : dimension + 1] for both in of_views], axis=0)
+        information = of_pose[:, :dimension] + others.information[0] + np.diag(bounds(dimension))
+        marginal = _marginal(information, of_pose[:, dimension] - others.slope[0], of_views, hypotheses)
         change, sizes = marginal.most_probable()
     found = marginal.summed()
     far = np.abs(found.plain) + np.abs(found.shift)
