@@ -224,6 +224,9 @@ class RefineConfig:
     first_candidates, agreed_gap
         Number of candidates that are refined at first. The others are, too, unless two of these have reached the same
         mode and no other mode is nearly as good: within this difference of the negative log-likelihood.
+    first_share, first_least
+        Share of the candidates, the best ones, that continue after each of the first iterations, and how many continue
+        in any case.
     small_modes, small_steps
         Number of best modes that are kept after that, and largest number of further iterations at the same size.
     small_share, last_share
@@ -247,6 +250,8 @@ class RefineConfig:
     first_steps: int = 3
     first_candidates: int = 12
     agreed_gap: float = 6.0
+    first_share: float = field(default=0.75, metadata=_SHARE)
+    first_least: int = 6
     small_modes: int = 10
     small_steps: int = 8
     small_share: float = field(default=0.9, metadata=_SHARE)

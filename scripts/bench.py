@@ -8,7 +8,8 @@
     python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
     python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
-    python scripts/bench.py checkouts    estimates, commands, a folder and its page compared with another checkout
+    python scripts/bench.py checkouts    estimates with their errors, commands, folder, page, calibration and tests
+                                         compared with another checkout
     python scripts/bench.py folder       frames a second of a folder by workers, and memory over time
     python scripts/bench.py many         a calibration by its number of frames, with all files written
     python scripts/bench.py live         poses a second over a websocket, and their age from image to pose
@@ -93,6 +94,9 @@ def _checkouts(options: argparse.Namespace) -> Report:
         other=options.against,
         frames=options.frames,
         repeats=options.repeats,
+        results=options.results,
+        recording=options.recording,
+        tests=options.tests,
     )
 
 
@@ -165,8 +169,18 @@ def _add_options(parser: argparse.ArgumentParser, sessions: list[Path]) -> None:
     )
     parser.add_argument("--against", type=Path, metavar="DIR", help="for checkouts: the checkout to compare with")
     parser.add_argument(
-        "--results", type=Path, metavar="DIR", help="for calibrate: results of batch (default: frames are estimated)"
+        "--results",
+        type=Path,
+        metavar="DIR",
+        help="for calibrate: results of batch (default: frames are estimated); for checkouts: those of --recording",
     )
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        metavar="SESSION",
+        help="for checkouts: session whose frames with --results are calibrated, repeated to 600",
+    )
+    parser.add_argument("--tests", action="store_true", help="for checkouts: measure all tests of both, too")
     parser.add_argument(
         "--evidence", choices=KINDS, nargs="+", default=["masks"], help="for track: evidence (default: %(default)s)"
     )

@@ -166,8 +166,7 @@ def fit_frame(
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
-        steps = Steps.of(config.refine.outline, shrink)
-        steps = steps if confirm else replace(steps, tested="long")
+        steps = replace(Steps.of(config.refine.outline, shrink), tested="all" if confirm else "long")
         fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
     drawn = [view.silhouette(fits[0].at) for view in views]
@@ -346,7 +345,7 @@ def terms_of_rig(
     noises = [min(pair, key=lambda noise: noise.sigma) for pair in zip(own_estimate.noises, here.noises, strict=True)]
     coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
     (drawn,) = coverage.draw(Posed.stacked([fitted]))
-    noise = sum(drawn.final_losses)
+    noise = sum(coverage.final_losses(drawn))
     coverage = coverage.with_noise(noise if own_estimate.residual is None else min(noise, own_estimate.residual))
 
     def constants(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:

@@ -22,7 +22,7 @@ COEFFICIENT_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8), "eq
 
 _FOLDS = "distortion: expected the {} map to be one-to-one over the image, got one that folds back on itself{}"
 _MARGINS = (1.02, 1.005, 1.0005)  # R / the image's largest undistorted radius; the first that is one-to-one is used
-_LAST_STEP = 1e-8  # last step of Newton's method; its convergence is quadratic, so the error is far below 1e-9
+_LAST_STEP = 1e-7  # last step of Newton's method; its convergence is quadratic, so the error is far below 1e-9
 _BLOCK = 16384  # points that are undistorted at a time, so that they fit in the processor's cache
 _LARGEST_RADIUS = 64.0  # tan of 89 degrees; (x/z, y/z) does not exist at 90 degrees
 
@@ -76,6 +76,18 @@ class Lens:
         if far:
             out *= scale[..., None]
         return out
+
+    def distort_along(
+        self, xy: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Distort points (N, 2) of x/z, y/z, and differentiate their coordinates along directions.
+
+        Returns the distorted points (N, 2), and the gradients (N, 2) by x/z, y/z of the products of each with its
+        vector of ``directions`` (N, 2).
+        """
+        value, (x_by_x, x_by_y, y_by_x, y_by_y) = self._value_and_jacobian(xy[:, 0], xy[:, 1])
+        a, b = directions[:, 0], directions[:, 1]
+        return np.stack(value, axis=-1), np.stack([a * x_by_x + b * y_by_x, a * x_by_y + b * y_by_y], axis=-1)
 
     def undistort(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
         """Invert ``distort`` on float64 points (..., 2), by Newton's method, to 1e-9 or better."""

@@ -18,8 +18,6 @@ from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS, Lens
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.arguments import checked_array, checked_number
 
-_LENS_STEP = 1e-4  # of central differences of the distortion, in normalised coordinates
-
 
 @dataclass(frozen=True)
 class Camera:
@@ -221,9 +219,7 @@ class Camera:
         focal = self._focal(xy.dtype)
         pixels, along = xy, directions * focal
         if self._lens is not None:
-            step = _LENS_STEP * np.eye(2)[:, None]
-            bending = (self._lens.distort(xy + step) - self._lens.distort(xy - step)) / (2 * _LENS_STEP)
-            pixels, along = self._lens.distort(xy), np.einsum("anu,nu->na", bending, along)
+            pixels, along = self._lens.distort_along(xy, along)
         gradient = np.column_stack([along, -(along * xy).sum(axis=1)]) / depth
         return pixels * focal + self._principal(xy.dtype), gradient
 

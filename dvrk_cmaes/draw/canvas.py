@@ -5,7 +5,7 @@ The colours are those of Okabe and Ito's palette, which can be distinguished wit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ AXES: tuple[tuple[str, Colour], ...] = (("x", VERMILLION), ("y", GREEN), ("z", S
 """Names and colours of a coordinate frame's axes."""
 
 _SHIFT = 4  # fractional bits of OpenCV's fixed-point coordinates
+_WIDEST = 20.0  # units, of a line with its rim, and the pixels that its antialiasing reaches
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -76,8 +77,10 @@ class Canvas:
             Whether the line has a dark rim for contrast with the background.
         """
         for part in self._inside(points):
-            for stroke in [part] if dash is None else _dashed(part, self.unit * np.array(dash), self.unit * phase):
-                self._stroke(stroke, colour, width, rim)
+            strokes = [part] if dash is None else self._dashed(part, self.unit * np.array(dash), self.unit * phase)
+            if rim:
+                self._draw(strokes, DARK, width + 1.6)
+            self._draw(strokes, colour, width)
 
     def outline(self, mask: NDArray[np.bool_], colour: Colour) -> None:
         """Draw the contours of a mask of the canvas's size, without the parts on the image's border."""
@@ -95,7 +98,7 @@ class Canvas:
         for over in (False, True):
             for arm in arms:
                 if np.isfinite(arm).all():
-                    self._draw(arm, colour if over else DARK, 2.0 if over else 4.0)
+                    self._draw([arm], colour if over else DARK, 2.0 if over else 4.0)
 
     def ring(self, at: NDArray[np.float64], colour: Colour, radius: float = 7.0) -> None:
         """Draw a circle about a point (2,)."""
@@ -144,14 +147,9 @@ class Canvas:
     def _thickness(self, width: float) -> int:
         return max(1, round(width * self.unit))
 
-    def _stroke(self, points: NDArray[np.float64], colour: Colour, width: float, rim: bool) -> None:
-        if rim:
-            self._draw(points, DARK, width + 1.6)
-        self._draw(points, colour, width)
-
-    def _draw(self, points: NDArray[np.float64], colour: Colour, width: float) -> None:
-        fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
-        cv2.polylines(self.image, [fixed], False, colour, self._thickness(width), cv2.LINE_AA, _SHIFT)
+    def _draw(self, strokes: Sequence[NDArray[np.float64]], colour: Colour, width: float) -> None:
+        fixed = [np.rint(points * 2**_SHIFT).astype(np.int32) for points in strokes]
+        cv2.polylines(self.image, fixed, False, colour, self._thickness(width), cv2.LINE_AA, _SHIFT)
 
     def _inside(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
         """Yield the parts of a polyline on the canvas or near it; OpenCV's coordinates overflow farther outside."""
@@ -162,15 +160,22 @@ class Canvas:
             if len(part) > 1 and near[part[0]]:
                 yield points[part]
 
-
-def _dashed(points: NDArray[np.float64], dash: NDArray[np.float64], phase: float) -> Iterator[NDArray[np.float64]]:
-    """Yield the dashes of a polyline (N, 2); ``dash`` (2,) are the lengths of dashes and gaps."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    for start in np.arange(-(phase % dash.sum()), length[-1], dash.sum()):
-        first, last = max(start, 0.0), min(start + dash[0], length[-1])
-        if last > first:
-            at = np.concatenate([[first], length[(length > first) & (length < last)], [last]])
-            yield np.stack([np.interp(at, length, points[:, k]) for k in range(2)], axis=1)
+    def _dashed(
+        self, points: NDArray[np.float64], dash: NDArray[np.float64], phase: float
+    ) -> list[NDArray[np.float64]]:
+        """Return the dashes of a polyline (N, 2) that may show; ``dash`` (2,) are the lengths of dashes and gaps."""
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        starts = np.arange(-(phase % dash.sum()), length[-1], dash.sum())
+        first, last = np.maximum(starts, 0.0), np.minimum(starts + dash[0], length[-1])
+        begin = np.stack([np.interp(first, length, points[:, k]) for k in range(2)], axis=1)
+        # no point of a dash is farther from its begin than its length
+        beside = dash[0] + _WIDEST * self.unit
+        shown = ((begin > -beside) & (begin < np.array(self.image.shape[1::-1]) + beside)).all(axis=1) & (last > first)
+        dashes = []
+        for begins, ends in zip(first[shown], last[shown], strict=True):
+            at = np.concatenate([[begins], length[(length > begins) & (length < ends)], [ends]])
+            dashes.append(np.stack([np.interp(at, length, points[:, k]) for k in range(2)], axis=1))
+        return dashes
 
 
 def _plain(text: str) -> str:

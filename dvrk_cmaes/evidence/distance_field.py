@@ -13,6 +13,7 @@ FIELDS = ("fmm", "exact", "chamfer")
 
 _MARCHED = 1.5  # largest ratio of distances by fast marching to exact ones; it is below that of the city-block distance
 _GRID = 2.0  # px, beyond the farthest pixel that is needed
+_ORDER = 2  # of the fast marching's differences
 _FARTHEST = 1000.0  # px; the squares of larger distances are not exact in single precision
 
 
@@ -26,15 +27,12 @@ def distance_field(
     0. Raises `InputError` for an unknown method.
     """
     if method == "fmm":
-        import skfmm
-
         # Distances inside are not needed: of the mask, only the pixels next to its outline take part.
         inside = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_REPLICATE) > 0
-        phi = np.ma.MaskedArray(np.where(mask, -1.0, 1.0), inside)
         # The front is marched from near to far, and distances that it has reached do not change any more.
         farthest = _FARTHEST if where is None else float(distance_within(~mask)[where].max(initial=0.0))
-        marched = skfmm.distance(phi, narrow=0.0 if farthest >= _FARTHEST else _MARCHED * farthest + _GRID)
-        return np.maximum(np.ma.filled(np.ma.asarray(marched, dtype=np.float64), 0.0), 0.0)
+        narrow = 0.0 if farthest >= _FARTHEST else _MARCHED * farthest + _GRID
+        return np.maximum(_marched(np.where(mask, -1.0, 1.0), inside, narrow), 0.0)
     if method == "exact":
         from scipy.ndimage import distance_transform_edt
 
@@ -44,13 +42,38 @@ def distance_field(
     raise InputError(f"distance field: expected one of {', '.join(nearest_first(method, FIELDS))}, got {method!r}")
 
 
+def _marched(sign: NDArray[np.float64], left_out: NDArray[np.bool_], narrow: float) -> NDArray[np.float64]:
+    """March a front from where ``sign`` (H, W) changes, up to ``narrow`` px, 0 for any; 0 where it does not come.
+
+    ``skfmm.distance`` takes pixels that are left out as a masked array, and returns one. It imports numpy.ma for that,
+    a twentieth of a whole command's processor time, so that the compiled function below it is called, as it does.
+    """
+    from skfmm import pfmm
+
+    try:
+        flags = np.where(left_out, pfmm.MASK, pfmm.FAR).astype(np.longlong)
+        none = np.zeros(sign.shape, dtype=np.longlong)
+        marched = pfmm.cFastMarcher(sign, np.ones(2), flags, None, none, 0, pfmm.DISTANCE, _ORDER, narrow, 0)
+    except (AttributeError, TypeError):  # another release's has other parameters
+        marched = np.ma.filled(pfmm.distance(np.ma.MaskedArray(sign, left_out), order=_ORDER, narrow=narrow), 0.0)
+    return np.where(marched == np.finfo(np.float64).max, 0.0, np.asarray(marched, dtype=np.float64))
+
+
 def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Compute the distance, px, from each pixel of a mask (H, W) to the nearest pixel outside, at most 1000; 0 outside.
+    """Compute the distance, px, at most 1000, from each pixel of a mask (H, W) to the nearest one outside; 0 there."""
+    return rounded_distance(transformed(mask))
+
+
+def transformed(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Compute the same distance as OpenCV does, (H, W), without limit; see `rounded_distance`."""
+    return np.asarray(cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+
+
+def rounded_distance(distance: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return distances of `transformed`, or some of them, at most 1000, as they follow from the mask alone.
 
     OpenCV computes square roots with either of two methods of different accuracy, depending on the memory alignment of
-    the array. The squared distances are therefore rounded to integers and their roots taken again, so that the result
-    depends on the mask alone.
+    the array. The squared distances are therefore rounded to integers and their roots taken again.
     """
-    distance = cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     near = np.minimum(distance, np.float32(_FARTHEST))
     return np.asarray(np.sqrt(np.rint(near * near)), dtype=np.float32)

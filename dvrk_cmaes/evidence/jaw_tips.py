@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges
 
 Float64 = NDArray[np.float64]
@@ -31,7 +32,7 @@ def distal_direction(mask: NDArray[np.bool_], edges: ShaftEdges) -> Float64:
         v, u = np.nonzero(mask)
         along = (np.stack([u, v], axis=1) - middle) @ axis
         return np.asarray(axis if along.max() > -along.min() else -axis)
-    entry = np.array([np.median(u), np.median(v)])
+    entry = np.array([median(u), median(v)])
     return np.asarray(axis if (entry - middle) @ axis < 0 else -axis)
 
 

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.distance_field import distance_within
+from dvrk_cmaes.evidence.distance_field import distance_within, rounded_distance, transformed
+from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.evidence.shaft_edges import Contour
 
 Float64 = NDArray[np.float64]
@@ -23,6 +24,8 @@ _LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length
 _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that it samples
 _AROUND = 2  # px around a silhouette and pixels, so that the window has background and the samples their neighbours
 _CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
+_NEXT = 1.0  # px, of margins for which pixels 2 px from the outline and farther count alike
+_NEIGHBOURS = cv2.MORPH_CROSS, cv2.MORPH_RECT
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,34 @@ def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.where(mask, 0.5 - distance_within(mask), distance_within(~mask) - 0.5).astype(np.float32)
 
 
+def less_margin(mask: NDArray[np.bool_], margin: float) -> NDArray[np.float32]:
+    """Return a mask (H, W) less a margin, px, all round: the share of each pixel that is left, 0 to 1.
+
+    The mask is neither empty nor full. A pixel keeps 0.5 - ``margin`` less its signed distance, so that of a margin
+    below a pixel only the distances of the pixels next to the outline count, of which there are three.
+    """
+    if abs(margin) >= _NEXT:
+        return _share_left(signed_distance(mask), margin)
+    distances = np.sqrt(np.array([0, 1, 2, 4], dtype=np.float32))
+    shares = np.zeros(256, dtype=np.float32)
+    shares[:4] = _share_left(np.float32(0.5) - distances, margin)
+    shares[4:7] = _share_left(distances[1:] - np.float32(0.5), margin)
+    outside = _place(~mask)
+    return np.asarray(cv2.LUT(np.where(outside > 0, outside + np.uint8(3), _place(mask)), shares))
+
+
+def _share_left(signed: NDArray[np.float32], margin: float) -> NDArray[np.float32]:
+    """Return the share of each pixel that is left less a margin, px, from its signed distance."""
+    return np.asarray(np.clip(0.5 - margin - signed, 0, 1), dtype=np.float32)
+
+
+def _place(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return 0 outside a mask (H, W), 1 beside a pixel outside, 2 where one is at a corner, 3 farther in."""
+    image = mask.astype(np.uint8)
+    beside, around = (cv2.erode(image, cv2.getStructuringElement(shape, (3, 3))) for shape in _NEIGHBOURS)
+    return np.asarray(image + beside + around)
+
+
 def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     """Compute the signed distances (N,), px, of pixels (N, 2) to a silhouette's outline, as `signed_distance`.
 
@@ -61,10 +92,21 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     high = np.maximum([columns[-1], rows[-1]], np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
     left, top = np.clip(low, 0, [width, height]).astype(int)
     right, bottom = np.clip(high, 0, [width, height]).astype(int)
-    distance = np.zeros(silhouette.shape, dtype=np.float32)
     window = np.s_[top:bottom, left:right]
-    distance[window] = signed_distance(silhouette[window])
+    distance = np.zeros(silhouette.shape, dtype=np.float32)
+    at = np.floor(pixels).astype(np.intp)
+    row = np.clip(at[:, 1] + np.array([[0], [0], [1], [1]]), top, bottom - 1)
+    column = np.clip(at[:, 0] + np.array([[0], [1], [0], [1]]), left, right - 1)
+    distance[row, column] = _signed_at(silhouette[window], row - top, column - left)
     return sampled(distance, pixels)
+
+
+def _signed_at(mask: NDArray[np.bool_], row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Compute `signed_distance` at some pixels only."""
+    index = row * mask.shape[1] + column
+    inside = mask.take(index)
+    within, beyond = (rounded_distance(transformed(part).take(index)) for part in (mask, ~mask))
+    return np.where(inside, np.float32(0.5) - within, beyond - np.float32(0.5))
 
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
@@ -91,10 +133,10 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_], explained: Fl
     error = distances_to(silhouette, contour.pixels)
     if explained is not None:
         error = error - explained
-    sigma = max(1.4826 * float(np.median(np.abs(error))), _LEAST_SIGMA)
+    sigma = max(1.4826 * median(np.abs(error)), _LEAST_SIGMA)
     error = np.clip(error, -_CLIP * sigma, _CLIP * sigma)
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
-    spacing = float(np.median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1)))
+    spacing = median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1))
     most = min(int(_LENGTHS[1]), len(error) // 4)
     variance = float(np.mean(error**2)) + 1e-12
     length = spacing

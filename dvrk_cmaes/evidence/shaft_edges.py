@@ -9,6 +9,7 @@ touches the shaft along the edge.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.quantiles import median
 
 Float64 = NDArray[np.float64]
 
@@ -141,12 +143,15 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
 def _on_line(contour: Contour, line: Float64, reach: float) -> NDArray[np.intp]:
     """Find the contour points within ``reach`` px of a line, on its longest stretch without a large gap."""
     near = (np.abs(contour.ideal @ line[:2] + line[2]) < reach) & (contour.normals @ line[:2] > _FACING)
-    index = np.flatnonzero(near)
+    (index,) = near.nonzero()
     if len(index) < 2:
-        return index
+        return np.asarray(index)
     position = contour.ideal[index] @ np.array([-line[1], line[0]])
-    order = np.argsort(position, kind="stable")
-    gaps = np.flatnonzero(np.diff(position[order]) > _LARGEST_GAP)
+    order = position.argsort(kind="stable")
+    along = position[order]
+    (gaps,) = (along[1:] - along[:-1] > _LARGEST_GAP).nonzero()
+    if not len(gaps):
+        return np.asarray(index[order])
     starts = np.concatenate([[0], gaps + 1, [len(order)]])
     longest = int(np.diff(starts).argmax())
     return np.asarray(index[order[starts[longest] : starts[longest + 1]]])
@@ -164,13 +169,13 @@ def _fit_line(contour: Contour, line: Float64, iterations: int = 3) -> tuple[Flo
             break
         mean = weight @ points / weight.sum()
         centred = points - mean
-        (a, b), (_, c) = (centred * weight[:, None]).T @ centred
-        direction = np.arctan2(2 * b, a - c) / 2  # of the principal axis of the points' scatter
-        normal = np.array([-np.sin(direction), np.cos(direction)])
+        (a, b), (_, c) = ((centred * weight[:, None]).T @ centred).tolist()
+        direction = math.atan2(2 * b, a - c) / 2  # of the principal axis of the points' scatter
+        normal = np.array([-math.sin(direction), math.cos(direction)])
         normal *= np.sign(normal @ line[:2])
         line = np.array([*normal, -normal @ mean])
-        deviation = 1.4826 * float(np.median(np.abs(points @ normal + line[2])))
-        sigma = float(np.clip(deviation, 0.3, _NEAR_LINE))
+        deviation = 1.4826 * median(np.abs(points @ normal + line[2]))
+        sigma = min(max(deviation, 0.3), _NEAR_LINE)
         index = _on_line(contour, line, max(3 * sigma, 1.5))
     return line, index, sigma
 

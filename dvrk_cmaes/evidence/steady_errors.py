@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.evidence.quantiles import median
+
 Float64 = NDArray[np.float64]
 
 _OFF = 2.5  # standard deviations of the contour's noise, from which on a point is off
@@ -26,7 +28,7 @@ def steady_stretches(contour: Float64, distances: Float64) -> NDArray[np.bool_]:
     """
     if not len(distances):
         return np.zeros(0, dtype=np.bool_)
-    noise = 1.4826 * float(np.median(np.abs(distances)))
+    noise = 1.4826 * median(np.abs(distances))
     side = np.where(np.abs(distances) > max(_OFF * noise, _LEAST_OFF), np.sign(distances), 0.0)
     apart = np.linalg.norm(np.diff(contour, axis=0), axis=1) > _LARGEST_GAP
     stretch = np.concatenate([[0], np.cumsum((np.diff(side) != 0) | apart)])

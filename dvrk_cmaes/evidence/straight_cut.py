@@ -44,8 +44,9 @@ def largest_bend(outline: Float64, distances: Float64, width: float) -> float:
     """
     largest, shortest = 0.0, _LEAST_LENGTH * width
     for points, along in _straight_stretches(outline, shortest):
-        line = np.polynomial.polynomial.polyfit(along, distances[points], 1)
-        largest = max(largest, float(np.ptp(distances[points] - line[0] - line[1] * along)))
+        off, centred = distances[points], along - along.mean()
+        slope = (centred @ off) / (centred @ centred)  # of the least squares line; its offset does not change the range
+        largest = max(largest, float(np.ptp(off - slope * centred)))
     return largest
 
 

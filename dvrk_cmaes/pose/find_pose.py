@@ -16,7 +16,7 @@ from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.doubts import judge
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.mode_probability import mode_probability
-from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.quality import Overlap, measure_modes, pooled_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.global_search import find_candidates
@@ -80,45 +80,45 @@ def find_pose(
     local = LocalSearch(views, decimated, readings, config)
     modes, rotations = local.refine(candidates)
     best = modes[0]
-    of_views, confirming = measure_views(views, readings, Posed.stacked([mode.at for mode in modes]), config)
-    qualities = [pooled_quality(of_mode) for of_mode in zip(*of_views, strict=True)]
-    covariance = pose_covariance(modes, qualities[0])
+    of_views, others, confirming = measure_modes(views, readings, Posed.stacked([mode.at for mode in modes]), config)
+    pooled = pooled_quality(of_views)
+    covariance = pose_covariance(modes, pooled)
     expected = expected_error(instrument, best.at, covariance)
     probability = mode_probability(modes, expected.of_tips_mm)
     of_rig = [(np.zeros(3), np.zeros((3, 3))), *rotations]  # the first view is the reference
     checks = tuple(
-        ViewCheck(view.name, quality[0], np.degrees(turn), np.degrees(np.degrees(spread)))
+        ViewCheck(view.name, quality, np.degrees(turn), np.degrees(np.degrees(spread)))
         for view, quality, (turn, spread) in zip(views, of_views, of_rig, strict=True)
     )
     reasons, notes = judge(modes, views, checks, expected, probability, readings, config.trust)
     return FoundPose(
         at=best.at,
         covariance=covariance,
-        quality=qualities[0],
+        quality=pooled,
         reasons=tuple(reasons),
         evaluations=evaluations + local.silhouettes + sum(view.renderer.poses for view in views),
         rays=rays + local.rays + sum(view.renderer.rays for view in views) + confirming,
         expected_error=expected,
         mode_probability=probability,
-        alternatives=_alternatives(instrument, readings, modes, qualities),
+        alternatives=_alternatives(instrument, readings, modes, others),
         views=checks,
         notes=tuple(notes),
     )
 
 
 def _alternatives(
-    instrument: Instrument, readings: Readings, modes: Sequence[Fit], qualities: Sequence[Quality]
+    instrument: Instrument, readings: Readings, modes: Sequence[Fit], overlaps: Sequence[Overlap]
 ) -> tuple[Alternative, ...]:
-    """Describe all modes of a frame but the first, with the qualities of all, and how they relate to the first."""
+    """Describe all modes of a frame but the first, with their overlaps, and how they relate to the first."""
     best = modes[0].at
     return tuple(
         Alternative(
             camera_from_root=mode.at.pose,
             joints=dict(zip(instrument.joint_names, mode.at.joints.tolist(), strict=True)),
-            loss=quality.loss,
-            iou=quality.iou,
+            loss=overlap.loss,
+            iou=overlap.iou,
             relation="mirror twin" if instrument.has_twin and is_twin(instrument, best, mode.at) else "other mode",
             reading_distance_deg=reading_distance(readings, mode.at.joints),
         )
-        for mode, quality in zip(modes[1:], qualities[1:], strict=True)
+        for mode, overlap in zip(modes[1:], overlaps, strict=True)
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, window_around
 from dvrk_cmaes.evidence.outline_noise import distances_to
+from dvrk_cmaes.evidence.quantiles import median, quantile
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.geometry import Posed
@@ -59,18 +60,59 @@ def measure_quality(
     computed in a window around the mask and all silhouettes. Returns the quality of each pose and the number of rays
     traced.
     """
-    renderer, seen = view.renderer, at.seen_from(view.view_from_camera)
-    masks, rays = trace_near_outlines(renderer, seen.pose, seen.joints, renderer.masks(seen.pose, seen.joints))
+    seen = at.seen_from(view.view_from_camera)
+    masks, rays = _traced(view, seen)
     terms = _losses(view, readings, seen, masks, config)
-    qualities = [
-        replace(
-            quality,
-            loss=float(of_pose.total(config.weights)[0]),
-            terms={name: float(value[0]) for name, value in asdict(of_pose).items()},
-        )
-        for quality, of_pose in zip(_without_losses(view, seen, masks), terms, strict=True)
+    pairs = zip(_without_losses(view, seen, masks), terms, strict=True)
+    return [_with_losses(quality, of_pose, config) for quality, of_pose in pairs], rays
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """What is stated of a mode beside the best one: the loss, and intersection over union of silhouette and mask."""
+
+    loss: float
+    iou: float
+
+
+def measure_modes(
+    views: Sequence[FrameView], readings: Readings, at: Posed, config: EstimateConfig
+) -> tuple[list[Quality], list[Overlap], int]:
+    """Measure the first of C poses in each view, and of each other one the mean overlap and loss of all views.
+
+    Silhouettes and readings as in `measure_views`. Returns the quality of the first pose in each view, the overlaps of
+    the C - 1 others, and the number of rays traced.
+    """
+    best, others, rays = [], [], 0
+    for view in views:
+        seen = at.seen_from(view.view_from_camera)
+        masks, traced = _traced(view, seen)
+        terms = _losses(view, readings, seen, masks, config)
+        (quality,) = _without_losses(view, seen[:1], masks[:1])
+        best.append(_with_losses(quality, terms[0], config))
+        losses = [float(of_pose.total(config.weights)[0]) for of_pose in terms[1:]]
+        others.append([Overlap(*pair) for pair in zip(losses, _overlaps(view.evidence, masks[1:]), strict=True)])
+        rays += traced
+    mean = [
+        Overlap(float(np.mean([one.loss for one in of_mode])), float(np.mean([one.iou for one in of_mode])))
+        for of_mode in zip(*others, strict=True)
     ]
-    return qualities, rays
+    return best, mean, rays
+
+
+def _traced(view: FrameView, seen: Posed) -> tuple[NDArray[np.bool_], int]:
+    """Draw the masks (C, H, W) of poses in a view's camera, with rays along their outlines; also returns their number.
+
+    Coverage and rays are computed from the same meshes, independently of each other.
+    """
+    renderer = view.renderer
+    return trace_near_outlines(renderer, seen.pose, seen.joints, renderer.masks(seen.pose, seen.joints))
+
+
+def _with_losses(quality: Quality, terms: Terms, config: EstimateConfig) -> Quality:
+    """Return a quality with the terms of the loss."""
+    by_name = {name: float(value[0]) for name, value in asdict(terms).items()}
+    return replace(quality, loss=float(terms.total(config.weights)[0]), terms=by_name)
 
 
 def measure_overlap(view: FrameView, at: Posed) -> Quality:
@@ -116,16 +158,26 @@ def _window(evidence: Evidence, masks: NDArray[np.bool_]) -> tuple[slice, slice]
     return np.s_[top : top + height, left : left + width]
 
 
+def _overlaps(evidence: Evidence, masks: NDArray[np.bool_]) -> list[float]:
+    """Return the intersection over union of each of C silhouettes (C, H, W) and the mask, without ignored pixels."""
+    if not len(masks):
+        return []
+    window = _window(evidence, masks)
+    mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
+    found = []
+    for silhouette in masks[:, window[0], window[1]]:
+        both, either = (silhouette * weight * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
+        found.append(float(both / max(either, 1)))
+    return found
+
+
 def _without_losses(view: FrameView, seen: Posed, masks: NDArray[np.bool_]) -> list[Quality]:
     """Measure C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W), but for their losses."""
     evidence, renderer = view.evidence, view.renderer
     window = _window(evidence, masks)
     top, left = window[0].start, window[1].start
-    mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
     qualities = []
-    for i, silhouette in enumerate(masks[:, window[0], window[1]]):
-        both = (silhouette * weight * mask).sum()
-        either = (np.maximum(silhouette, mask) * weight).sum()
+    for i, (silhouette, iou) in enumerate(zip(masks[:, window[0], window[1]], _overlaps(evidence, masks), strict=True)):
         # infinite for a silhouette outside the image: limited to the diagonal of the image
         diagonal = float(np.hypot(*evidence.mask.shape))
         signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -diagonal, diagonal)
@@ -133,11 +185,11 @@ def _without_losses(view: FrameView, seen: Posed, masks: NDArray[np.bool_]) -> l
         shaft = shaft_width(renderer.body.instrument, evidence.camera, seen.pose[i])
         qualities.append(
             Quality(
-                iou=float(both / max(either, 1)),
+                iou=iou,
                 loss=0.0,
                 terms={},
-                contour_px_median=float(np.median(distances)),
-                contour_px_95=float(np.percentile(distances, 95)),
+                contour_px_median=median(distances),
+                contour_px_95=quantile(distances, 0.95),
                 bend_px=0.0 if shaft is None else largest_bend(evidence.contour.pixels, signed, shaft),
                 steady_share=float(steady_stretches(evidence.contour.pixels, signed).mean()) if len(signed) else 0.0,
                 distal_px=_distal_error(evidence, seen.pose[i], signed),

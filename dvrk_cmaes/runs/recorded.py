@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, outer_readings
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -106,8 +107,9 @@ def fit_all(
 ) -> list[FittedFrame | None]:
     """Fit every frame with the prediction as its prior."""
     information = np.linalg.inv(spread_of(predicted, session))
+    rig = Rig(session.corrected_views(recorded.rig.views))  # a task needs no more of the recording and its calibration
     frames = [
-        PredictedFrame(own.name, partial(_read, own, recorded, session), Expected(predicted.at[i], information[i]))
+        PredictedFrame(own.name, partial(read_shown, own, rig), Expected(predicted.at[i], information[i]))
         for i, own in enumerate(recorded.files)
     ]
     tasks = [BlockTask(tuple(frames[k : k + BLOCK]), session.masks) for k in range(0, len(frames), BLOCK)]
@@ -120,9 +122,3 @@ def spread_of(predicted: Prediction, session: SessionCalibration) -> Float64:
     return np.asarray(
         predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2), np.float64
     )
-
-
-def _read(files: FrameFiles, recorded: RecordedFrames, session: SessionCalibration) -> FrameData | None:
-    """Read a frame with the camera or rig of the calibration."""
-    data = read_shown(files, recorded.rig)
-    return None if data is None else replace(data, views=session.corrected_views(data.views))

@@ -19,7 +19,6 @@ from dvrk_cmaes.runs.recorded import Prediction
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_frames import (
-    MEDIAN_TO_STD,
     Told,
     calibration_covariance,
     covariance_of_margin,
@@ -138,7 +137,7 @@ def results_of(
                 body.instrument,
                 recorded.rig.views[0].camera,
                 seconds=0.0 if fitted is None else fitted.seconds,
-                residual=None if one is None else MEDIAN_TO_STD * one.quality.contour_px_median,
+                judged=one,
             )
         )
     return results

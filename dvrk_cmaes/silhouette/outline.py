@@ -90,26 +90,31 @@ class _LinePoints:
         n = grid.per_pixel
         start, end = spans.ends_at
         u, row = crossings.u, crossings.row
+        at_start, at_end = u.take(start, mode="clip"), u.take(end, mode="clip")
         # Crossings closer than CLOSE may be in the wrong order, so gaps and spans shorter than that are ignored.
-        gap = (row[start[1:]] == row[end[:-1]]) & (u[start[1:]] - u[end[:-1]] < CLOSE)
-        first, last = np.ones((2, len(start)), dtype=np.bool_)
-        first[1:], last[:-1] = ~gap, ~gap
-        start, end = start[first], end[last]
-        wide = u[end] - u[start] >= CLOSE
+        row_of_span = row.take(start, mode="clip")
+        gap = (row_of_span[1:] == row_of_span[:-1]) & (at_start[1:] - at_end[:-1] < CLOSE)
+        if gap.any():
+            first, last = np.ones((2, len(start)), dtype=np.bool_)
+            first[1:], last[:-1] = ~gap, ~gap
+            start, end, at_start, at_end = start[first], end[last], at_start[first], at_end[last]
+        wide = at_end - at_start >= CLOSE
         index = np.stack([start[wide], end[wide]], axis=1).ravel()
-        begins = np.tile([1.0, -1.0], np.count_nonzero(wide))
-        segment = crossings.segment[index]
-        slope = crossings.slope[segment].astype(np.float64) * n  # change of u in px per px of v
-        seen = (u[index] > -0.5) & (u[index] < extent - 0.5) & ~crossings.segments.on_near_plane()[segment]
-        steep = seen & (np.abs(slope) < 1 if grid.vertical else np.abs(slope) <= 1)
-        index, begins, slope = index[steep], begins[steep], slope[steep]
+        begins = np.tile([1.0, -1.0], len(index) // 2)
+        segment, along = crossings.segment.take(index, mode="clip"), u.take(index, mode="clip")
+        slope = crossings.slope.take(segment, mode="clip").astype(np.float64) * n  # change of u in px per px of v
+        steep = (np.abs(slope) < 1 if grid.vertical else np.abs(slope) <= 1) & (along > -0.5) & (along < extent - 0.5)
+        steep &= ~crossings.segments.on_near_plane().take(segment, mode="clip")
+        (kept,) = steep.nonzero()
+        index, along = index.take(kept, mode="clip"), along.take(kept, mode="clip")
+        begins, slope = begins.take(kept, mode="clip"), slope.take(kept, mode="clip")
 
-        pose, line = np.divmod(row[index], grid.lines)
-        segments = crossings.segments.select(segment[steep])
+        pose, line = np.divmod(row.take(index, mode="clip"), grid.lines)
+        segments = crossings.segments.select(segment.take(kept, mode="clip"))
         share = np.clip((line - segments.v[0]) / (segments.v[1] - segments.v[0]), 0, 1)
         assert segments.inverse_depth is not None
         near, far = segments.inverse_depth
-        pixels = np.stack([u[index].astype(np.float64), grid.line_to_v(line)], axis=1)
+        pixels = np.stack([along.astype(np.float64), grid.line_to_v(line)], axis=1)
         normals = -begins[:, None] * np.stack([np.ones_like(slope), -slope], axis=1) / n
         if grid.vertical:
             pixels, normals = pixels[:, ::-1], normals[:, ::-1]

@@ -383,7 +383,12 @@ class Renderer:
             index = np.concatenate([begin + spans.start.astype(np.int32), begin + spans.end.astype(np.int32)])
             change = np.zeros((poses, height, width + 1), dtype=np.int8)
             np.add.at(change.reshape(-1), index, np.repeat(np.array([1, -1], dtype=np.int8), len(begin)))
-            return np.asarray(change.cumsum(axis=2, dtype=np.int8)[:, :, :width] > 0)
+            covered = np.zeros((poses, height, width), dtype=np.bool_)
+            if len(begin):  # the sums along the rows, of the part of the images that has spans
+                row = spans.row % height
+                part = np.s_[:, row.min() : row.max() + 1, int(spans.start.min()) : int(spans.end.max())]
+                np.greater(change[part].cumsum(axis=2, dtype=np.int8), 0, out=covered[part])
+            return covered
 
         return np.concatenate(self._map_batches(camera_from_root, joints, draw))
 

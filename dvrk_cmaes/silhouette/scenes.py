@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument import Instrument, Link
 
 NEAR = 1e-3
 """Depth of the near plane, m along the optical axis: surfaces in front of it are not rendered."""
@@ -32,22 +33,35 @@ def _embree() -> Any:
 class LinkScenes:
     """Embree scenes, one for each link; may be queried from several threads at once.
 
-    Scenes cannot be pickled: each process builds its own.
+    They are built when the first ray is traced: those of a body for the small images of a search mostly never are.
+    Scenes cannot be pickled: each process builds its own. InputError if Embree is missing.
     """
 
     def __init__(self, instrument: Instrument) -> None:
-        scene_type, mesh_type = _embree()
-        self._scenes: list[Any] = []
+        self._scene_type, self._mesh_type = _embree()
+        self._links = instrument.links
+        self._building = Lock()
+        self._built: list[Any] = []
+
+    @property
+    def _scenes(self) -> list[Any]:
+        """The scenes, which are built once."""
+        with self._building:
+            if not self._built:
+                self._built = [self._scene_of(link) for link in self._links]
+        return self._built
+
+    def _scene_of(self, link: Link) -> Any:
+        """Build the scene of a link."""
+        scene = self._scene_type()
+        self._mesh_type(scene, np.ascontiguousarray(link.vertices[link.faces], dtype=np.float32))
+        # The first query commits the scene without a lock, so it is made before threads share the scene.
         ray = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-        for link in instrument.links:
-            scene = scene_type()
-            mesh_type(scene, np.ascontiguousarray(link.vertices[link.faces], dtype=np.float32))
-            # The first query commits the scene without a lock, so it is made before threads share the scene.
-            scene.run(ray, ray, query="OCCLUDED")
-            self._scenes.append(scene)
+        scene.run(ray, ray, query="OCCLUDED")
+        return scene
 
     def __len__(self) -> int:
-        return len(self._scenes)
+        return len(self._links)
 
     def hit(self, link: int, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return whether each ray, (N, 3) in the link's frame, hits the link, (N,)."""

@@ -24,7 +24,6 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_frames import (
-    MEDIAN_TO_STD,
     OVERLAP_LOSS,
     Told,
     calibration_covariance,
@@ -186,7 +185,7 @@ class CalibratedFollowing:
             self._body.instrument,
             self._rig.views[0].camera,
             seconds=clock.perf_counter() - started,
-            residual=None if quality is None else MEDIAN_TO_STD * quality.quality.contour_px_median,
+            judged=quality,
         )
 
     def checkpoint(self) -> dict[str, Any]:

@@ -33,7 +33,7 @@ _CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _CALIBRATION_ERROR = 2.0  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
-MEDIAN_TO_STD = 1.4826
+_MEDIAN_TO_STD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +130,12 @@ def describe(
     camera: Camera,
     *,
     seconds: float,
-    residual: float | None,
+    judged: JudgedFrame | None,
 ) -> TrackResult:
-    """Return a frame's result with the error that is expected of its tips."""
+    """Return a frame's result with the error that is expected of its tips; ``judged`` is how the pose was judged."""
     tips, _ = locate_tips(instrument, camera, at)
-    error = expected_error(instrument, at, covariance).tip_mm
+    error = (expected_error(instrument, at, covariance) if judged is None else judged.error).tip_mm
+    residual = None if judged is None else _MEDIAN_TO_STD * judged.quality.contour_px_median
     each = [value for name, value in error.items() if name != "mean"]
     return TrackResult(
         time=time,

@@ -102,7 +102,7 @@ def judged(
     qualities = [measure_overlap(view, at) for view in views]
     error = expected_error(body.instrument, at, covariance)
     doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust, followed=True)
-    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))
+    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)
 
 
 def _frame_view(view: SeenView, body: Body) -> FrameView:

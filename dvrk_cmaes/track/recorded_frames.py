@@ -27,7 +27,7 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.results.result import Quality
+from dvrk_cmaes.results.result import ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
@@ -130,11 +130,12 @@ class JudgeTask:
 
 @dataclass(frozen=True, eq=False)
 class JudgedFrame:
-    """The quality of a frame's pose, the reasons to doubt it, and remarks."""
+    """The quality of a frame's pose, the reasons to doubt it, remarks, and the error that is expected of it."""
 
     quality: Quality
     reasons: tuple[str, ...]
     remarks: tuple[str, ...]
+    error: ExpectedError
 
 
 def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFrame:
@@ -143,4 +144,4 @@ def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFr
     qualities = [measure_overlap(view, task.at) for view in views]
     error = expected_error(body.instrument, task.at, task.covariance)
     doubts, remarks = doubts_in_views(task.at, views, qualities, error, config.trust, followed=True)
-    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks))
+    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)

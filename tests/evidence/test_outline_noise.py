@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.distance_field import distance_within
-from dvrk_cmaes.evidence.outline_noise import distances_to, measure_noise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import distances_to, less_margin, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour
 
 CAMERA = Camera(320, 240, 400, 400, 160, 120)
@@ -75,3 +76,13 @@ def test_distances_within_mask_are_exact() -> None:
     mask = disc(100) & ~disc(5)
     squared = np.rint(distance_transform_edt(mask) ** 2).astype(np.float32)
     np.testing.assert_array_equal(distance_within(mask), np.sqrt(squared))
+
+
+@pytest.mark.parametrize("margin", [0.3, -0.4, 0.0, 0.99, -0.99, 1.5])
+def test_mask_less_margin_follows_from_its_distances(margin: float) -> None:
+    rng = np.random.default_rng(3)
+    mask = (cv2.ellipse(np.zeros((60, 80), np.uint8), (30, 20), (25, 9), 30.0, 0, 360, 1, -1) > 0) ^ (
+        rng.random((60, 80)) < 0.02
+    )
+    expected = np.clip(0.5 - margin - signed_distance(mask), 0, 1).astype(np.float32)
+    np.testing.assert_array_equal(less_margin(mask, margin), expected)

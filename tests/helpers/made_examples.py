@@ -47,7 +47,7 @@ def _sessions(folder: Path) -> None:
         "batch session --out results",
         "calibrate session --results results --out calibrated",
         "track session --causal",
-        f"synth eyes --stereo --level easy --frames 1 --seed 4 --camera {small}",
+        f"synth eyes --stereo --level easy --frames 1 --seed 4 --no-images --camera {small}",
     ):
         _run(command)
     images = ["frame,time", *(f"{k:04d},{k / 30!r}" for k in range(FRAMES))]

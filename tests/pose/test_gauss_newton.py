@@ -12,6 +12,7 @@ from helpers.frame_terms import Terms, readings_of, view_at
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed, rotation_angle
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
+from dvrk_cmaes.pose.refine.selection import Selection
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -150,3 +151,25 @@ def test_short_steps_need_no_silhouette_if_only_long_ones_are_tested(bundled_bod
     assert counts[0] - counts[1] == 1  # the last step
     spread = np.sqrt(np.diag(np.linalg.inv(fits[0].information)))
     assert (np.abs(fits[1].at.minus(fits[0].at)) < 0.15 * spread).all()
+
+
+@pytest.mark.parametrize("shrink", [1, 2, 4])
+def test_refinement_of_a_frame_ends_without_drawing_its_last_step(bundled_body: Body, shrink: int) -> None:
+    at = terms(bundled_body, shrink=shrink)
+    (there,) = at.refined(TRUE.moved(NEAR))
+    for _ in range(3):
+        (there,) = at.refined(there.at)
+    anew = terms(bundled_body, shrink=shrink)
+    anew.refined(there.at)
+    assert anew.coverage.silhouettes == 1
+
+
+def test_poses_of_several_approximations_move_as_alone() -> None:
+    """Poses that were approximated in different iterations, and in another order, take the steps of each alone."""
+    starts = [TRUE.moved(np.array([0, 0, 1e-4 * k, 0, 0, -0.01 * k, 0, 0, 0])) for k in (3, 1, 2)]
+    steps = Steps(5, tolerance=1e-6)
+    together = refine(Valley(), [], Posed.stacked(starts), steps, Selection(share=0.7))
+    alone = [refine(Valley(), [], start[None], steps)[0] for start in starts]
+    settled = [k for k in range(3) if np.allclose(together[k].at.pose, alone[k].at.pose, atol=1e-9)]
+    assert 1 in settled  # the nearest one continues to the end
+    assert len(settled) < 3

@@ -65,7 +65,7 @@ def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
         "import sys; import numpy as np; from dvrk_cmaes.pose.search import minimise; "
         "before = 'cmaes' in sys.modules; "
         "minimise('cmaes', lambda x: (x * x).sum(axis=1), 3, 40, seed=0); "
-        "print(before, 'cmaes' in sys.modules, 'scipy.stats' in sys.modules); "
+        "print(before, 'cmaes' in sys.modules, 'scipy' in sys.modules); "
         "from scipy import stats; print(stats.norm)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -33,15 +33,20 @@ def cases(scripts_on_path: None) -> list[Case]:
 
 
 @pytest.fixture
-def run_here(
-    scripts_on_path: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Ran]:
-    """Run a script of accuracy.py's kind with arguments, in this process, and its tasks in a thread."""
+def tasks_in_a_thread(scripts_on_path: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the scripts run tasks in a thread of this process, which need not import the package again."""
     from measure import processes
 
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        monkeypatch.setenv(name, "1")  # as the script does, but not beyond this test
+        monkeypatch.setenv(name, "1")  # as the scripts do, but not beyond this test
     monkeypatch.setattr(processes, "ProcessPoolExecutor", lambda *_, **__: ThreadPoolExecutor(1))
+
+
+@pytest.fixture
+def run_here(
+    tasks_in_a_thread: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Ran]:
+    """Run a script such as accuracy.py with arguments, in this process."""
 
     def run(name: str, *arguments: object) -> Ran:
         monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])

@@ -5,39 +5,45 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import make_session
+from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
 
 
-def checkouts(session: Path, *options: str | Path) -> subprocess.CompletedProcess[str]:
+def test_every_figure_is_compared() -> None:
+    session = ROOT / "data" / "demo"
     command = [sys.executable, SCRIPTS / "bench.py", "checkouts", "--instrument", "lnd", "--sessions", session]
-    return subprocess.run([*command, *options], capture_output=True, text=True, check=False)
-
-
-def test_every_figure_is_compared(tmp_path: Path) -> None:
-    done = checkouts(make_session(tmp_path / "session", ["a"]), "--against", ROOT, "--quick", "--json")
+    options = ("--against", ROOT, "--quick", "--json")
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     del report["machine"]
     assert [title.split(",")[0] for title in report] == [
         "estimate",
+        "errors",
         "whole command",
         "--help",
         "inspect",
         "folder",
         "page",
     ]
+    (errors,) = report.pop("errors")
+    assert errors["frames"] == 1
+    assert errors["right mode, this"] == errors["right mode, other"]
+    assert (errors["ratio"], errors["moved"]) == (1, 0)  # it is the same checkout
     for this, other, ratio in report.values():
         assert (this["checkout"], other["checkout"], ratio["checkout"]) == ("this", "other", "ratio")
         assert ratio["wall, median"] == pytest.approx(this["wall, median"] / other["wall, median"])
         assert 0 < this["processor, median"] < 60
 
 
-def test_folder_without_package_is_refused(tmp_path: Path) -> None:
-    done = checkouts(make_session(tmp_path / "session", ["a"]), "--against", tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "expected a checkout with the package dvrk_cmaes" in done.stderr
+def test_folder_without_package_is_refused(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
+    session = make_session(tmp_path / "session", ["a"])
+    done = run_here("bench", "checkouts", "--instrument", "lnd", "--sessions", session, "--against", tmp_path)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "expected a checkout with the package dvrk_cmaes" in done.err

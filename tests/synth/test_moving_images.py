@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 
+from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
@@ -211,8 +212,9 @@ def test_farther_things_are_shifted_less_from_eye_to_eye(truths: list[Truth]) ->
 
 
 def test_command_writes_both_eyes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_camera_info(tmp_path / "small.yaml", SMALL, "small")
     line = ["--motion", "video", "--level", "clean", "--frames", "2", "--stereo"]
-    assert main(["synth", str(tmp_path / "made"), *line]) == 0
+    assert main(["synth", str(tmp_path / "made"), *line, "--camera", str(tmp_path / "small.yaml")]) == 0
     for part, suffix in (("masks", "png"), ("images", "jpg")):
         for eye in ("left", "right"):
             assert sorted(contents(tmp_path / "made" / part, eye)) == [f"000{k}.{suffix}" for k in (0, 1)]

@@ -90,13 +90,13 @@ def test_arm_of_hard_level_leaves_the_view_and_comes_back(bundled_body: Body) ->
 
 def test_command_writes_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "made"
-    assert main(["synth", str(out), "--motion", "video", "--level", "clean", "--frames", "2"]) == 0
+    assert main(["synth", str(out), "--motion", "video", "--level", "clean", "--frames", "2", "--no-images"]) == 0
     assert capsys.readouterr().out == f"2 frames, level clean, motion video, seed 0; written: {out}\n"
     assert sorted(path.name for path in (out / "masks").iterdir()) == ["0000.png", "0001.png"]
 
 
 def test_command_makes_images_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["--motion", "video", "--level", "clean", "--frames", "2"]
+    line = ["--motion", "video", "--level", "clean", "--frames", "2", "--no-images"]
     assert main(["synth", str(tmp_path / "made"), *line, "--lag", "0.1"]) == 0
     assert json.loads((tmp_path / "made" / "synth.json").read_text())["motion_level"]["lag"] == pytest.approx(3.0)
     assert main(["synth", str(tmp_path / "not"), "--lag", "0.1"]) == 2
@@ -117,7 +117,7 @@ def test_joints_follow_their_readings_by_the_cables_of_a_real_arm(bundled_body: 
 
 
 def test_levels_medium_and_hard_have_measured_cables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["--motion", "video", "--level", "medium", "--frames", "2"]
+    line = ["--motion", "video", "--level", "medium", "--frames", "2", "--no-images"]
     assert main(["synth", str(tmp_path / "made"), *line]) == 0
     assert main(["synth", str(tmp_path / "other"), *line, "--cables", "independent"]) == 0
     cables = [json.loads((tmp_path / name / "synth.json").read_text())["cables"] for name in ("made", "other")]

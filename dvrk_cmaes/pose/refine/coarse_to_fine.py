@@ -145,7 +145,7 @@ class LocalSearch:
         c, full_width = self._config.refine, self._views[0].evidence.camera.width
         coarse = self._coverage(max(1, round(full_width / c.width_px)))
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if self._instrument.has_twin else []
-        first = Selection(gap=c.first_gap, least=c.small_modes)
+        first = Selection(c.first_share, c.first_gap, least=c.first_least)
         tried, rest = candidates[: c.first_candidates], candidates[c.first_candidates :]
         modes = self._refine(coarse, [*tried, *twins], iterations=c.first_steps, selection=first)
         if not _agree(modes, c.agreed_gap):
@@ -155,13 +155,23 @@ class LocalSearch:
         modes = self._refine(coarse, modes, iterations=c.small_steps, selection=small)
         modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
-            modes = best_per_mode(self._refine(self._coverage(_HALF), modes, selection=self._last_selection))
+            refined = self._refine(self._coverage(_HALF), modes, selection=self._last_selection)
+            modes = self._last_selection.of(best_per_mode(refined))
         finest = self._coverage(1)
         final = self._finest(finest, modes[: c.modes])
         best = min(final, key=lambda m: m.score)
-        if missing := self._missing_twin(best, final):
-            final += self._finest(finest, missing)
+        final += self._first_of_twin(finest, self._missing_twin(best, final))
         return self._finish(finest, final)
+
+    def _first_of_twin(self, coverage: Coverage, twin: Sequence[Candidate]) -> list[Fit]:
+        """Return the twin of a refined mode, if there is one, as good as it needs to be for the last iterations.
+
+        Its outline is as good as that of the mode itself, so that the Gauss-Newton iterations before would hardly move
+        it; direct methods have no last iterations.
+        """
+        if self._config.refine.method == "gauss-newton":
+            return self._assess(coverage, twin)
+        return self._finest(coverage, twin)
 
     def _finish(self, finest: Coverage, modes: list[Fit]) -> tuple[list[Fit], list[Rotation]]:
         """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""

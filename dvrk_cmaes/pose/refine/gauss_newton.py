@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
 
 Float64 = NDArray[np.float64]
+A = TypeVar("A", bound=Approximation)
 
 _DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marquardt steps
 _DAMPING_STEP = 8.0  # factor on the damping by which it grows or falls
@@ -64,12 +65,31 @@ class Steps:
     def of(config: OutlineConfig, shrink: int, iterations: int | None = None, *, continued: bool = False) -> Steps:
         """Return the steps on the coverage at 1 / ``shrink`` of the image size, where modes only need to be told apart.
 
-        ``iterations`` replaces the largest number of these.
+        ``iterations`` replaces the largest number of these. A step within the tolerance, with which a refinement ends,
+        is taken without drawing it.
         """
         most = config.iterations if iterations is None else iterations
         if shrink == 1:
-            return Steps(most, config.inner_steps, config.tolerance, continued=continued)
-        return Steps(most, max(config.inner_steps // 3, 1), 4 * config.tolerance, continued=continued)
+            return Steps(most, config.inner_steps, config.tolerance, "long", continued=continued)
+        return Steps(most, max(config.inner_steps // 3, 1), 4 * config.tolerance, "long", continued=continued)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part(Generic[A]):
+    """The approximation near one of several poses: ``group`` is that near all of them, ``index`` the pose's place."""
+
+    group: A
+    index: int
+
+    @staticmethod
+    def joined(parts: Sequence[_Part[A]]) -> A:
+        """Return the approximation near several poses together; of one group, nothing is copied pose by pose."""
+        groups = list({id(part.group): part.group for part in parts}.values())
+        if len(groups) == 1:
+            chosen = [part.index for part in parts]
+            whole = len(chosen) == groups[0].count and chosen == list(range(len(chosen)))
+            return groups[0] if whole else groups[0].select(chosen)
+        return type(groups[0]).joined([part.group.select([part.index]) for part in parts])
 
 
 @dataclass(eq=False)
@@ -84,8 +104,8 @@ class _State:
     drawn: Any
     others: float
     weight: float = 1.0
-    near: Approximation = field(init=False)
-    quadratic: Quadratic = field(init=False)
+    near: _Part[Any] = field(init=False)
+    quadratic: _Part[Quadratic] = field(init=False)
     information: Float64 = field(init=False)
     damping: float = _DAMPING[1]
     moved: bool = True
@@ -147,7 +167,7 @@ class _Refinement:
         information, _ = near.normal_equations(np.zeros((len(states), near.dimension)))
         for k, state in enumerate(states):
             state.weight = self.outline.weight_of(state.drawn)
-            state.near, state.quadratic = near.select([k]), others.select([k])
+            state.near, state.quadratic = _Part(near, k), _Part(others, k)
             state.information = state.weight * information[k] + others.information[k]
             state.moved = False
             # where the outline tells nothing, nothing holds back a step that is not tested
@@ -198,8 +218,8 @@ class _Refinement:
 
     def _changes(self, states: Sequence[_State]) -> Float64:
         """Return the changes (C, D) of C states that minimise the approximations of their terms."""
-        near = type(states[0].near).joined([state.near for state in states])
-        others = Quadratic.joined([state.quadratic for state in states])
+        near = _Part.joined([state.near for state in states])
+        others = _Part.joined([state.quadratic for state in states])
         weight = np.array([state.weight for state in states])
         damping = None if self.steps.tested == "none" else np.array([state.damping for state in states])
         changes = minimise(near, weight, others, damping, self.steps.inner)

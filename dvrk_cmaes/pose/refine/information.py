@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
 from dvrk_cmaes.pose.terms.shared_errors import USUAL_LENGTH, without_last
@@ -98,7 +98,7 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise, explain
     (outline,) = view.outlines(Posed.stacked([at]))
     (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
     # the distance from the mask is negative where the mask's contour is outside the outline
-    off = sampled(signed_distance(view.mask), outline.pixels)
+    off = distances_to(view.mask, outline.pixels)
     if explained is not None:
         off = off + explained
     weight = sampled(view.weight, outline.pixels)

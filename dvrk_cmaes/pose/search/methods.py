@@ -34,6 +34,7 @@ BOX = 3.0
 
 
 _importing = threading.Lock()
+_STATISTICS = "scipy.stats"
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,18 +109,20 @@ def _cma_class() -> Any:
     """Import the class CMA, without importing scipy.stats.
 
     The package cmaes works without SciPy. It imports scipy.stats, if it can, for variants of CMA-ES that are not used
-    here, which takes half a second and 65 MB.
+    here, which takes half a second and 65 MB. Where no other thread could import SciPy meanwhile, all of it is left
+    out, which takes 2 % of a whole command.
     """
-    statistics = "scipy.stats"
     with _importing:
-        blocked = "cmaes" not in sys.modules and statistics not in sys.modules
-        if blocked:
-            sys.modules[statistics] = None  # type: ignore[assignment]  # its import fails from here on
+        names = [_STATISTICS] if "cmaes" not in sys.modules and _STATISTICS not in sys.modules else []
+        if names and "scipy" not in sys.modules and threading.active_count() == 1:
+            names.append("scipy")
+        for name in names:
+            sys.modules[name] = None  # type: ignore[assignment]  # its import fails from here on
         try:
             from cmaes import CMA
         finally:
-            if blocked:
-                del sys.modules[statistics]
+            for name in names:
+                del sys.modules[name]
     return CMA
 
 

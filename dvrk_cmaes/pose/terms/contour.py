@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled
+from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -138,7 +139,7 @@ class ContourErrors:
 
 def robust_sigma(errors: Float64) -> float:
     """Return the standard deviation, px, of the errors of a contour, robust against outliers."""
-    return max(1.4826 * float(np.median(np.abs(errors))), 0.5)
+    return max(1.4826 * median(np.abs(errors)), 0.5)
 
 
 def _of_view(view: SizedView, at: Posed, reach: int) -> DrawnContour:

@@ -43,14 +43,12 @@ Arguments are the number of the view, its outline, and the displacements (N, D) 
 class DrawnCoverage:
     """The blurred coverage (H, W) of a pose in each view, and its outlines where asked for.
 
-    ``losses`` are the views' sums of squares with the width of the refinement, ``final_losses`` those with the width of
-    scores.
+    ``losses`` are the views' sums of squares with the width of the refinement.
     """
 
     images: tuple[Float32, ...]
     outlines: tuple[OutlinePoints | None, ...]
     losses: tuple[float, ...]
-    final_losses: tuple[float, ...]
 
 
 class Coverage(OutlineTerm[DrawnCoverage]):
@@ -122,19 +120,19 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""
-        return sum(self.draw(Posed.stacked([at]), derivatives=False)[0].final_losses)
+        return sum(self.final_losses(self.draw(Posed.stacked([at]), derivatives=False)[0]))
 
     def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnCoverage]:
         """Draw C poses in all views."""
         lines = self._config.lines_per_pixel
         of_views = [view.draw(at, lines, outlines=derivatives) for view in self.views]
-        return [self._measured(*zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
+        of_poses = [tuple(zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
+        return [DrawnCoverage(images, outlines, self._losses(images, self._width)) for images, outlines in of_poses]
 
-    def _measured(self, images: tuple[Float32, ...], outlines: tuple[OutlinePoints | None, ...]) -> DrawnCoverage:
-        """Return what was drawn of a pose with its losses."""
-        losses = self._losses(images, self._width)
+    def final_losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
+        """Return the views' sums of squares of what was drawn, with the width of scores."""
         same = self._width == self._config.cauchy
-        return DrawnCoverage(images, outlines, losses, losses if same else self._losses(images, self._config.cauchy))
+        return drawn.losses if same else self._losses(drawn.images, self._config.cauchy)
 
     def _losses(self, images: Sequence[Float32], cauchy: float) -> tuple[float, ...]:
         """Compute the views' losses, which are sums of squares for small residuals."""
@@ -159,7 +157,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def score_of(self, drawn: DrawnCoverage, *, final: bool = False) -> float:
         """Return the negative log-likelihood up to a constant; with the variance estimated if no noise is given."""
-        losses = drawn.final_losses if final else drawn.losses
+        losses = self.final_losses(drawn) if final else drawn.losses
         if self.noise is not None:
             return 0.5 * self._weight(losses) * self._sum(losses)
         return 0.5 * self._count * float(np.log(max(sum(losses), self._least)))

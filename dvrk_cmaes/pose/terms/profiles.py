@@ -87,6 +87,11 @@ class Profiles(Approximation):
         return profiles
 
     @property
+    def count(self) -> int:
+        """Number C of poses."""
+        return len(self.residual)
+
+    @property
     def dimension(self) -> int:
         """Number D of small changes."""
         return int(self.jacobian.shape[2])

@@ -102,7 +102,7 @@ def shared_errors(
     sides = [shaft & (sign * aside > 0) for sign in (1.0, -1.0)]
     groups = [(np.column_stack(sides).astype(np.float64), side), (np.ones((len(ahead), 1)), _MARGIN * noise.sigma)]
     groups += [(_between_nodes(outline, instrument, of_side), _NODE * noise.sigma) for of_side in sides]
-    for number in np.unique(outline.link[~shaft]):
+    for number in np.flatnonzero(np.bincount(outline.link[~shaft])):
         facing = np.maximum(np.column_stack([ahead, -ahead, aside, -aside]), 0.0)
         groups.append((facing * (outline.link == number)[:, None], link))
     columns = np.concatenate([values for values, _ in groups], axis=1)

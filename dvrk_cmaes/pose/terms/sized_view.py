@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled, signed_distance
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.one_sided import OneSidedErrors, one_sided_errors
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
@@ -53,7 +53,7 @@ class SizedView:
         size = (camera.width, camera.height)
         mask, weight = evidence.mask.astype(np.float32), evidence.weight
         if margin:
-            mask = np.clip(0.5 - margin - signed_distance(evidence.mask), 0, 1).astype(np.float32)
+            mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
             mask, weight = shrunk(mask, *size), shrunk(weight, *size)
@@ -162,10 +162,13 @@ class SizedView:
         return [moving.jacobian for moving in of_poses]
 
     def offsets(self, outline: OutlinePoints) -> Float64:
-        """Return by how much the mask lies outwards of an outline at its N points, px."""
+        """Return by how much the mask lies outwards of an outline at its N points, px, to some hundredths."""
         if self._distance is None:
-            self._distance = signed_distance(self.mask)
-        return -sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
+            inside, outside = (
+                cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (self.mask, ~self.mask)
+            )
+            self._distance = np.where(self.mask, inside - 0.5, 0.5 - outside).astype(np.float32)
+        return sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""

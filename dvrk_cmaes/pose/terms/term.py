@@ -20,6 +20,11 @@ class Approximation(ABC):
 
     @property
     @abstractmethod
+    def count(self) -> int:
+        """Number C of poses."""
+
+    @property
+    @abstractmethod
     def dimension(self) -> int:
         """Number D of small changes."""
 
@@ -56,6 +61,11 @@ class Quadratic(Approximation):
     def __add__(self, other: Quadratic) -> Quadratic:
         """Return that of the sum of two terms."""
         return Quadratic(self.information + other.information, self.slope + other.slope)
+
+    @property
+    def count(self) -> int:
+        """Number C of poses."""
+        return len(self.slope)
 
     @property
     def dimension(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 import tempfile
@@ -12,20 +13,26 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette.prepare import prepare
-from measure.bench.many_frames import repeated_results
+from measure.accuracy.figures import RIGHT_MODE_DEG
+from measure.bench.many_frames import repeated_results, repeated_session
 from measure.places import ROOT
 
 _FINISHED: Final = (0, 3)  # exit codes of a command that has estimated its frames
 
 _PAGE_FRAMES: Final = 1000
+_CALIBRATED: Final = 600  # frames
+_MOVED_MM: Final = 0.05
 _PAGE: Final = (
     "import sys; from pathlib import Path; from dvrk_cmaes.report.page import write_page; write_page(Path(sys.argv[1]))"
 )
@@ -40,11 +47,12 @@ while True:
     except EOFError:
         break
     started = time.perf_counter(), time.process_time()
-    estimate(mask, Camera(**camera), joints, body, ignore=ignore)
-    pickle.dump((time.perf_counter() - started[0], time.process_time() - started[1]), answers)
+    found = estimate(mask, Camera(**camera), joints, body, ignore=ignore)
+    seconds = time.perf_counter() - started[0], time.process_time() - started[1]
+    pickle.dump((seconds, found.camera_from_root, found.joints, found.evaluations), answers)
     answers.flush()
 """
-"""Estimates the frames that it reads from stdin with the public names of any release; writes seconds to stdout."""
+"""Estimates frames that it reads from stdin with the public names of any release; writes answers to stdout."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +106,18 @@ def two_checkouts(this: Path, other: Path, *, timed: bool = True) -> Iterator[tu
         )
 
 
+class _Answer(NamedTuple):
+    """Wall and processor seconds of an estimate, its pose and joints, and the number of silhouettes drawn."""
+
+    seconds: tuple[float, float]
+    pose: NDArray[np.float64]
+    joints: dict[str, float]
+    silhouettes: int
+
+
 @contextmanager
-def _worker(checkout: Checkout, instrument: str) -> Iterator[Callable[[dict[str, Any]], tuple[float, float]]]:
-    """Start a process that estimates frames; yields a function of a frame that returns wall and processor seconds."""
+def _worker(checkout: Checkout, instrument: str) -> Iterator[Callable[[dict[str, Any]], _Answer]]:
+    """Start a process that estimates frames; yields a function of a frame that returns its answer."""
     command = [sys.executable, "-c", _WORKER, instrument]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, env=checkout.environment, stdin=pipe, stdout=pipe, cwd=checkout.folder) as process:
@@ -108,11 +125,10 @@ def _worker(checkout: Checkout, instrument: str) -> Iterator[Callable[[dict[str,
         assert given is not None
         assert answers is not None
 
-        def measure(frame: dict[str, Any]) -> tuple[float, float]:
+        def measure(frame: dict[str, Any]) -> _Answer:
             pickle.dump((frame["camera"], frame["joints"], frame["mask"], frame["ignore"]), given)
             given.flush()
-            wall, processor = pickle.load(answers)
-            return float(wall), float(processor)
+            return _Answer(*pickle.load(answers))
 
         yield measure
         given.close()
@@ -132,44 +148,70 @@ def _frame(session: Session, files: FrameFiles) -> dict[str, Any]:
 
 
 def checkouts_report(
-    instrument: str, sessions: Sequence[Path], *, other: Path, frames: int | None, repeats: int
+    instrument: str,
+    sessions: Sequence[Path],
+    *,
+    other: Path,
+    frames: int | None,
+    repeats: int,
+    results: Path | None = None,
+    recording: Path | None = None,
+    tests: bool = False,
 ) -> dict[str, Any]:
     """Measure estimates, whole commands, a folder with two workers and its page, of this checkout and of another one.
 
-    Estimates run in one process for each checkout, and each frame in turns. The first frame and the first command of
-    each checkout are not measured.
+    Estimates run in one process for each checkout, and each frame in turns; where the truth is known, the errors of
+    both are compared. The first frame and the first command of each checkout are not measured. The folder is the
+    session of that name with medium in it, or else the middle one. With ``recording`` and the ``results`` of batch for
+    it, calibrations of `_CALIBRATED` frames are measured too, and with ``tests`` all tests of both checkouts.
     """
-    names = prepare(instrument).instrument.joint_names
-    read = [read_session(folder, known=names) for folder in sessions]
+    body = prepare(instrument)
+    read = [read_session(folder, known=body.instrument.joint_names) for folder in sessions]
     inputs = [(one, files) for one in read for files in one.frames[:frames]]
     camera = str(sessions[0] / "camera.yaml")
     pages = _PAGE_FRAMES if frames is None else 10 * frames
+    folder = next((one for one in sessions if one.name.startswith("medium")), sessions[len(sessions) // 2])
     with two_checkouts(ROOT, other) as both:
-        return {
-            "estimate, seconds a frame": _estimates(both, instrument, inputs),
+        answers = _answers(both, instrument, inputs)
+        report = {
+            "estimate, seconds a frame": _estimates(both, answers),
+            **_errors(body.instrument, inputs, answers),
             "whole command, seconds": _commands(both, instrument, inputs, repeats),
             "--help, seconds": _small_commands(both, ["--help"], repeats),
             "inspect, a camera file, seconds": _small_commands(both, ["inspect", camera], repeats),
-            **_folders(both, instrument, sessions[len(sessions) // 2], repeats, pages),
+            **_folders(both, instrument, folder, repeats, pages),
         }
+        if recording is not None and results is not None:
+            count = _CALIBRATED if frames is None else 2 * frames
+            title = f"calibrate after batch, {count} frames, two workers, seconds"
+            report[title] = _calibrations(both, instrument, recording, results, count)
+        if tests:
+            report["the tests, seconds"] = _tests(both)
+        return report
 
 
-def _estimates(
+def _answers(
     both: Sequence[Checkout], instrument: str, inputs: Sequence[tuple[Session, FrameFiles]]
-) -> list[dict[str, Any]]:
-    """Measure each frame in each checkout in turns; returns a row for each checkout and one for their ratio."""
+) -> list[tuple[_Answer, _Answer]]:
+    """Estimate each frame in each checkout in turns; returns the answers of this one and of the other one."""
     with _worker(both[0], instrument) as this, _worker(both[1], instrument) as other:
         first = _frame(*inputs[0])
         for measure in (this, other):
             measure(first)
-        seconds = []
+        answers = []
         for number, one in enumerate(inputs):
             frame = _frame(*one)
             order = (this, other) if number % 2 else (other, this)
             measured = {measure: measure(frame) for measure in order}
-            seconds.append([measured[this], measured[other]])
-    table = np.array(seconds)  # (frames, checkouts, wall and processor)
+            answers.append((measured[this], measured[other]))
+    return answers
+
+
+def _estimates(both: Sequence[Checkout], answers: Sequence[tuple[_Answer, _Answer]]) -> list[dict[str, Any]]:
+    """Return a row of the times of all frames for each checkout, and one for their ratio."""
+    table = np.array([[one.seconds for one in pair] for pair in answers])  # (frames, checkouts, wall and processor)
     wall, processor = table[..., 0], table[..., 1]
+    drawn = np.mean([[one.silhouettes for one in pair] for pair in answers], axis=0)
     rows = [
         {
             "checkout": checkout.name,
@@ -178,6 +220,7 @@ def _estimates(
             "wall, most": float(wall[:, k].max()),
             "processor, median": float(np.median(processor[:, k])),
             "processor, sum": float(processor[:, k].sum()),
+            "silhouettes": float(drawn[k]),
         }
         for k, checkout in enumerate(both)
     ]
@@ -187,8 +230,69 @@ def _estimates(
         "wall, most": float(wall[:, 0].max() / wall[:, 1].max()),
         "processor, median": float(np.median(processor[:, 0] / processor[:, 1])),
         "processor, sum": float(processor[:, 0].sum() / processor[:, 1].sum()),
+        "silhouettes": float(drawn[0] / drawn[1]),
     }
     return [*rows, ratio]
+
+
+def _errors(
+    instrument: Instrument,
+    inputs: Sequence[tuple[Session, FrameFiles]],
+    answers: Sequence[tuple[_Answer, _Answer]],
+) -> dict[str, list[dict[str, Any]]]:
+    """Compare the answers with the truth, where it is known; returns a row for each level.
+
+    A level is the name of a session's folder up to its first digit. Tips are median errors; ``moved`` counts the frames
+    whose tips' errors differ by more than `_MOVED_MM`.
+    """
+    levels: dict[str, list[tuple[PoseError, ...]]] = {}
+    for (session, files), pair in zip(inputs, answers, strict=True):
+        truth = session.truth.frames.get(files.name)
+        if truth is not None:
+            true = truth.camera_from_root, truth.joints
+            errors = tuple(compare_poses(instrument, (one.pose, one.joints), true) for one in pair)
+            level = re.split(r"[\d-]", session.folder.resolve().name)[0]
+            levels.setdefault(level, []).append(errors)
+    rows = []
+    for level, of_frames in levels.items():
+        tips = np.array([[one.tip_mm or 0.0 for one in pair] for pair in of_frames])
+        right = np.array([[one.rotation_deg < RIGHT_MODE_DEG for one in pair] for pair in of_frames])
+        this, other = (float(value) for value in np.median(tips, axis=0))
+        rows.append(
+            {
+                "level": level,
+                "frames": len(of_frames),
+                "right mode, this": int(right[:, 0].sum()),
+                "right mode, other": int(right[:, 1].sum()),
+                "tips mm, this": this,
+                "tips mm, other": other,
+                "ratio": this / max(other, 1e-9),
+                "moved": int((np.abs(tips[:, 0] - tips[:, 1]) > _MOVED_MM).sum()),
+            }
+        )
+    return {"errors": rows} if rows else {}
+
+
+def _calibrations(
+    both: Sequence[Checkout], instrument: str, recording: Path, results: Path, count: int
+) -> list[dict[str, Any]]:
+    """Measure the command calibrate with two workers on the frames of a recording that have results, repeated."""
+    measured = {}
+    with tempfile.TemporaryDirectory() as place:
+        known = {path.stem for path in (results / "frames").glob("*.json")}
+        session = repeated_session(recording, Path(place, "session"), count, known)
+        alone = repeated_results(results, Path(place, "results"), count)
+        for checkout in both:
+            out = str(Path(place, checkout.name))
+            arguments = ["calibrate", str(session), "--results", str(alone), "--out", out, "--workers", "2"]
+            measured[checkout.name] = [_timed(checkout, [*arguments, "--instrument", instrument])]
+    return _rows(measured)
+
+
+def _tests(both: Sequence[Checkout]) -> list[dict[str, Any]]:
+    """Measure all tests of each checkout, on all cores."""
+    arguments = ["-m", "pytest", "-q", "-n", "auto", "tests"]
+    return _rows({checkout.name: [_timed_python(checkout, arguments)] for checkout in both})
 
 
 def _timed(checkout: Checkout, arguments: Sequence[str]) -> tuple[float, float]:

@@ -32,7 +32,7 @@ _STAGES = {
     "evidence": (estimation, "gather_evidence"),
     "search": (find_pose, "find_candidates"),
     "refinement": (LocalSearch, "refine"),
-    "quality": (find_pose, "measure_views"),
+    "quality": (find_pose, "measure_modes"),
 }
 """The measured stages of `estimate`: module or class, and name of the function."""
 

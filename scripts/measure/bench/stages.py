@@ -40,7 +40,7 @@ _STAGES: tuple[tuple[Any, str, str | Callable[..., str]], ...] = (
     (coarse_to_fine, "refine", _stage),
     (views, "measure_noise", "errors of the contour"),
     (coarse_to_fine, "information_of_views", "covariance"),
-    (find_pose, "measure_views", "quality, and rays that confirm it"),
+    (find_pose, "measure_modes", "quality, and rays that confirm it"),
 )
 """Module or class, name of the function, and the stage that its time counts for."""
 
