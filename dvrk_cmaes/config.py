@@ -294,7 +294,7 @@ class TrustConfig:
     """
 
     tip_mm: float = 1.8
-    least_mode_probability: float = field(default=0.8, metadata=_SHARE_OR_ZERO)
+    least_mode_probability: float = field(default=0.97, metadata=_SHARE_OR_ZERO)
     least_iou: float = field(default=0.85, metadata=_SHARE_OR_ZERO)
     largest_distal_px: float = 2.8
     largest_bend_px: float = 3.0
