@@ -123,16 +123,11 @@ def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
     return np.asarray(values.ravel()[: len(at)], dtype=np.float64)
 
 
-def measure_noise(contour: Contour, silhouette: NDArray[np.bool_], explained: Float64 | None = None) -> OutlineNoise:
-    """Estimate the noise of a mask's contour from its distances to the silhouette (H, W) fitted to it.
-
-    ``explained`` (N,), px outwards, are errors of the contour's pixels that are not noise.
-    """
+def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoise:
+    """Estimate the noise of a mask's contour from its distances to the silhouette (H, W) fitted to it."""
     if len(contour.pixels) < 40 or silhouette.all() or not silhouette.any():
         return OutlineNoise(sigma=2.0, length=_LENGTHS[1])
     error = distances_to(silhouette, contour.pixels)
-    if explained is not None:
-        error = error - explained
     sigma = max(1.4826 * median(np.abs(error)), _LEAST_SIGMA)
     error = np.clip(error, -_CLIP * sigma, _CLIP * sigma)
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)

@@ -30,12 +30,9 @@ class FrameView:
         seen = at.seen_from(self.view_from_camera)
         return np.asarray(self.renderer.masks(seen.pose[None], seen.joints[None])[0])
 
-    def noise_at(self, at: Posed, explained: Float64 | None = None) -> OutlineNoise:
-        """Estimate the noise of the mask's contour from its distances to the silhouette of one pose.
-
-        ``explained`` (N,), px outwards, are errors of the contour's pixels that are not noise.
-        """
-        return measure_noise(self.evidence.contour, self.silhouette(at), explained)
+    def noise_at(self, at: Posed) -> OutlineNoise:
+        """Estimate the noise of the mask's contour from its distances to the silhouette of one pose."""
+        return measure_noise(self.evidence.contour, self.silhouette(at))
 
 
 def clearest_view(views: Sequence[FrameView]) -> FrameView:

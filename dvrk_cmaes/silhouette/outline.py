@@ -56,12 +56,6 @@ class OutlinePoints:
                 self.pose[part], self.link[part], self.pixels[part], self.normals[part], self.points[part]
             )
 
-    def of(self, index: NDArray[np.intp]) -> OutlinePoints:
-        """Return some of the points, by their indices."""
-        return OutlinePoints(
-            self.pose[index], self.link[index], self.pixels[index], self.normals[index], self.points[index]
-        )
-
     def every(self, stride: int) -> OutlinePoints:
         """Return every ``stride``-th point, which represents the pieces of outline of those beside it, too."""
         if stride == 1:

@@ -15,13 +15,12 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
-from dvrk_cmaes.pose.refine.one_sided_fit import OneSidedFit, fit_one_sided
 from dvrk_cmaes.pose.refine.rig_rotation import Rotation, rotations_of_views
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.global_search import scale_of_change
 from dvrk_cmaes.pose.search.modes import Candidate, are_distinct, best_per_mode, is_twin, twin_of
 from dvrk_cmaes.pose.search.objective import loss_of_views
-from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise, is_rough
+from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -34,7 +33,6 @@ _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
 _TWINS = 3  # best candidates whose mirror twins are refined as well
-_PROBABLE = 0.5  # probability of no one-sided error, below which a mask that is not rough has one
 _OF_CONTOUR = Steps(6, tolerance=0.1, tested="none", largest=6.0)  # from a pose that is nearly right
 
 
@@ -191,31 +189,10 @@ class LocalSearch:
         first, *others = modes
         if self._config.refine.method == "gauss-newton" and all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)
-        first, one_sided = self._with_one_sided_errors(coverage, first, rough=all(is_rough(noise) for noise in noises))
-        sizes = () if one_sided is None else one_sided.sizes
         views = [ViewAtFullSize(*pair) for pair in zip(self._views, coverage.views, strict=True)]
-        of_views = information_of_views(views, self._terms(), first.at, sizes)
+        of_views = information_of_views(views, self._terms(), first.at)
         rotations = rotations_of_views(views, self._terms(), first.at, of_views)
-        information = np.sum(of_views, axis=0)
-        if one_sided is not None:
-            information = np.linalg.inv(np.linalg.inv(information) + one_sided.spread)
-        return [replace(first, information=information), *others], rotations
-
-    def _with_one_sided_errors(self, coverage: Coverage, mode: Fit, *, rough: bool) -> tuple[Fit, OneSidedFit | None]:
-        """Return a mode at its mean over the hypotheses of one-sided errors of the masks, and what these say.
-
-        Masks that are not rough are fitted better by the loss on the coverage: their poses are only shifted, and only
-        where an error is more probable than none.
-        """
-        if self._config.refine.method != "gauss-newton":
-            return mode, None
-        found = fit_one_sided(coverage.views, self._terms(), mode.at)
-        if found is None or not (rough or found.plain_probability < _PROBABLE):
-            return mode, None
-        at = mode.at[None].moved((found.plain + found.shift if rough else found.shift)[None])
-        for term in self._terms():
-            at = term.allowed(at)
-        return replace(mode, at=at[0]), found
+        return [replace(first, information=np.sum(of_views, axis=0)), *others], rotations
 
     def _with_correlated_noise(self, coverage: Coverage, mode: Fit) -> Fit:
         """Return a mode where generalised least squares put it; where it was, if that is clearly worse by its score."""

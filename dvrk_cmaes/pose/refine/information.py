@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
-from dvrk_cmaes.pose.terms.shared_errors import USUAL_LENGTH, without_last
+from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
@@ -32,7 +32,7 @@ _CLIP = 3.0  # standard deviations, beyond which a point of the outline does not
 _LARGEST = 8.0  # standard deviations to which errors are limited in the variance of a link
 _SHARED = 100.0  # px of outline; weight of the variance of the whole outline in that of a link
 _ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
-_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.9, 0.25  # on the variance of a measurement; fitted as those of `shared_errors`
+_ROUGH_FACTOR, _SMOOTH_FACTOR = 0.45, 0.25  # on the variance of a measurement; fitted as those of `shared_errors`
 _LARGE = 1.5  # px, standard deviation of errors that are neither small nor normal, by which the variance doubles
 
 
@@ -50,61 +50,39 @@ class ViewAtFullSize:
         )
 
 
-def information_of_views(
-    views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed, sizes: Sequence[Float64 | None] = ()
-) -> list[Float64]:
+def information_of_views(views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed) -> list[Float64]:
     """Compute the information (6 + J, 6 + J) of each view about the small changes of one fitted pose.
 
     That of the first view includes the other ``terms``. The errors of the masks of different views are taken to be
-    independent. ``sizes`` are the expected sizes of the one-sided errors of each view, if any, as in `OneSidedFit`;
-    what they explain is not noise.
+    independent.
     """
     information = []
     for k, both in enumerate(views):
-        of_view = _of_view(both, at, sizes[k] if sizes else None)
+        of_view = outline_information(both.sized, at, both.view.noise_at(at))
         if k == 0:
             of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
-            of_view = of_view + np.diag(bounds(len(of_view)))
+            of_view = of_view + np.diag(_bounds(len(of_view)))
         information.append(of_view)
     return information
 
 
-def bounds(count: int) -> Float64:
+def _bounds(count: int) -> Float64:
     """Return the information of the largest standard deviations of ``count`` parameters, (count,)."""
     return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 
 
-def _of_view(both: ViewAtFullSize, at: Posed, sizes: Float64 | None) -> Float64:
-    """Compute the information of one view's outline, whose one-sided errors have expected ``sizes`` (K,) px, if any."""
-    if sizes is None:
-        return outline_information(both.sized, at, both.view.noise_at(at))
-    (outline,) = both.sized.outlines(Posed.stacked([at]))
-    errors = both.sized.one_sided_errors(outline, at).columns @ sizes
-    whole, window = both.view.evidence, both.sized.camera
-    shift = np.array([whole.camera.cx - window.cx, whole.camera.cy - window.cy])
-    points = outline.pixels + shift
-    nearest = (0.5 * (points**2).sum(axis=1) - whole.contour.pixels @ points.T).argmin(axis=1)
-    of_contour = errors[nearest]
-    return outline_information(both.sized, at, both.view.noise_at(at, of_contour), errors)
-
-
-def outline_information(view: SizedView, at: Posed, noise: OutlineNoise, explained: Float64 | None = None) -> Float64:
+def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Float64:
     """Compute the information (6 + J, 6 + J) of the outline alone about the small changes of one fitted pose.
 
     ``noise`` is that of the whole contour. Points at ignored pixels or farther than three standard deviations from the
-    mask's outline do not count. ``explained`` (N,), px outwards, are errors of the outline's points that are not noise,
-    where one-sided errors are accounted for: what stays the same over more contour than usual is then taken for these.
+    mask's outline do not count.
     """
     (outline,) = view.outlines(Posed.stacked([at]))
     (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
-    # the distance from the mask is negative where the mask's contour is outside the outline
     off = distances_to(view.mask, outline.pixels)
-    if explained is not None:
-        off = off + explained
     weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
-    usual = noise if explained is None else replace(noise, length=min(noise.length, USUAL_LENGTH))
-    errors = view.shared_errors(outline, at, usual)
+    errors = view.shared_errors(outline, at, noise)
     jacobian = np.column_stack([of_pose, errors.columns * length[:, None]])
     counts = weight * (np.abs(off) < _CLIP * max(noise.sigma, 0.5))
     variance = _link_variances(outline, off, length * weight, noise.sigma)[outline.link]

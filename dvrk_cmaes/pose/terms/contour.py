@@ -6,7 +6,7 @@ their differences, such as the position of a bend or the direction of an edge, c
 (Aitken) weights both correctly: for errors e (N,) with covariance C (N, N), the sum of squares is e^T C^-1 e / f with
 f = ``_INFLATION``. For points at a distance of d px, C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I), plus the
 variance of the quantisation to pixels. The uncorrelated part represents errors that are not smooth; per px of outline
-its variance is about that of the whole error. Points with errors above ``CLIP`` standard deviations are outliers of
+its variance is about that of the whole error. Points with errors above ``_CLIP`` standard deviations are outliers of
 the segmentation and left out.
 
 Which points count, and s, are found anew at each pose, so sums of squares at different poses are not to be compared:
@@ -31,17 +31,13 @@ from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
 
-CLIP = 2.5
-"""Standard deviations, beyond which a point of the contour is an outlier."""
-
-LEAST_POINTS = 40
-"""Number of outline points that need a contour point within reach for a view to count."""
-
 _LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors
 _LARGEST_LENGTH = 25.0  # px; longer correlation is caused by errors of the instrument's shape
 _LENGTH = 21.0  # px, correlation length
 _CORRELATED = 0.95  # share of the variance
+_CLIP = 2.5  # standard deviations
 _REACH = 8  # px from the outline in which the mask's contour is searched
+_LEAST_POINTS = 40  # outline points that need a contour point within reach for a view to count
 _GRID = 1 / 12  # px^2, variance of the quantisation to pixels
 _INFLATION = 2.0  # factor on the variances, because the errors of fits are larger than the covariance predicts
 _FARTHEST = 40.0  # px, between points whose errors are correlated
@@ -103,55 +99,24 @@ class CorrelatedContour(OutlineTerm[DrawnContour]):
         return Quadratic(np.stack([d.information for d in drawn]), np.stack([d.slope for d in drawn]))
 
 
-@dataclass(frozen=True, eq=False)
-class ContourErrors:
-    """Where the mask's contour is, from those N points of a pose's outline that have some within reach.
-
-    ``errors`` (N,) px are its distances outwards, along the normals; ``lengths`` (N,) px those of the pieces of outline
-    that the points represent; ``jacobian`` (N, D) of the points' displacements outwards, px.
-    """
-
-    outline: OutlinePoints
-    errors: Float64
-    lengths: Float64
-    jacobian: Float64
-
-    @classmethod
-    def of(cls, view: SizedView, at: Posed, reach: int) -> ContourErrors:
-        """Find the contour within ``reach`` px of the outline of one pose."""
-        (outline,) = view.outlines(Posed.stacked([at]))
-        (jacobian,) = view.jacobians([outline], Posed.stacked([at]))
-        error, lengths = _contour_distances(view.mask, outline, reach)
-        index = np.flatnonzero(np.isfinite(error) & (sampled(view.weight, outline.pixels) > 0.5))
-        return cls(outline.of(index), error[index], lengths[index], jacobian[index] / lengths[index, None])
-
-    def __len__(self) -> int:
-        """Return the number of points."""
-        return len(self.errors)
-
-    def weighted(self, index: NDArray[np.intp], errors: Float64, right: Float64) -> Float64:
-        """Solve f C x = ``right`` (M, K) for M of the points, whose variance is that of ``errors`` (M,) px."""
-        lengths = self.lengths[index]
-        variance = max(float(np.mean(errors**2)) - _GRID / 2, 0.02)
-        uncorrelated = variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
-        return solve_correlated(self.outline.pixels[index], variance * _CORRELATED, uncorrelated, right) / _INFLATION
-
-
-def robust_sigma(errors: Float64) -> float:
-    """Return the standard deviation, px, of the errors of a contour, robust against outliers."""
-    return max(1.4826 * median(np.abs(errors)), 0.5)
-
-
 def _of_view(view: SizedView, at: Posed, reach: int) -> DrawnContour:
     """Compare the outline of one pose with the contour of one view."""
-    found = ContourErrors.of(view, at, reach)
-    if len(found) < LEAST_POINTS:
+    (outline,) = view.outlines(Posed.stacked([at]))
+    (jacobian,) = view.jacobians([outline], Posed.stacked([at]))
+    error, lengths = _contour_distances(view.mask, outline, reach)
+    known = np.isfinite(error) & (sampled(view.weight, outline.pixels) > 0.5)
+    if known.sum() < _LEAST_POINTS:
         count = 6 + len(at.joints)
         return DrawnContour(np.zeros((count, count)), np.zeros(count), 0.0)
-    index = np.flatnonzero(np.abs(found.errors) < CLIP * robust_sigma(found.errors))
-    error, jacobian = found.errors[index], found.jacobian[index]
-    solved = found.weighted(index, error, np.c_[jacobian, error])
-    return DrawnContour(jacobian.T @ solved[:, :-1], -jacobian.T @ solved[:, -1], float(error @ solved[:, -1]))
+    sigma = max(1.4826 * median(np.abs(error[known])), 0.5)
+    index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
+    error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
+    jacobian = jacobian[index] / lengths[:, None]
+    variance = max(float(np.mean(error**2)) - _GRID / 2, 0.02)
+    uncorrelated = variance * (1 - _CORRELATED) * _LENGTH + _GRID / lengths**2
+    solved = solve_correlated(pixels, variance * _CORRELATED, uncorrelated, np.c_[jacobian, error])
+    information, slope = jacobian.T @ solved[:, :-1] / _INFLATION, -jacobian.T @ solved[:, -1] / _INFLATION
+    return DrawnContour(information, slope, float(error @ solved[:, -1]) / _INFLATION)
 
 
 def solve_correlated(pixels: Float64, variance: float, uncorrelated: Float64, right: Float64) -> Float64:

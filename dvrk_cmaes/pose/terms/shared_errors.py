@@ -34,9 +34,6 @@ Bool = NDArray[np.bool_]
 LASTING = 2
 """Number of shared errors of a view, the first ones, that last from frame to frame: both sides of the shaft's."""
 
-USUAL_LENGTH = 19.0
-"""px of contour, over which the noise of a segmentation usually stays the same."""
-
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
@@ -51,7 +48,7 @@ _USUALLY_SEEN = 0.5  # px, of an error at a pose, beyond which it is larger than
 _SEEN_FACTOR = 2.0  # ... that many standard deviations a pixel
 _MOST_SEEN = 8.0  # px
 _LEAST_SHARE = 1e-9
-_LENGTH_SCALE = 17.0  # px of contour
+_USUAL_LENGTH, _LENGTH_SCALE = 19.0, 17.0  # px of contour
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +92,7 @@ def shared_errors(
 ) -> SharedErrors:
     """Return the shared errors of the outline of one pose ``seen`` in a camera, for a contour with some noise."""
     normals = outline.normals / np.linalg.norm(outline.normals, axis=1)[:, None]
-    axis = image_axis(instrument, camera, seen)
+    axis = _image_axis(instrument, camera, seen)
     ahead, aside = normals @ axis, normals @ np.array([-axis[1], axis[0]])
     side, link = side_deviation(noise), np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise))
     shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(ahead), dtype=np.bool_)
@@ -119,7 +116,7 @@ def side_deviation(noise: OutlineNoise) -> float:
 
 def _long(noise: OutlineNoise) -> float:
     """Return the standard deviation, px, of the part of the noise that stays the same over more contour than usual."""
-    return float(noise.sigma * np.sqrt(max(noise.length - USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
+    return float(noise.sigma * np.sqrt(max(noise.length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
 
 
 def without_last(terms: Quadratic, information: Float64) -> Quadratic:
@@ -137,7 +134,7 @@ def without_last(terms: Quadratic, information: Float64) -> Quadratic:
     return Quadratic(left.information[:, count:, count:], left.slope[:, count:])
 
 
-def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
+def _image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
     """Return the unit vector (2,) in the image along which the shaft points, at the root's origin."""
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
     ends = seen.pose[:3, 3] - np.array([[0.0], [_AHEAD]]) * (seen.pose[:3, :3] @ along)

@@ -12,7 +12,6 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.terms.one_sided import OneSidedErrors, one_sided_errors
 from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
@@ -174,11 +173,6 @@ class SizedView:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
         seen = at.seen_from(self.view_from_camera)
         return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
-
-    def one_sided_errors(self, outline: OutlinePoints, at: Posed) -> OneSidedErrors:
-        """Return the hypotheses of one-sided errors for the points of the outline of one pose."""
-        seen = at.seen_from(self.view_from_camera)
-        return one_sided_errors(outline, self._renderer.body.instrument, self.camera, seen)
 
 
 def _key(at: Posed, index: int, lines_per_pixel: int) -> bytes:
