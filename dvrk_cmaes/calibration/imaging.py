@@ -164,11 +164,10 @@ class FittedSession:
             self.imaging.taken_off,
         )
         imaging = replace(self.imaging, rig=estimate.views)
-        untold = tuple(estimate.untold)
         if not estimate.moved:
-            return Estimated(imaging, calibration, None, undetermined=untold)
+            return Estimated(imaging, calibration, None, undetermined=estimate.untold)
         changes = outlines.further(estimate.changes)
-        return Estimated(imaging, estimate.calibration, estimate.at, changes, untold)
+        return Estimated(imaging, estimate.calibration, estimate.at, changes, estimate.untold)
 
     def with_margins(self, calibration: Calibration, at: Posed) -> Estimated:
         """Estimate the margin of each view's masks, and take it off if it is clear.

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import mirrored_place
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.evidence.gather import Evidence
@@ -24,9 +25,10 @@ from dvrk_cmaes.pose.search.modes import Candidate, is_twin
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
-_LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
 Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
 
+_LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
 _FOLLOWED = 1.5
 """Factor on the limits of contour and bend where neighbouring images support the pose.
 
@@ -117,14 +119,12 @@ def _doubts_in_view(
             "silhouette; another instrument, another tool or tissue may be there"
         )
     shaft = shaft_width(instrument, evidence.camera, seen.pose)
-    largest_bend = (
-        trust.largest_bend_px if shaft is None else max(trust.largest_bend_px, trust.largest_bend_share * shaft)
-    )
-    if shaft is not None and quality.bend_px > factor * largest_bend:
+    if shaft is not None and quality.bend_px > factor * max(trust.largest_bend_px, trust.largest_bend_share * shaft):
         reasons.append(
             f"mask cut straight: along a straight line that ends it, the silhouette bends by {quality.bend_px:.1f} px"
         )
-    outside = _outside(seen, instrument, evidence)
+    tips = apply(seen.pose, instrument.tips(seen.joints))
+    outside = outside_image(tips, evidence.camera) if instrument.jaw_tips else np.zeros(1, dtype=np.bool_)
     if outside.all() if followed else outside.any():
         which = "the jaw tips lie" if followed else "a jaw tip lies"
         reasons.append(f"tip out of view: {which} outside the image")
@@ -135,15 +135,11 @@ def _doubts_in_view(
     return reasons
 
 
-def _outside(seen: Posed, instrument: Instrument, evidence: Evidence) -> Bool:
-    """Return which jaw tips (K,) are outside the image; all if one is behind the camera; one False without tips."""
-    if not instrument.jaw_tips:
-        return np.zeros(1, dtype=np.bool_)
-    camera = evidence.camera
-    tips = apply(seen.pose, instrument.tips(seen.joints))
-    if (tips[:, 2] <= 0).any():
-        return np.ones(len(tips), dtype=np.bool_)
-    pixels = camera.project(tips)
+def outside_image(points: Float64, camera: Camera) -> Bool:
+    """Return which points (K, 3) in a camera's frame are outside its image; all of them if one is behind the camera."""
+    if (points[:, 2] <= 0).any():
+        return np.ones(len(points), dtype=np.bool_)
+    pixels = camera.project(points)
     return np.asarray(((pixels < -0.5) | (pixels > [camera.width - 0.5, camera.height - 0.5])).any(axis=1))
 
 

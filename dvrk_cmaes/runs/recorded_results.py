@@ -25,7 +25,7 @@ from dvrk_cmaes.track.calibrated_frames import (
     describe,
     status_of,
 )
-from dvrk_cmaes.track.offset_smoother import smooth
+from dvrk_cmaes.track.offset_smoother import FrameDeviations
 from dvrk_cmaes.track.recorded_frames import FittedFrame, JudgedFrame, JudgeTask, judge_frame
 from dvrk_cmaes.track.still_readings import describe_frozen
 
@@ -75,7 +75,7 @@ def smooth_frames(
             other = Told.of(beside.fits[i], predicted.at[i], spread[i])
             information[i] += beside.weight * other.information
             optimum[i] += beside.weight * other.optimum
-    smoothed = smooth(recorded.times, predicted.prior, information, optimum, predicted.jacobian)
+    smoothed = FrameDeviations.of(recorded.times, predicted.prior, information, optimum, predicted.jacobian).smoothed()
     response = smoothed.response
     covariance = smoothed.covariance + response @ calibrated @ np.swapaxes(response, 1, 2)
     at = [predicted.at[i].moved(smoothed.deviations[i]) for i in range(count)]

@@ -33,7 +33,7 @@ from dvrk_cmaes.track.calibrated_frames import (
 )
 from dvrk_cmaes.track.calibration_lag import predicted_with_lag
 from dvrk_cmaes.track.describe import without_pose
-from dvrk_cmaes.track.offset_smoother import filtered
+from dvrk_cmaes.track.offset_smoother import FrameDeviations
 from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
@@ -53,7 +53,7 @@ _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion wh
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """What is known of one image: its prediction, and what its fit tells, as in `smooth`."""
+    """What is known of one image: its prediction, and what its fit tells, as in `FrameDeviations.of`."""
 
     time: float
     predicted: Posed
@@ -250,13 +250,14 @@ class CalibratedFollowing:
         """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""
         images = list(self._images)
         calibrated = calibration_covariance(self.calibration)
-        deviation, own, response = filtered(
+        deviations = FrameDeviations.of(
             np.array([image.time for image in images]),
             np.array([image.prior for image in images]),
             np.array([image.told.information for image in images]),
             np.array([image.told.optimum for image in images]),
             np.array([image.jacobian for image in images]),
         )
+        deviation, own, response = deviations.last()
         at = images[-1].predicted.moved(deviation)
         covariance = own + response @ calibrated @ response.T
         camera = self.calibration.corrected(self._rig.views[0].camera)

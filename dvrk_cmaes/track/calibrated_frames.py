@@ -40,8 +40,8 @@ _MEDIAN_TO_STD = 1.4826
 class Told:
     """What a fit tells of a frame's deviation from its prediction.
 
-    ``information`` (D, D) and ``optimum`` (D,) are those of `smooth`, zero where it tells nothing; ``misfit`` is the
-    squared misfit per parameter.
+    ``information`` (D, D) and ``optimum`` (D,) are those of `FrameDeviations.of`, zero where it tells nothing;
+    ``misfit`` is the squared misfit per parameter.
     """
 
     information: Float64

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.pose.doubts import outside_image
 from dvrk_cmaes.track.hypothesis import Located
 from dvrk_cmaes.track.update import Fit
 
@@ -69,15 +70,6 @@ def doubts_of_pose(located: Located, rig: Rig, config: TrackConfig) -> list[str]
 def tips_out_of_view(tips: Float64, rig: Rig) -> bool:
     """Whether all jaw tips (K, 3) lie outside the image, or behind the camera, of every view."""
     return bool(len(tips)) and not any(
-        _is_tip_in_view(apply(view.view_from_camera, tips) if number else tips, view.camera)
+        not outside_image(apply(view.view_from_camera, tips) if number else tips, view.camera).all()
         for number, view in enumerate(rig.views)
     )
-
-
-def _is_tip_in_view(tips: Float64, camera: Camera) -> bool:
-    """Whether the tips (K, 3) are before a camera, and one of them in its image."""
-    if (tips[:, 2] <= 0).any():
-        return False
-    pixels = camera.project(tips)
-    outside = (pixels < -0.5) | (pixels > [camera.width - 0.5, camera.height - 0.5])
-    return not bool(outside.any(axis=1).all())

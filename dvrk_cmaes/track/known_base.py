@@ -28,7 +28,7 @@ _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _AGREES = 4.0  # largest squared misfit per parameter of such an image
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
-_RELIED_ON = 20  # keyframes of a solution, from which on its stated errors held in twelve recordings
+_RELIED_ON = 20  # keyframes of a solution, from which on its stated errors held; chosen on twelve recordings
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base

@@ -27,7 +27,7 @@ _JITTER = 1e-9  # of a covariance, so that it can be inverted
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Deviations (N, D) of frames from their predictions, and their covariances (N, D, D).
+    """FrameDeviations (N, D) of frames from their predictions, and their covariances (N, D, D).
 
     ``response`` (N, D, K) is the change of the frames' poses and joints with the calibration.
     """
@@ -37,78 +37,22 @@ class Smoothed:
     response: Float64
 
 
-@single_blas_thread()
-def smooth(
-    times: Float64,
-    prior: Float64,
-    information: Float64,
-    optimum: Float64,
-    jacobian: Float64,
-    *,
-    slow_share: float = SLOW_SHARE,
-    slow: float = SLOW_SECONDS,
-    fast: float = FAST_SECONDS,
-) -> Smoothed:
-    """Find the most probable deviations of N frames.
-
-    Parameters
-    ----------
-    times : (N,)
-        Times of the frames, s, increasing.
-    prior : (N, D, D)
-        Covariance of each frame's deviation.
-    information : (N, D, D)
-        What each outline tells: the matrix of its quadratic term; zero for a frame without one.
-    optimum : (N, D)
-        The information times the deviation at which that term is least.
-    jacobian : (N, D, K)
-        Change of the predictions with the calibration.
-    slow_share, slow, fast
-        Share of the variance that wanders slowly, and the times, s, over which both parts do.
-    """
-    system = _System.of(times, prior, information, optimum, jacobian, slow_share, slow, fast)
-    solution, blocks = _solve(system.diagonal, system.beside, system.right)
-    both = system.both
-    found = both @ solution
-    return Smoothed(found[:, :, 0], both @ blocks @ both.T, jacobian + found[:, :, 1:])
-
-
-@single_blas_thread()
-def filtered(
-    times: Float64,
-    prior: Float64,
-    information: Float64,
-    optimum: Float64,
-    jacobian: Float64,
-    *,
-    slow_share: float = SLOW_SHARE,
-    slow: float = SLOW_SECONDS,
-    fast: float = FAST_SECONDS,
-) -> tuple[Float64, Float64, Float64]:
-    """Find the most probable deviation of the last of N frames, as `smooth` does for all of them.
-
-    Returns the deviation (D,), its covariance (D, D), and the change (D, K) of pose and joints with the calibration.
-    """
-    system = _System.of(times, prior, information, optimum, jacobian, slow_share, slow, fast)
-    pivots, sides = _eliminated(system.diagonal, system.beside, system.right)
-    found, both = system.both @ pivots[-1] @ sides[-1], system.both
-    return found[:, 0], both @ pivots[-1] @ both.T, jacobian[-1] + found[:, 1:]
-
-
 @dataclass(frozen=True, eq=False)
-class _System:
-    """Block-tridiagonal system of the deviations' slow and fast parts (N, M), M = 2 D, with C = 1 + K right sides.
+class FrameDeviations:
+    """The deviations of N frames as a block-tridiagonal system of their slow and fast parts (N, M), M = 2 D.
 
-    ``diagonal`` (N, M, M), ``beside`` (N - 1, M, M) between a frame and the next one, ``right`` (N, M, C); ``both`` (D,
-    M) sums the parts.
+    ``diagonal`` (N, M, M), ``beside`` (N - 1, M, M) between a frame and the next one, ``right`` (N, M, 1 + K) the right
+    sides; ``both`` (D, M) sums the parts. ``jacobian`` is that of `of`.
     """
 
     diagonal: Float64
     beside: Float64
     right: Float64
     both: Float64
+    jacobian: Float64
 
     @classmethod
+    @single_blas_thread()
     def of(
         cls,
         times: Float64,
@@ -116,11 +60,28 @@ class _System:
         information: Float64,
         optimum: Float64,
         jacobian: Float64,
-        slow_share: float,
-        slow: float,
-        fast: float,
-    ) -> _System:
-        """Set the system up; arguments as of `smooth`."""
+        *,
+        slow_share: float = SLOW_SHARE,
+        slow: float = SLOW_SECONDS,
+        fast: float = FAST_SECONDS,
+    ) -> FrameDeviations:
+        """Set the system up.
+
+        Parameters
+        ----------
+        times : (N,)
+            Times of the frames, s, increasing.
+        prior : (N, D, D)
+            Covariance of each frame's deviation.
+        information : (N, D, D)
+            What each outline tells: the matrix of its quadratic term; zero for a frame without one.
+        optimum : (N, D)
+            The information times the deviation at which that term is least.
+        jacobian : (N, D, K)
+            Change of the predictions with the calibration.
+        slow_share, slow, fast
+            Share of the variance that wanders slowly, and the times, s, over which both parts do.
+        """
         count, size = optimum.shape
         both = np.concatenate([np.eye(size), np.eye(size)], axis=1)  # the deviation is the sum of both parts
         covariance = np.zeros((count, 2 * size, 2 * size))
@@ -140,7 +101,25 @@ class _System:
             beside[k] = -root.T @ precision
         diagonal += both.T @ information @ both
         right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
-        return cls(diagonal, beside, both.T @ right, both)
+        return cls(diagonal, beside, both.T @ right, both, jacobian)
+
+    @single_blas_thread()
+    def smoothed(self) -> Smoothed:
+        """Find the most probable deviations of all frames."""
+        solution, blocks = _solve(self.diagonal, self.beside, self.right)
+        found = self.both @ solution
+        return Smoothed(found[:, :, 0], self.both @ blocks @ self.both.T, self.jacobian + found[:, :, 1:])
+
+    @single_blas_thread()
+    def last(self) -> tuple[Float64, Float64, Float64]:
+        """Find the most probable deviation of the last frame, as `smoothed` does for all of them.
+
+        Returns the deviation (D,), its covariance (D, D), and the change (D, K) of pose and joints with the
+        calibration.
+        """
+        pivots, sides = _eliminated(self.diagonal, self.beside, self.right)
+        found = self.both @ pivots[-1] @ sides[-1]
+        return found[:, 0], self.both @ pivots[-1] @ self.both.T, self.jacobian[-1] + found[:, 1:]
 
 
 def _carried(before: Float64, after: Float64, step: Float64, size: int) -> Float64:

@@ -134,7 +134,7 @@ class GlobalSearch:
         masks = self.sight.masks(seen, hinted=first, around=self._around(anchor) if first else {})
         if not masks:
             return None
-        stage("")
+        stage("")  # what is drawn for the search is not done in the step that found the masks
         rig, ignore, readings = self.follower.model.rig, self.sight.ignored(seen), self._readings(anchor)
         session, config = self.calibration, self.config
         try:

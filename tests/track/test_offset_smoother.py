@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.track.offset_smoother import filtered, smooth
+from dvrk_cmaes.track.offset_smoother import FrameDeviations
 
 COUNT, SIZE, CONSTANTS = 6, 3, 2
 TIMES = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 1.0])
@@ -26,12 +26,12 @@ def test_result_is_that_of_the_dense_system() -> None:
     optimum = rng.standard_normal((COUNT, SIZE))
     jacobian = rng.standard_normal((COUNT, SIZE, CONSTANTS))
     stacked = np.tile(prior, (COUNT, 1, 1))
-    found = smooth(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
+    deviations = FrameDeviations.of(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
+    found, last = deviations.smoothed(), deviations.last()
     told = np.zeros((COUNT * SIZE, COUNT * SIZE))
     for k in range(COUNT):
         told[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] = information[k]
     covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES, 1.0, 0.1, 0.7)) + told)
-    last = filtered(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
     for value, of_all in zip(last, (found.deviations, found.covariance, found.response), strict=True):
         assert value == pytest.approx(of_all[-1], rel=1e-9, abs=1e-12)
     assert found.deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)
@@ -47,7 +47,7 @@ def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
     shown = np.array([0.5, -0.3, 0.1])
     optimum = information @ shown
     prior, jacobian = np.tile(np.eye(SIZE), (3, 1, 1)), np.zeros((3, SIZE, CONSTANTS))
-    found = smooth(np.array([0.0, 0.01, 0.02]), prior, information, optimum, jacobian)
+    found = FrameDeviations.of(np.array([0.0, 0.01, 0.02]), prior, information, optimum, jacobian).smoothed()
     assert found.deviations[1] == pytest.approx(shown, rel=0.15)
     assert np.trace(found.covariance[1]) > np.trace(found.covariance[0])
 
@@ -55,13 +55,15 @@ def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
 def test_without_evidence_the_prediction_and_its_prior_remain() -> None:
     prior = np.array([(1 + k) * np.eye(SIZE) for k in range(3)])
     nothing, jacobian = np.zeros((3, SIZE, SIZE)), np.ones((3, SIZE, CONSTANTS))
-    found = smooth(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian)
+    found = FrameDeviations.of(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian).smoothed()
     assert found.deviations == pytest.approx(np.zeros((3, SIZE)))
     assert found.covariance == pytest.approx(prior, rel=1e-6)
     assert found.response == pytest.approx(jacobian)
 
 
 def test_a_single_frame_is_weighed_with_its_prior() -> None:
-    found = smooth(np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1)))
+    found = FrameDeviations.of(
+        np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1))
+    ).smoothed()
     assert found.deviations[0] == pytest.approx([1.0, 0.0])
     assert found.covariance[0] == pytest.approx(0.5 * np.eye(2))
