@@ -110,9 +110,10 @@ def _doubts_in_view(
     """List the reasons, in words, for which a pose does not explain a view's mask or is not accurate."""
     instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
     reasons = []
-    if quality.iou < trust.least_iou:
-        reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
     factor = _FOLLOWED if followed else 1.0
+    least_iou = 1 - factor * (1 - trust.least_iou)
+    if quality.iou < least_iou:
+        reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {least_iou:.2f}")
     if quality.distal_px > factor * trust.largest_distal_px:
         reasons.append(
             f"wrist or jaws off: beyond the shaft, the mask's contour is {quality.distal_px:.1f} px (rms) from the "
