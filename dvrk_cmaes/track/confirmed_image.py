@@ -18,7 +18,7 @@ from dvrk_cmaes.track.calibrated_frames import covariance_of_margin
 from dvrk_cmaes.track.predicted_image import PredictedImage
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 
-_KNOWN: Final = 1.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
+_KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
 _AGREES: Final = 4.0  # largest squared misfit per parameter
 
 
