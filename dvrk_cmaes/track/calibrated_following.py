@@ -126,8 +126,11 @@ class CalibratedFollowing:
             instrument = self._body.instrument
             self._before = at.minus(PredictedImage.of(self.calibration, reading.outer, reading, 0.0, instrument).at)
 
-    def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> TrackResult:
-        """Fit the image of a later time, s, whose readings, less the lag, are ``reading``."""
+    def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight, *, in_view: bool = True) -> TrackResult:
+        """Fit the image of a later time, s, whose readings, less the lag, are ``reading``.
+
+        An image that does not show the instrument well, ``in_view``, does not tell against the calibration.
+        """
         started = clock.perf_counter()
         told = reading.has_outer and not reading.still
         if reading.has_outer:
@@ -157,9 +160,9 @@ class CalibratedFollowing:
             status, reasons = status_of(quality, told_by_fit.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
             disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
-            self._astray = self._astray + 1 if disagrees and told else 0
+            self._astray = self._astray + in_view if disagrees and told else 0
             explained = not disagrees and quality.quality.iou >= self.calibration.iou - OVERLAP_LOSS
-            self._unexplained = 0 if explained else self._unexplained + 1
+            self._unexplained = 0 if explained else self._unexplained + in_view
         if not reading.has_outer:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
         elif reading.still and fitted is not None:

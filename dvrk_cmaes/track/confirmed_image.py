@@ -19,6 +19,7 @@ from dvrk_cmaes.track.predicted_image import PredictedImage
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 
 _KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
+_OWN_ERROR: Final = 2.5  # factor on the errors of an image's own result, for those that the images near it share
 _AGREES: Final = 4.0  # largest squared misfit per parameter
 
 
@@ -34,8 +35,9 @@ def confirmed_by(
     """Return the result of an image with the error that is expected of it, if a calibration expects it there.
 
     ``reading`` is that of the time of the image less the calibration's lag, whose standard deviation is ``lag_std``, s.
-    To the error of the result that by the margin of the masks is added, as far as the keyframes tell that. None if the
-    calibration expects the instrument elsewhere, or too little is known to say.
+    The error of the result counts 2.5 times, since images near each other err alike, and that by the margin of the
+    masks is added, as far as the keyframes tell it. None if the calibration expects the instrument elsewhere, or too
+    little is known to say.
     """
     if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
         return None
@@ -50,7 +52,7 @@ def confirmed_by(
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
         return None
     camera = calibration.corrected(rig.views[0].camera)
-    covariance = result.covariance + covariance_of_margin(at, calibration.masks, camera, instrument)
+    covariance = _OWN_ERROR**2 * result.covariance + covariance_of_margin(at, calibration.masks, camera, instrument)
     error = expected_error(instrument, at, covariance)
     each = [value for name, value in error.tip_mm.items() if name != "mean"]
     tip_std = float(np.mean(each)) if instrument.jaw_tips else None

@@ -201,6 +201,16 @@ class KeyframeStore:
         if len(self._rows) % _PRUNED_EVERY == 0:
             self._prune()
 
+    def shows_well(self, masks: Mapping[str, Bool]) -> bool:
+        """Return whether an image's masks, by view, show enough of the instrument, by those that were offered."""
+        mask = self._first_of(masks)
+        return mask is not None and bool(well_in_view([*self._shapes, MaskShape.of(mask)])[-1])
+
+    def _first_of(self, masks: Mapping[str, Bool]) -> Bool | None:
+        """Return the mask (H, W) of the first view that has one."""
+        mask = next((masks[name] for name in self._rig.names if name in masks), None)
+        return mask if mask is not None and mask.any() else None
+
     def offer(
         self,
         time: float,
@@ -216,8 +226,8 @@ class KeyframeStore:
         if self._last is not None:
             self._interval = [*self._interval[-50:], time - self._last]
         self._last = time
-        mask = next((masks[name] for name in self._rig.names if name in masks), None)
-        if mask is None or not mask.any() or not set(OUTER_JOINTS) <= set(readings):
+        mask = self._first_of(masks)
+        if mask is None or not set(OUTER_JOINTS) <= set(readings):
             return False
         self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
         if not well_in_view(self._shapes)[-1] or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):

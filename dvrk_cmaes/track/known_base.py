@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
@@ -196,11 +197,12 @@ class KnownBase:
         """
         following, lag = self._following, self.lag
         assert following is not None
+        late = 0.0 if lag is None else lag.seconds
         if not self._started and self._last is not None and time - self._last[0] <= _LATELY:
-            before = readings.at(self._last[0] - (0.0 if lag is None else lag.seconds))
-            following.start_from(self._last[1], before)
+            following.start_from(self._last[1], readings.at(self._last[0] - late))
         self._started = True
-        result = following.follow(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, sight)
+        in_view = self.store.shows_well(self._masks(seen))
+        result = following.follow(time, readings.at(time - late), seen, sight, in_view=in_view)
         wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
         if wrong or (alone and self._is_of_few and following.explains_little):
             self._give_up()
@@ -252,13 +254,17 @@ class KnownBase:
     def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is."""
         names = (*OUTER_JOINTS, *self._body.instrument.joint_names)
-        masks = {self._rig.names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
+        masks = self._masks(seen)
         if not masks or reading.still:
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
         return self.store.offer(time, masks, sight.ignored(seen), readings, rates)
+
+    def _masks(self, seen: Seen) -> dict[str, NDArray[np.bool_]]:
+        """Return the masks (H, W) of an image's clear views by name."""
+        return {self._rig.names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
 
     def unconfirmed(self, result: TrackResult, readings: ReadingBuffer, *, told: bool) -> TrackResult:
         """Return the result of an image before a calibration.

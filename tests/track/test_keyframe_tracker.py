@@ -192,6 +192,24 @@ def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration:
     assert "base not known yet" in tracker.base_state
 
 
+def test_images_that_show_little_of_the_instrument_do_not_tell_against_a_calibration(
+    world: MovingWorld, calibration: SessionCalibration
+) -> None:
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True)
+    world.follow(tracker, frames=range(12))
+
+    def sliver(k: int) -> np.ndarray:
+        mask, rows = world.masks[k].copy(), np.flatnonzero(world.masks[k].any(axis=1))
+        mask[rows[0] + 6 :] = False
+        return mask
+
+    hidden = world.follow(tracker, frames=range(12, 25), mask=sliver)
+    assert sum(result.status == "lost" for result in hidden) > 10
+    assert tracker.base_state.startswith("calibration given")
+    again = world.follow(tracker, frames=range(25, 30))
+    assert {result.status for result in again} == {"ok"}
+
+
 def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker, list[TrackResult]]) -> None:
     tracker, _ = before
     other = replace(tracker.problem(), base=7)
