@@ -68,7 +68,7 @@ def needed(command: str) -> str | None:
 
 @pytest.fixture(scope="module", autouse=True)
 def quicker() -> Iterator[None]:
-    """Let commands do without worker processes and pictures, estimate a frame once, and draw a quarter of the pixels."""
+    """Let commands do without worker processes and pictures, estimate a frame once, and draw quarter-size images."""
     camera = made_sessions.default_camera
     with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates(), plain_pictures():
         patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))

@@ -186,7 +186,9 @@ def test_checkout_compared_with_itself(run_here: Callable[..., Ran], monkeypatch
         (folder / "quick.toml").write_text(QUICK, encoding="utf-8")
 
     options = ("--out", "out", "--workers", "1", "--config", "inputs/quick.toml")
-    monkeypatch.setattr(answers, "CASES", (answers.Case("demo", write, (("batch", "inputs", *options),), bundled=True),))
+    monkeypatch.setattr(
+        answers, "CASES", (answers.Case("demo", write, (("batch", "inputs", *options),), bundled=True),)
+    )
     done = run_here("answers", "--against", ROOT, "--only", "demo", "--json")
     assert done.code == 0, done.err
     demo = done.result["cases"]["demo"]
