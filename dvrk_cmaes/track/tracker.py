@@ -372,6 +372,7 @@ class Tracker:
             lately = self._by_filter is not None and time - self._by_filter <= _LONGEST_GAP
             alone = lately and following.best is not None
             result = known.follow(time, self._readings.buffer, seen, self._sight, alone=alone)
+            known.note(result)
             if known.calibration is None:  # contradicted
                 following.forget_calibration()
                 if not alone:
@@ -387,7 +388,9 @@ class Tracker:
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
-        return known.unconfirmed(result, told=following.best is not None and following.best.anchor.based)
+        known.note(result)
+        told = following.best is not None and following.best.anchor.based
+        return known.unconfirmed(result, self._readings.buffer, told=told)
 
     def smoothed(self) -> list[TrackResult]:
         """Return the results of all images given all images; status and reasons stay as they were.
