@@ -11,8 +11,9 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
 demo: $(VENV)/.package
 	$(BIN)/dvrk-cmaes demo
 
+# a process of tests for each core: more threads of BLAS in each would only wait for each other
 test: $(VENV)/.tools
-	$(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder $(TESTS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder $(TESTS)
 
 lint: $(VENV)/.tools
 	$(BIN)/ruff check .

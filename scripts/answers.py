@@ -115,8 +115,8 @@ def _answers(checkout: Checkout, case: Case, instrument: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made).resolve()
         case.write(folder / "inputs")
-        cache = f"{checkout.compiled}/cache of {checkout.name}"
-        codes = [checkout.run(command, folder, DVRK_CMAES_CACHE=cache) for command in _commands(case, instrument)]
+        commands = _commands(case, instrument)
+        codes = [checkout.run(command, folder, DVRK_CMAES_CACHE=checkout.cache) for command in commands]
         return {"exit codes": codes, **read_answers(folder)}
 
 

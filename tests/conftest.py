@@ -126,9 +126,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 @pytest.fixture(autouse=True, scope="session")
 def _instrument_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Set an instrument cache for the tests, separate from the user's."""
+    """Set an instrument cache for the tests, separate from the user's; the workers of pytest-xdist share it."""
+    own = tmp_path_factory.getbasetemp()
+    folder = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DVRK_CMAES_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("DVRK_CMAES_CACHE", str(folder / "cache"))
         yield
 
 

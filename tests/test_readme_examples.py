@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from helpers.made_recordings import good, write_bag
 from helpers.places import ROOT
+from helpers.plain_pictures import plain_pictures
 from helpers.printed_blocks import PROGRAM, Block, Output, blocks, run, words
 from helpers.processes_here import processes_here
 from helpers.shared_estimates import shared_estimates
@@ -33,7 +34,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Output]]
     home = tmp_path_factory.mktemp("home")
     (home / "data").symlink_to(ROOT / "data")
     write_bag(home / "suturing.bag", "ros1", good())
-    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates():
+    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates(), plain_pictures():
         patch.chdir(home)
         assert run("synth session --motion video --level easy --frames 3 --seed 1").code == 0
         (home / "session" / "golden.json").unlink()

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.made_examples import make_examples
 from helpers.places import ROOT
+from helpers.plain_pictures import plain_pictures
 from helpers.printed_blocks import PROGRAM, Block, blocks, run
 from helpers.processes_here import processes_here
 from helpers.shared_estimates import shared_estimates
@@ -67,9 +68,9 @@ def needed(command: str) -> str | None:
 
 @pytest.fixture(scope="module", autouse=True)
 def quicker() -> Iterator[None]:
-    """Let commands do without worker processes, estimate a frame once, and make sessions of a quarter of the pixels."""
+    """Let commands do without worker processes and pictures, estimate a frame once, and draw quarter-size images."""
     camera = made_sessions.default_camera
-    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates():
+    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates(), plain_pictures():
         patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
         yield
 

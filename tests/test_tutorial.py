@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from helpers.places import ROOT
+from helpers.plain_pictures import plain_pictures
 from helpers.printed_blocks import Block, blocks, has_in_order, printed_parts, run, words
 from helpers.processes_here import processes_here
 from helpers.shared_estimates import shared_estimates
@@ -31,7 +32,7 @@ def test_commands_run_as_printed_and_print_what_is_shown(tmp_path: Path, monkeyp
     output: list[str] = []
     for block in REST:
         if block.commands:
-            with processes_here(), shared_estimates():
+            with processes_here(), shared_estimates(), plain_pictures():
                 output = [line for command in block.commands for line in words(_said(command))]
         else:
             assert has_in_order(output, printed_parts(block.text)), (block.text, output)

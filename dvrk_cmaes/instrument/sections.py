@@ -36,7 +36,9 @@ def plane_basis(normal: NDArray[np.float64]) -> NDArray[np.float64]:
 def edges_of(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return the distinct edges of faces (F, 3) as vertex indices (E, 2), the smaller index first."""
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.asarray(np.unique(pairs, axis=0))
+    count = int(pairs.max(initial=0)) + 1
+    numbers = np.unique(pairs[:, 0].astype(np.int64) * count + pairs[:, 1])  # much faster than the unique rows
+    return np.stack(np.divmod(numbers, count), axis=1).astype(faces.dtype)
 
 
 class Slicer:

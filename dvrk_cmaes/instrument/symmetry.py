@@ -26,8 +26,12 @@ def twin_distance(instrument: Instrument) -> float:
     half_turn, mirrored = instrument.twin(np.eye(4), joints)
     pose_points = _surface(instrument, joints)
     twin_points = apply(half_turn, _surface(instrument, mirrored))
-    to_twin, _ = cKDTree(twin_points).query(pose_points[:_QUERIES])
-    to_pose, _ = cKDTree(pose_points).query(twin_points[:_QUERIES])
+    # for so few queries, trees that are built quickly
+    twin_tree, pose_tree = (
+        cKDTree(points, compact_nodes=False, balanced_tree=False) for points in (twin_points, pose_points)
+    )
+    to_twin, _ = twin_tree.query(pose_points[:_QUERIES])
+    to_pose, _ = pose_tree.query(twin_points[:_QUERIES])
     return float(np.percentile(np.concatenate([to_twin, to_pose]), _PERCENTILE))
 
 

@@ -73,7 +73,10 @@ def segment(
     if model == "classic":
         if weights is not None:
             raise InputError("weights: the classic model has none; expected them only with model sam2")
-        return _segment_classic(image, background, box=box, points=points, not_points=not_points)
+        from dvrk_cmaes.silhouette.threads import single_blas_thread
+
+        with single_blas_thread():
+            return _segment_classic(image, background, box=box, points=points, not_points=not_points)
     if model == "sam2":
         if weights is None:
             raise InputError("weights: model sam2 needs the folder of an exported checkpoint")

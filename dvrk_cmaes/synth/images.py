@@ -83,16 +83,19 @@ def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
 
 def shaded_links(truth: Truth, view: LinkView) -> Float32:
     """Return the colour (..., 3) of what is seen along rays, lit from the lens; 0 where no link is seen."""
-    seen = (view.link != NOTHING).astype(np.float32)
-    facing = np.abs((view.normal * view.direction).sum(axis=-1))  # the light is at the lens
-    steel = (view.link > 0) | (_along_shaft(truth, view.direction, view.depth) > _distal_end(truth))
+    seen = view.link != NOTHING
+    normal, direction, depth = view.normal[seen], view.direction[seen], view.depth[seen]
+    facing = np.abs((normal * direction).sum(axis=-1))  # the light is at the lens
+    steel = (view.link[seen] > 0) | (_along_shaft(truth, direction, depth) > _distal_end(truth))
     albedo = np.where(steel[..., None], STEEL, SHAFT)
     # polished steel reflects a bright surrounding above and a dark one below
-    mirrored = 0.5 - 0.5 * np.tanh(3 * view.normal[..., 1:2] + 0.6 * view.normal[..., :1])
+    mirrored = 0.5 - 0.5 * np.tanh(3 * normal[..., 1:2] + 0.6 * normal[..., :1])
     diffuse = albedo * (0.25 + 0.75 * facing[..., None]) * np.where(steel[..., None], 0.55 + 0.75 * mirrored, 1.0)
     gloss = np.where(steel, 0.75 * facing**24, 0.10 * facing**8)[..., None]
-    nearer = np.minimum(0.11 / np.maximum(view.depth, 0.04), 1.25)
-    return np.asarray(np.clip((diffuse + gloss) * nearer[..., None], 0, 1) * seen[..., None], np.float32)
+    nearer = np.minimum(0.11 / np.maximum(depth, 0.04), 1.25)
+    colour = np.zeros((*seen.shape, 3), np.float32)
+    colour[seen] = np.clip((diffuse + gloss) * nearer[..., None], 0, 1)
+    return colour
 
 
 def _along_shaft(truth: Truth, direction: Float32, depth: Float32) -> Float32:

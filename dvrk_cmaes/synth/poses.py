@@ -20,7 +20,7 @@ from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSE
 from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth, pose_from_view
-from dvrk_cmaes.synth.views import trace_links
+from dvrk_cmaes.synth.views import links_at, window_of_links
 
 Float64 = NDArray[np.float64]
 
@@ -189,9 +189,12 @@ def is_sensible(body: Body, camera: Camera, truth: Truth, view: ViewLimits = DEF
     bend = np.hypot(truth.joints.get("wrist_pitch", 0.0), truth.joints.get("wrist_yaw", 0.0))
     if bend < np.deg2rad(view.least_bend):
         return False
-    link = trace_links(truth.instrument, camera, truth.camera_from_root, truth.values).link
-    border = np.concatenate([link[0], link[-1], link[:, 0], link[:, -1]])
     root, jaws = 0, [tip.link for tip in truth.instrument.jaw_tips]
+    posed = truth.instrument, camera, truth.camera_from_root, truth.values
+    where = window_of_links(*posed, jaws)
+    where[[0, -1]] = where[:, [0, -1]] = True
+    link = links_at(*posed, where)
+    border = np.concatenate([link[0], link[-1], link[:, 0], link[:, -1]])
     return bool(
         (border == root).sum() >= 20
         and not np.any(border > root)

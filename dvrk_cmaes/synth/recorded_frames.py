@@ -16,7 +16,7 @@ from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS
 from dvrk_cmaes.synth.passing import Occluder, passing_occluder
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
-from dvrk_cmaes.synth.views import trace_links
+from dvrk_cmaes.synth.views import links_at, window_of_links
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -118,8 +118,8 @@ def _visible_share(plan: SessionPlan, truth: Truth, hidden: Bool | None) -> floa
     small = plan.camera.scaled(plan.camera.width // _VISIBLE_SHRINK, plan.camera.height // _VISIBLE_SHRINK)
     width, height = small.width, small.height
     wide = small.cropped(-width, -height, 3 * width, 3 * height)
-    link = trace_links(plan.body.instrument, wide, truth.camera_from_root, truth.values).link
-    jaw = np.isin(link, jaws)
+    posed = plan.body.instrument, wide, truth.camera_from_root, truth.values
+    jaw = np.isin(links_at(*posed, window_of_links(*posed, jaws)), jaws)
     inside = jaw[height : 2 * height, width : 2 * width]
     if hidden is not None:
         inside = inside & (cv2.resize(hidden.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) < 0.5)

@@ -6,7 +6,9 @@ One ray a pixel is traced against the full meshes; it is slower than the silhoue
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -26,7 +28,7 @@ NOTHING = -1
 class LinkView:
     """Links seen along rays (...), such as those of an image's pixels (H, W).
 
-    Depth and normal are zero where no link is seen.
+    Depth, normal and direction are zero where no link is seen.
     """
 
     link: NDArray[np.int32]
@@ -39,12 +41,18 @@ class LinkView:
     """Unit vector of the ray in the camera's frame, (..., 3)."""
 
 
+@lru_cache(maxsize=4)
 def pixel_rays(camera: Camera) -> NDArray[np.float32]:
-    """Return the rays through the pixels' centres, (H, W, 3): points of the camera's frame at z = 1."""
+    """Return the rays through the pixels' centres, (H, W, 3): points of the camera's frame at z = 1; not to be changed.
+
+    Those of the last few cameras are kept, because the frames of a session share theirs.
+    """
     v, u = np.mgrid[: camera.height, : camera.width]
     pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
     rays = np.c_[camera.normalise(pixels), np.ones(len(pixels))].astype(np.float32)
-    return np.asarray(rays.reshape(camera.height, camera.width, 3), np.float32)
+    rays = rays.reshape(camera.height, camera.width, 3)
+    rays.setflags(write=False)
+    return np.asarray(rays, np.float32)
 
 
 def trace_links(
@@ -52,10 +60,36 @@ def trace_links(
 ) -> LinkView:
     """Trace a ray through every pixel's centre, for a pose ``camera_from_root`` (4, 4) and joints (J,)."""
     corners, owner = _triangles(instrument, camera_from_root, joints)
-    left, top, width, height = _window(camera, corners.reshape(-1, 3))
-    inside = np.zeros((camera.height, camera.width), dtype=np.bool_)
-    inside[top : top + height, left : left + width] = True
-    return _traced(corners, owner, pixel_rays(camera), inside)
+    return _traced(corners, owner, pixel_rays(camera), _window(camera, corners.reshape(-1, 3)))
+
+
+def links_at(
+    instrument: Instrument,
+    camera: Camera,
+    camera_from_root: NDArray[np.float64],
+    joints: NDArray[np.float64],
+    where: NDArray[np.bool_],
+) -> NDArray[np.int32]:
+    """Return the index (H, W) of the link that is seen at the pixels ``where`` (H, W); ``NOTHING`` at the others."""
+    corners, owner = _triangles(instrument, camera_from_root, joints)
+    links = np.full(where.shape, NOTHING, dtype=np.int32)
+    rays = pixel_rays(camera)[where]
+    faces = _scene(corners).run(np.ascontiguousarray(NEAR * rays), rays)
+    links[where] = np.where(faces == NOTHING, NOTHING, owner[faces])
+    return links
+
+
+def window_of_links(
+    instrument: Instrument,
+    camera: Camera,
+    camera_from_root: NDArray[np.float64],
+    joints: NDArray[np.float64],
+    links: Sequence[int],
+) -> NDArray[np.bool_]:
+    """Return a window (H, W) of the image outside which none of these links can be seen, given by their indices."""
+    poses = camera_from_root @ instrument.forward(joints)
+    points = [apply(poses[k], instrument.links[k].vertices) for k in links]
+    return _window(camera, np.concatenate(points)) if points else np.zeros((camera.height, camera.width), np.bool_)
 
 
 def trace_rays(
@@ -85,35 +119,46 @@ def _traced(
     corners: NDArray[np.float64], owner: NDArray[np.int32], rays: NDArray[np.float32], inside: NDArray[np.bool_]
 ) -> LinkView:
     """Trace the rays (..., 3) for which ``inside`` (...) is true; the others see nothing."""
+    traced = np.ascontiguousarray(rays[inside])
+    hits = _scene(corners).run(np.ascontiguousarray(NEAR * traced), traced, output=True)
+    hit = hits["primID"] != NOTHING
+    face, towards = hits["primID"][hit], traced[hit]
+    seen = np.zeros(inside.shape, dtype=np.bool_)
+    seen[inside] = hit
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    traced = np.ascontiguousarray(rays[inside])
+    view = LinkView(
+        link=np.full(inside.shape, NOTHING, dtype=np.int32),
+        depth=np.zeros(inside.shape, dtype=np.float32),
+        normal=np.zeros((*inside.shape, 3), dtype=np.float32),
+        direction=np.zeros((*inside.shape, 3), dtype=np.float32),
+    )
+    view.link[seen] = owner[face]
+    view.depth[seen] = hits["tfar"][hit] + NEAR
+    view.normal[seen] = normals[face]
+    view.direction[seen] = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+    return view
+
+
+def _scene(corners: NDArray[np.float64]) -> EmbreeScene:
+    """Return a scene of triangles with these corners (F, 3, 3)."""
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
-    hits = scene.run(np.ascontiguousarray(NEAR * traced), traced, output=True)
-
-    face = np.full(inside.shape, NOTHING, dtype=np.int64)
-    face[inside] = hits["primID"]
-    depth = np.zeros(inside.shape, dtype=np.float32)
-    depth[inside] = hits["tfar"] + NEAR
-    seen = face != NOTHING
-    return LinkView(
-        link=np.where(seen, owner[face], NOTHING).astype(np.int32),
-        depth=np.where(seen, depth, 0.0).astype(np.float32),
-        normal=np.where(seen[..., None], normals[face], 0.0).astype(np.float32),
-        direction=rays / np.linalg.norm(rays, axis=-1, keepdims=True),
-    )
+    return scene
 
 
-def _window(camera: Camera, points: NDArray[np.float64]) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of a window that contains the projections of points (N, 3).
+def _window(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return a window (H, W) of the image that contains the projections of points (N, 3).
 
     It is the whole image if a point is nearer than the near plane or behind the camera.
     """
+    inside = np.zeros((camera.height, camera.width), dtype=np.bool_)
     if points[:, 2].min() <= NEAR:
-        return 0, 0, camera.width, camera.height
+        inside[:] = True
+        return inside
     pixels = camera.project(points)
     size = np.array([camera.width, camera.height])
     low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 1, 0, size)
     high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 2, low, size)
-    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+    inside[low[1] : high[1], low[0] : high[0]] = True
+    return inside

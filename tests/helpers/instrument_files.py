@@ -19,8 +19,8 @@ ALL_SHARED = [
 
 @cache
 def loaded(source: str | Path) -> Instrument:
-    """Load an instrument without options, once for all tests of a process."""
-    return load_instrument(source)
+    """Load an instrument without options, once for all tests of a run, whose processes share the cache."""
+    return load_instrument(source, use_cache=True)
 
 
 TETRA_OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.instrument_files import TETRA_OBJ, gripper, write_urdf
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument import load_instrument, urdf
@@ -27,9 +28,14 @@ def plain(value: Any) -> Any:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Copy the bundled instrument, and set an empty cache folder."""
+    """Write a small instrument with a mesh, and set an empty cache folder."""
     monkeypatch.setenv("DVRK_CMAES_CACHE", str(tmp_path / "kept"))
-    shutil.copytree(bundled_path("instruments", "lnd"), tmp_path / "lnd")
+    box, mesh = '<box size="0.009 0.004 0.004"/>', '<mesh filename="meshes/wrist.obj" scale="0.009 0.004 0.004"/>'
+    small = gripper()
+    assert small.count(box) == 1
+    write_urdf(tmp_path / "small", small.replace(box, mesh), "small.urdf")
+    (tmp_path / "small" / "meshes").mkdir()
+    (tmp_path / "small" / "meshes" / "wrist.obj").write_text(TETRA_OBJ, encoding="utf-8")
     return tmp_path
 
 
@@ -48,7 +54,7 @@ def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
 
 def test_cached_instrument_equals_loaded(folder: Path, count_reads: list[Path]) -> None:
-    source = folder / "lnd" / "lnd.urdf"
+    source = Path(shutil.copytree(bundled_path("instruments", "lnd"), folder / "lnd")) / "lnd.urdf"
     first = load_instrument(source, use_cache=True)
     second = load_instrument(source, use_cache=True)
     assert len(count_reads) == 1
@@ -58,9 +64,9 @@ def test_cached_instrument_equals_loaded(folder: Path, count_reads: list[Path]) 
 
 
 def test_changed_mesh_or_urdf_is_read_again(folder: Path, count_reads: list[Path]) -> None:
-    source = folder / "lnd" / "lnd.urdf"
+    source = folder / "small" / "small.urdf"
     load_instrument(source, use_cache=True)
-    mesh = next((folder / "lnd" / "meshes").glob("jaw_1*"))
+    mesh = folder / "small" / "meshes" / "wrist.obj"
     mesh.write_bytes(mesh.read_bytes() + b"\n")
     load_instrument(source, use_cache=True)
     source.write_text(source.read_text() + "\n")
@@ -69,9 +75,9 @@ def test_changed_mesh_or_urdf_is_read_again(folder: Path, count_reads: list[Path
 
 
 def test_pipe_in_place_of_a_mesh_that_was_cached_is_refused(folder: Path) -> None:
-    source = folder / "lnd" / "lnd.urdf"
+    source = folder / "small" / "small.urdf"
     load_instrument(source, use_cache=True)
-    mesh = next((folder / "lnd" / "meshes").glob("jaw_1*"))
+    mesh = folder / "small" / "meshes" / "wrist.obj"
     mesh.unlink()
     os.mkfifo(mesh)
     with pytest.raises(InputError, match=mesh.stem):
@@ -79,18 +85,18 @@ def test_pipe_in_place_of_a_mesh_that_was_cached_is_refused(folder: Path) -> Non
 
 
 def test_other_options_have_their_own_entry(folder: Path) -> None:
-    source = folder / "lnd" / "lnd.urdf"
+    source = folder / "small" / "small.urdf"
     thin = load_instrument(source, use_cache=True, shaft_radius=0.003)
     thick = load_instrument(source, use_cache=True)
     assert thin.shaft is not None
     assert thick.shaft is not None
     assert thin.shaft.radius == 0.003
-    assert thick.shaft.radius > 0.004
+    assert thick.shaft.radius > 0.0039
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 no archive", b"\x00" * 5000])
 def test_damaged_entry_is_replaced(folder: Path, count_reads: list[Path], damage: bytes) -> None:
-    source = folder / "lnd" / "lnd.urdf"
+    source = folder / "small" / "small.urdf"
     load_instrument(source, use_cache=True)
     (kept,) = (folder / "kept").iterdir()
     kept.write_bytes(damage)
@@ -100,7 +106,7 @@ def test_damaged_entry_is_replaced(folder: Path, count_reads: list[Path], damage
 
 
 def test_cache_is_optional(folder: Path, monkeypatch: pytest.MonkeyPatch, count_reads: list[Path]) -> None:
-    source = folder / "lnd" / "lnd.urdf"
+    source = folder / "small" / "small.urdf"
     load_instrument(source)
     assert not (folder / "kept").exists()
     monkeypatch.setenv("DVRK_CMAES_CACHE", "off")
@@ -112,4 +118,4 @@ def test_cache_is_optional(folder: Path, monkeypatch: pytest.MonkeyPatch, count_
 def test_unwritable_cache_folder_is_tolerated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "file").write_text("in the way")
     monkeypatch.setenv("DVRK_CMAES_CACHE", str(folder / "file"))
-    assert load_instrument(folder / "lnd" / "lnd.urdf", use_cache=True).name == "lnd"
+    assert load_instrument(folder / "small" / "small.urdf", use_cache=True).name == "test"

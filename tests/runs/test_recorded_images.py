@@ -25,7 +25,7 @@ from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.truth import Truth
 
-FRAMES = 16
+FRAMES = 13
 GONE, OTHER = "0005", "0009"
 SETTINGS = TrackSettings(EstimateConfig(), evidence="images", workers=1)
 

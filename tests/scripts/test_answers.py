@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import copy
 import json
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.batch_sessions import QUICK
+from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
+
+from dvrk_cmaes.io.bundled import bundled_path
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
@@ -171,10 +177,21 @@ def answers(*options: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_checkout_compared_with_itself() -> None:
-    done = answers("--against", ROOT, "--only", "demo", "--json")
-    assert done.returncode == 0, done.stderr
-    demo = json.loads(done.stdout)["cases"]["demo"]
+@pytest.mark.usefixtures("compiled_once")
+def test_checkout_compared_with_itself(run_here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
+    import answers
+
+    def write(folder: Path) -> None:
+        shutil.copytree(bundled_path("demo"), folder)
+        (folder / "quick.toml").write_text(QUICK, encoding="utf-8")
+
+    options = ("--out", "out", "--workers", "1", "--config", "inputs/quick.toml")
+    monkeypatch.setattr(
+        answers, "CASES", (answers.Case("demo", write, (("batch", "inputs", *options),), bundled=True),)
+    )
+    done = run_here("answers", "--against", ROOT, "--only", "demo", "--json")
+    assert done.code == 0, done.err
+    demo = done.result["cases"]["demo"]
     assert demo["differ"] == 0
     assert demo["files"] > 10
     assert demo["values"] > 1000
@@ -199,7 +216,7 @@ def test_answers_are_kept_for_a_commit_and_its_inputs(tmp_path: Path, monkeypatc
         (folder / "joints.csv").write_text(text, encoding="utf-8")
 
     case = Case("made/easy", write, (("batch",),))
-    checkout = answers.Checkout("other", tmp_path, "")
+    checkout = answers.Checkout("other", tmp_path, "", "")
     for _ in range(2):
         assert answers._kept(checkout, case, "lnd", tmp_path / "kept") == {"a": [1]}
     assert len(runs) == 1

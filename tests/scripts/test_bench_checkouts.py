@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import make_session
 from helpers.commands import Ran
-from helpers.places import ROOT, SCRIPTS
+from helpers.places import ROOT
+
+from dvrk_cmaes.io.bundled import bundled_path
 
 
-def test_every_figure_is_compared() -> None:
-    session = ROOT / "data" / "demo"
-    command = [sys.executable, SCRIPTS / "bench.py", "checkouts", "--instrument", "lnd", "--sessions", session]
+def two_frames(folder: Path) -> Path:
+    """Write the first two of the bundled frames, with their truth, as a session."""
+    demo = bundled_path("demo")
+    (folder / "masks").mkdir(parents=True)
+    for name in ("camera.yaml", "golden.json", "masks/0000.png", "masks/0001.png"):
+        shutil.copy(demo / name, folder / name)
+    lines = (demo / "joints.csv").read_text(encoding="utf-8").splitlines()
+    (folder / "joints.csv").write_text("\n".join(lines[:3]) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.usefixtures("compiled_once")
+def test_every_figure_is_compared(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
+    session = two_frames(tmp_path / "session")
     options = ("--against", ROOT, "--quick", "--json")
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+    done = run_here("bench", "checkouts", "--instrument", "lnd", "--sessions", session, *options)
+    assert done.code == 0, done.err
+    report = done.result
     del report["machine"]
     assert [title.split(",")[0] for title in report] == [
         "estimate",

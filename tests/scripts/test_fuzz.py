@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from helpers.budget import ANY, INSPECTED, SLOW, quick_tries
 from helpers.places import SCRIPTS
+from helpers.plain_pictures import plain_pictures
 
 if TYPE_CHECKING:
     from measure.fuzz.runs import Outcome
@@ -43,7 +44,7 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
         folder = tmp_path_factory.mktemp("material")
         write_material(folder)
-        with stubbed(folder):
+        with stubbed(folder), plain_pictures():
             yield folder
 
 

@@ -11,12 +11,14 @@ import pytest
 from helpers.drawn_tools import DRAPE, TISSUE, Drawing, draw_tool
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.segmentation import Segmentation
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +70,20 @@ def test_mask_does_not_depend_on_threads(drawing: Drawing) -> None:
     finally:
         cv2.setNumThreads(threads)
     assert np.array_equal(masks[0], masks[1])
+
+
+def test_blas_has_one_thread_meanwhile(drawing: Drawing, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = segment(drawing.image)
+    threads: list[int] = []
+
+    def recorded(*_: object, **__: object) -> Segmentation:
+        threads.extend(each["num_threads"] for each in ThreadpoolController().select(user_api="blas").info())
+        return found
+
+    monkeypatch.setattr("dvrk_cmaes.segment.classic.segment_classic", recorded)
+    with threadpool_limits(limits=2, user_api="blas"):
+        segment(drawing.image)
+    assert {*threads} == {1}
 
 
 def test_image_is_not_modified(drawing: Drawing) -> None:

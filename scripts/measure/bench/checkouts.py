@@ -57,11 +57,15 @@ while True:
 
 @dataclass(frozen=True)
 class Checkout:
-    """A checkout whose package is imported by processes of their own, compiled into the folder ``compiled``."""
+    """A checkout whose package is imported by processes of their own, compiled into the folder ``compiled``.
+
+    ``cache`` is the folder in which its commands keep the instruments that they have measured.
+    """
 
     name: str
     folder: Path
     compiled: str
+    cache: str
 
     @property
     def environment(self) -> dict[str, str]:
@@ -94,16 +98,19 @@ class Checkout:
 def two_checkouts(this: Path, other: Path, *, timed: bool = True) -> Iterator[tuple[Checkout, Checkout]]:
     """Yield the checkout of --checkout and that of --against; InputError if one has not the package.
 
-    If they are ``timed``, each compiles other packages for itself, too; otherwise what one has compiled serves both.
+    If they are ``timed``, each compiles other packages for itself, too; otherwise what one has compiled serves both,
+    and also later comparisons, if PYTHONPYCACHEPREFIX names a folder for that.
     """
     for option, folder in (("--checkout", this), ("--against", other)):
         if not (folder / "dvrk_cmaes" / "__init__.py").is_file():
             raise InputError(f"{option} {folder}: expected a checkout with the package dvrk_cmaes")
-    with tempfile.TemporaryDirectory() as compiled:
-        yield (
-            Checkout("this", this.resolve(), f"{compiled}/this"),
-            Checkout("other", other.resolve(), f"{compiled}/{'other' if timed else 'this'}"),
+    with tempfile.TemporaryDirectory() as made:
+        once = os.environ.get("PYTHONPYCACHEPREFIX", f"{made}/once")
+        first, second = (
+            Checkout(name, folder.resolve(), f"{made}/compiled by {name}" if timed else once, f"{made}/cache of {name}")
+            for name, folder in (("this", this), ("other", other))
         )
+        yield first, second
 
 
 class _Answer(NamedTuple):
@@ -171,7 +178,7 @@ def checkouts_report(
     camera = str(sessions[0] / "camera.yaml")
     pages = _PAGE_FRAMES if frames is None else 10 * frames
     folder = next((one for one in sessions if one.name.startswith("medium")), sessions[len(sessions) // 2])
-    with two_checkouts(ROOT, other) as both:
+    with two_checkouts(ROOT, other, timed=frames is None) as both:
         answers = _answers(both, instrument, inputs)
         report = {
             "estimate, seconds a frame": _estimates(both, answers),

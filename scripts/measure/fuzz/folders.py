@@ -113,13 +113,21 @@ def fuzz_folders(material: Path, place: Path, run: Runner, commands: tuple[str, 
             for name in commands:
                 fresh = place.with_name(f"{place.name} again")
                 shutil.rmtree(fresh, ignore_errors=True)
-                shutil.copytree(place, fresh)
+                _copy(place, fresh)
                 if notes:
                     (fresh / _OUT / _NOTES).write_text("mine")
                 with contextlib.chdir(fresh):
                     _attempt(report, name, kind, run)
                 shutil.rmtree(fresh, ignore_errors=True)
     return report
+
+
+def _copy(place: Path, fresh: Path) -> None:
+    """Copy OUT, and link the other files, which no command may change; if one does, its own try says so."""
+    shutil.copytree(
+        place, fresh, copy_function=os.link, ignore=lambda folder, _: [_OUT] if Path(folder) == place else []
+    )
+    shutil.copytree(place / _OUT, fresh / _OUT)
 
 
 def _attempt(report: FolderReport, name: str, kind: str, run: Runner) -> None:

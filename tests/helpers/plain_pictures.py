@@ -1,0 +1,29 @@
+"""Pages without their pictures, for tests whose subject is what is written beside them: a picture takes some 20 ms.
+
+The pictures themselves are tested in `tests/report`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import pytest
+
+from dvrk_cmaes.report import page_layers, page_thumbnails
+
+ONE_PIXEL: Final = "data:image/webp;base64,UklGRhoAAABXRUJQVlA4TA0AAAAvAAAAEAcQERGIiP4HAA=="
+
+
+def _one_pixel(*_: object) -> str:
+    return ONE_PIXEL
+
+
+@contextmanager
+def plain_pictures() -> Iterator[None]:
+    """Let the pictures of pages be of one pixel."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (page_thumbnails, page_layers):
+            patch.setattr(module, "webp_address", _one_pixel)
+        yield
