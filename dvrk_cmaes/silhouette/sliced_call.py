@@ -25,7 +25,7 @@ _OF_A_DRAWING = 100
 
 @dataclass
 class Work:
-    """Drawings, and the pixel rows of silhouettes that they and what else was counted took."""
+    """Drawings, and the pixel rows of silhouettes that take as long as these and what else was counted."""
 
     drawings: int = 0
     rows: int = 0
@@ -45,14 +45,18 @@ def counted_work() -> Iterator[Work]:
         _counted.remove(work)
 
 
-def worked(rows: int) -> None:
-    """Count a drawing of some pixel rows of silhouettes; in a `SlicedCall` whose slice is done, wait for the next."""
+def worked(rows: int, *, drawn: bool = True) -> None:
+    """Count a drawing of some pixel rows of silhouettes; in a `SlicedCall` whose slice is done, wait for the next.
+
+    If nothing was ``drawn``, they are rows that take as long as the work that was done.
+    """
+    taken = rows + _OF_A_DRAWING if drawn else rows
     for work in _counted:
-        work.drawings += 1
-        work.rows += rows + _OF_A_DRAWING
+        work.drawings += drawn
+        work.rows += taken
     call: _Call | None = getattr(_local, "call", None)
     if call is not None:
-        call.worked(rows + _OF_A_DRAWING)
+        call.worked(taken)
 
 
 def stage(name: str) -> None:

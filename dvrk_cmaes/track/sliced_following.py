@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.silhouette.sliced_call import SlicedCall
+from dvrk_cmaes.silhouette.sliced_call import SlicedCall, worked
 from dvrk_cmaes.track.describe import without_pose
 from dvrk_cmaes.track.following import NOT_FOUND, Following, FollowingState
 from dvrk_cmaes.track.hypothesis import Hypothesis
@@ -21,11 +21,14 @@ from dvrk_cmaes.track.sight import Seen
 from dvrk_cmaes.track.sliced_search import Purpose, SlicedSearch
 from dvrk_cmaes.track.update import Fit
 
-STEP: Final = 6000.0
-"""Pixel rows of silhouettes after whose drawing a step ends; some 25 ms."""
-LEAST_SEARCHED: Final = 1500.0
-"""Those that are drawn in a step for a search in any case, and for what is decided after it."""
+STEP: Final = 10_000.0
+"""Pixel rows of silhouettes, or other work that takes as long, after which a step ends; some 40 ms."""
+STEP_OF_SEARCH: Final = 6000.0
+"""The same beside a search, whose next drawing may be of many poses at once."""
+LEAST_SEARCHED, MOST_SEARCHED = 1500.0, 4500.0
+"""The least that is done in a step for a search, and the most, which one drawing may overrun."""
 
+_OF_AN_IMAGE = 300  # of work beside its corrections
 _MOST_WAITING = 90  # images, of which the oldest are left out then
 _FEW_WAITING = 3  # images that wait while another one's search begins, or while where it is can be predicted
 _SEARCHED_AROUND = 4  # images that are followed late, one after the other, until no other is searched around
@@ -98,6 +101,7 @@ class _Queue:
         late = len(self.waiting) > 1
         self._late = self._late if late else 0
         searched = following.searched_around
+        worked(_OF_AN_IMAGE, drawn=False)
         try:
             return following.follow(time, time - self.followed, seen, around=not late or self._late < _SEARCHED_AROUND)
         finally:
@@ -168,9 +172,9 @@ class SlicedFollowing:
             if not went_on and before is not None:
                 queue.followed = before
             queue.add(time, seen)
-        result, left = self._advance(STEP)
+        result, left = self._advance(STEP if queue.search is None else STEP_OF_SEARCH)
         search = queue.search
-        if search is not None and search.advance(max(left, LEAST_SEARCHED)):
+        if search is not None and search.advance(min(max(left, LEAST_SEARCHED), MOST_SEARCHED)):
             queue.search, queue.ended = None, search
             again, _ = self._advance(max(search.left, LEAST_SEARCHED))
             result = result if again is None else again
