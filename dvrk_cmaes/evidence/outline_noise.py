@@ -145,9 +145,7 @@ _BESIDE: Final = _around(0, _RADII[0])
 _BEYOND: Final = [_around(least, most) for least, most in pairwise(_RADII)]
 
 
-def _squares_beside(
-    mask: NDArray[np.bool_], index: NDArray[np.intp], inside: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def _squares_beside(mask: NDArray[np.bool_], index: NDArray[np.intp], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return the squared distance (M,) of pixels to the nearest one of the other kind; 0 where that is not looked up.
 
     It is up to the largest of ``_RADII`` px, but only among ``_MOST`` pixels for each of these.

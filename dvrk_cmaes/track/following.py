@@ -65,9 +65,8 @@ class Following:
     """The modes that are followed, and how far they are believed.
 
     ``hypotheses`` are the modes, the one that is believed first; none before the first pose. ``last_step`` is the
-    prediction and correction of the last image, None where the pose was found otherwise. ``search_later`` begins a
-    search in the steps after the image's; without, an image's search is done in its own step. ``searched_around`` is
-    the number of images around whose prediction another pose was searched for.
+    prediction and correction of the last image, None where the pose was found otherwise. ``searched_around`` is the
+    number of images around whose prediction another pose was searched for.
     """
 
     follower: Follower
@@ -77,7 +76,6 @@ class Following:
     readings: LaggedReadings
     config: EstimateConfig
     calibration: SessionCalibration | None
-    search_later: SearchLater | None = None
     hypotheses: list[Hypothesis] = field(default_factory=list)
     last_step: FilterStep | None = None
     searched_around: int = 0
@@ -171,10 +169,19 @@ class Following:
         ahead, _ = self.follower.predicted(best, anchor, elapsed, self.readings.lag.std)
         return self._described(ahead, time, "lost", (reason,))
 
-    def follow(self, time: float, elapsed: float, seen: Seen, *, around: bool = True) -> TrackResult:
+    def follow(
+        self,
+        time: float,
+        elapsed: float,
+        seen: Seen,
+        *,
+        around: bool = True,
+        search_later: SearchLater | None = None,
+    ) -> TrackResult:
         """Predict all hypotheses for an image ``elapsed`` s after the last, and correct them by it.
 
         ``around`` is whether another pose is searched for around a prediction that the image does not support well.
+        ``search_later`` begins the search of the image, which is done at once without.
         """
         anchor = self.anchor(time)
         std = self.readings.lag.std
@@ -203,8 +210,8 @@ class Following:
             in_view = main is not None or self.follower.outline(self.hypotheses[0], seen.clear) is not None
             gone = seen.source == "image" and not in_view
             searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
-            if searched and self.search_later is not None:
-                self.search_later("lost", time, anchor, seen, predicted, fit if supported else None)
+            if searched and search_later is not None:
+                search_later("lost", time, anchor, seen, predicted, fit if supported else None)
                 searched = False
             result = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
             if result is not None:
@@ -212,7 +219,7 @@ class Following:
         if supported:
             result = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
             if self._confirmation.needed and result.status == "ok":
-                result = self._confirmed(time, anchor, seen, result)
+                result = self._confirmed(time, anchor, seen, result, search_later)
         else:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
         return replace(result, searched=searched or result.searched)
@@ -280,13 +287,15 @@ class Following:
             self.readings.forget_poses()
         return main, away
 
-    def _confirmed(self, time: float, anchor: Anchor, seen: Seen, result: TrackResult) -> TrackResult:
+    def _confirmed(
+        self, time: float, anchor: Anchor, seen: Seen, result: TrackResult, search_later: SearchLater | None
+    ) -> TrackResult:
         """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
         doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
         if not self._confirmation.due():
             return doubtful
-        if self.search_later is not None:
-            self.search_later("confirm", time, anchor, seen, self.hypotheses, None)
+        if search_later is not None:
+            search_later("confirm", time, anchor, seen, self.hypotheses, None)
             return doubtful
         solved = self.solve(seen, anchor)
         if solved is not None:

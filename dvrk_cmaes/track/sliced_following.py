@@ -39,8 +39,9 @@ class _Queue:
     """Images that are to be followed, the first of which may have been begun, and the search of an earlier one.
 
     ``ended`` is a search after which is to be decided how to go on. ``followed`` s is the time of the image that was
-    followed last, and ``before`` what was followed to it, while the next one is being followed. Nothing here refers to
-    the call that does the work, which therefore ends with its owner.
+    followed last, and ``before`` what was followed to it, while the next one is being followed. ``caught_up`` is
+    whether there was a time without waiting images since the pose was found. Nothing here refers to the call that does
+    the work, which therefore ends with its owner.
     """
 
     following: Following
@@ -49,6 +50,7 @@ class _Queue:
     ended: SlicedSearch | None = None
     followed: float = 0.0
     before: FollowingState | None = None
+    caught_up: bool = True
     _late: int = 0  # images that were searched around since none waited
 
     @property
@@ -89,10 +91,12 @@ class _Queue:
                 found = self.following.decided(self.ended)
                 if found is not None:
                     self.waiting, self.followed, result = deque(self.ended.later), self.ended.time, found
+                    self.caught_up = False
                 self.ended = None
             else:
                 result = self._follow_first()
             self.before = None
+        self.caught_up = True
         return result
 
     def _follow_first(self) -> TrackResult:
@@ -103,7 +107,9 @@ class _Queue:
         searched = following.searched_around
         worked(_OF_AN_IMAGE, drawn=False)
         try:
-            return following.follow(time, time - self.followed, seen, around=not late or self._late < _SEARCHED_AROUND)
+            around = not late or self._late < _SEARCHED_AROUND
+            elapsed = time - self.followed
+            return following.follow(time, elapsed, seen, around=around, search_later=self.begin_search)
         finally:
             self._late += following.searched_around - searched
             self.waiting.popleft()
@@ -113,8 +119,8 @@ class _Queue:
 class SlicedFollowing:
     """Follows to one image after the other, each in a step, none of which does much more work than `STEP`.
 
-    Until an image that was not done with in its step has been followed to, the steps after it state where its
-    prediction is, or no pose where many images wait.
+    Where an image is not done with in its step, the result is its prediction, as lost; or no pose, where many images
+    wait or the pose has just been found.
     """
 
     def __init__(self, following: Following) -> None:
@@ -124,7 +130,6 @@ class SlicedFollowing:
     def _begin_anew(self) -> None:
         self._queue = _Queue(self._following)
         self._call: SlicedCall[TrackResult | None] | None = None
-        self._following.search_later = self._queue.begin_search
 
     @property
     def searching(self) -> bool:
@@ -203,7 +208,7 @@ class SlicedFollowing:
             return without_pose(time, NOT_FOUND if search is None else search.reason, searched=True)
         behind = len(queue.waiting)
         reason = f"searching: an image of {queue.followed:.3f} s is followed to this one, {behind} behind"
-        if behind > _FEW_WAITING or (search is not None and search is queue.ended):
+        if behind > _FEW_WAITING or not queue.caught_up:
             return without_pose(time, reason, searched=True)
         predicted = self._following.predicted(best, time, time - queue.followed, reason)
         return replace(predicted, searched=True)
