@@ -43,6 +43,8 @@ _DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in 
 _DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
 _TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
 _UNLIKELY = 1.5  # ratio to the least misfit, from which on a lag is unlikely
+_FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly tells a lag
+_OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _MOVE = "a recording in which the arm moves quickly would determine it"
 
 
@@ -72,19 +74,36 @@ class LagCurve:
             return False
         return bool(self.misfit[np.argmin(np.abs(self.lags))] > _UNLIKELY * self.misfit.min())
 
-    def root_mean_square(self, frames: int, unknown: float) -> float:
-        """Return the root mean square of the lags that the curve allows, in its unit.
+    def root_mean_square(self, frames: int, unknown: float, about: float = 0.0) -> float:
+        """Return the root mean square of how far the lags that the curve allows are from one, in its unit.
 
         Parameters
         ----------
         frames
             Number of frames of which the curve is.
         unknown
-            Standard deviation of the lag beforehand, in the unit of the curve; the result is at most this.
+            Standard deviation of the lag beforehand, in the unit of the curve. The result is at most the root mean
+            square of what is allowed beforehand.
+        about
+            The lag from which the others are counted.
         """
         told = _TOLD_BY_A_FRAME * frames * (self.misfit - self.misfit.min())
         weights = np.exp(-0.5 * (told + (self.lags / unknown) ** 2))
-        return float(min(np.sqrt(weights @ self.lags**2 / weights.sum()), unknown))
+        return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
+
+    def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
+        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve tells the lag.
+
+        Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
+        its minimum. ``value`` is the lag, and ``applied`` tells whether it differs from none; the others are those of
+        `root_mean_square`.
+        """
+        if len(self.lags) < 2:
+            return 0.0
+        allowed = self.root_mean_square(frames, unknown, value)
+        if allowed <= _FLAT * float(np.diff(self.lags).max()):
+            return 0.0
+        return allowed * (_OF_A_LAG if applied else _OF_NONE)
 
     @classmethod
     def from_document(cls, document: LagCurveDocument | None) -> LagCurve | None:

@@ -154,7 +154,14 @@ class LagEstimate:
             return none
         unit, interval = self._clock.series.unit, self._clock.series.interval
         std = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
-        step, delay = self._untold_std(interval) if std is None else std, self._delay(self._clock)
+        delay = self._delay(self._clock)
+        if std is None:
+            step = self._untold_std(interval)
+        else:
+            unknown, applied = _UNKNOWN * interval, self.applied is not None
+            frames = len(self._clock.times)
+            flat = 0.0 if self.curve is None else self.curve.least_std(frames, unknown, delay.value, applied=applied)
+            step = max(std, flat)
         ends = [self._clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2

@@ -30,7 +30,7 @@ Float64 = NDArray[np.float64]
 
 _LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
 _FOLLOWED = 1.5
-"""Factor on the limits of contour and bend where neighbouring images support the pose.
+"""Factor on the limits of contour, bend and missing overlap where neighbouring images support the pose.
 
 In 17 followed recordings with known truth, frames that only these limits made doubtful were as accurate as others.
 """
@@ -81,7 +81,7 @@ def doubts_in_views(
     What one view shows well is not in doubt because another view is occluded, cut or has the tips outside: a reason
     that does not hold in every view is a remark that names the view. ``qualities`` are those of the pose in each view,
     in their order. ``followed`` tells that the images before and after support the pose, too: one tip in view is then
-    enough, and the contour may be farther off.
+    enough, the contour may be farther off, and the overlap lower.
     """
     of_views = [
         _doubts_in_view(at, view, quality, expected, trust, followed=followed)
@@ -110,9 +110,10 @@ def _doubts_in_view(
     """List the reasons, in words, for which a pose does not explain a view's mask or is not accurate."""
     instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
     reasons = []
-    if quality.iou < trust.least_iou:
-        reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {trust.least_iou:.2f}")
     factor = _FOLLOWED if followed else 1.0
+    least_iou = 1 - factor * (1 - trust.least_iou)
+    if quality.iou < least_iou:
+        reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {least_iou:.2f}")
     if quality.distal_px > factor * trust.largest_distal_px:
         reasons.append(
             f"wrist or jaws off: beyond the shaft, the mask's contour is {quality.distal_px:.1f} px (rms) from the "

@@ -31,9 +31,9 @@ from dvrk_cmaes.track.calibrated_frames import (
     describe,
     status_of,
 )
-from dvrk_cmaes.track.calibration_lag import predicted_with_lag
 from dvrk_cmaes.track.describe import without_pose
 from dvrk_cmaes.track.offset_smoother import FrameDeviations
+from dvrk_cmaes.track.predicted_image import PredictedImage
 from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
@@ -48,7 +48,6 @@ BASE_MOVED: Final = (
 _WINDOW = 15  # images whose deviations are estimated together
 _MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
 _DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
-_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +120,12 @@ class CalibratedFollowing:
         """Whether the last images disagree with the calibration."""
         return self._astray >= _DISAGREES
 
+    def start_from(self, at: Posed, reading: ReadingAt) -> None:
+        """Let the fit of the next image start from the pose and joints of one before it, with that one's readings."""
+        if reading.has_outer:
+            instrument = self._body.instrument
+            self._before = at.minus(PredictedImage.of(self.calibration, reading.outer, reading, 0.0, instrument).at)
+
     def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> TrackResult:
         """Fit the image of a later time, s, whose readings, less the lag, are ``reading``."""
         started = clock.perf_counter()
@@ -129,22 +134,13 @@ class CalibratedFollowing:
             self._outer = reading.outer
         if self._outer is None:
             return without_pose(time, "no readings of the outer joints so far")
-        model, calibration = self.calibration.model(self._outer[None], reading.joints[None], self._names)
-        at, prior = model.predict(calibration)[0], model.covariance(calibration)[0]
-        if not told:
-            prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(self._names)))
-        if self._lag_std > 0:
-            rates = np.concatenate([reading.outer_rate, reading.joint_rate])
-            instrument = self._body.instrument
-            late = (
-                self._lag_std * predicted_with_lag(self.calibration, self._outer, reading.joints, rates, instrument)[1]
-            )
-            prior = prior + np.outer(late, late)
-        jacobian = model.jacobian(calibration)[0]
-        if self._uncertain:
-            prior = prior + jacobian @ calibration_covariance(self.calibration) @ jacobian.T
-            jacobian = np.zeros_like(jacobian)
+        instrument = self._body.instrument
+        predicted = PredictedImage.of(self.calibration, self._outer, reading, self._lag_std, instrument, told=told)
+        at, prior, jacobian = predicted.at, predicted.prior, predicted.jacobian
         spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
+        if self._uncertain:
+            prior = spread = prior + predicted.shared
+            jacobian = np.zeros_like(jacobian)
         fitted = self._fitted(at, spread, seen, sight)
         told_by_fit = Told.of(fitted, at, spread)
         self.misfit = told_by_fit.misfit
@@ -172,15 +168,14 @@ class CalibratedFollowing:
             reasons.insert(0, BASE_MOVED.format(count=self._astray))
         if reasons and status == "ok":
             status = "doubtful"
-        offsets = self._offsets(followed, at, calibration.offsets, float(model.correction.values[0, 0]), reading)
-        base_from_root = model.base_from_root(calibration.offsets)[0]
+        offsets = self._offsets(followed, predicted, reading)
         return describe(
             time,
             status,
             tuple(reasons),
             followed,
             covariance,
-            np.asarray(followed.pose @ inverse(base_from_root)),
+            np.asarray(followed.pose @ inverse(predicted.base_from_root)),
             offsets,
             self._body.instrument,
             self._rig.views[0].camera,
@@ -264,11 +259,10 @@ class CalibratedFollowing:
         covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
         return at, np.asarray(covariance)
 
-    def _offsets(
-        self, at: Posed, predicted: Posed, offsets: Float64, of_cables: float, reading: ReadingAt
-    ) -> dict[str, float]:
+    def _offsets(self, at: Posed, predicted: PredictedImage, reading: ReadingAt) -> dict[str, float]:
         """Return the offsets of roll and of the joints that were read: true = reading + offset."""
-        found = {"roll": float(offsets[1] + of_cables + at.minus(predicted)[5])} if reading.has_outer else {}
+        by_roll = predicted.roll_offset + float(at.minus(predicted.at)[5])
+        found = {"roll": by_roll} if reading.has_outer else {}
         for name, value, read in zip(self._names, at.joints.tolist(), reading.joints.tolist(), strict=True):
             if not np.isnan(read):
                 found[name] = value - read

@@ -25,13 +25,13 @@ Float64 = NDArray[np.float64]
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
-OVERLAP_LOSS = 0.1
+OVERLAP_LOSS = 0.15
 """Loss of overlap from that of the keyframes, from which on a mask is not explained."""
 
 # Neighbours support the pose, so these limits are wider than those of a single frame.
-_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 6.0
+_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 9.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
-_CALIBRATION_ERROR = 2.0  # factor on the calibration's covariance, for errors that all masks of a recording share
+_CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 _MEDIAN_TO_STD = 1.4826
 

@@ -38,7 +38,7 @@ from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 
-SOLVED_AT: Final = (4, 8, 16, 24, 36, 48, MOST_KEYFRAMES)
+SOLVED_AT: Final = (4, 8, 12, 16, 20, 24, 36, 48, MOST_KEYFRAMES)
 """Numbers of keyframes at which they are solved together."""
 
 NEW_AT_MOST: Final = 20

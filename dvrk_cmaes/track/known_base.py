@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
@@ -19,6 +19,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.calibration_lag import lag_of
+from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
@@ -28,9 +29,11 @@ _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _AGREES = 4.0  # largest squared misfit per parameter of such an image
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
-_RELIED_ON = 20  # keyframes of a solution, from which on its stated errors held; chosen on twelve recordings
+_TOLD_LAG = 0.055  # s, largest standard deviation of a lag that keyframes tell
+_RELIED_ON = 8  # keyframes of a solution, from which on its stated errors held; chosen on twelve recordings
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
+_LATELY = 0.5  # s, since an image from which fits by a new calibration start
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
@@ -63,6 +66,9 @@ class KnownBase:
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
         self._following: CalibratedFollowing | None = None
+        self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
+        self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
+        self._started = False  # whether the fits by the calibration have been given where to start
         if calibration is not None:
             self._begin(calibration)
 
@@ -135,11 +141,23 @@ class KnownBase:
         self._known_mm = solution.tip_mm
         if solution.calibration is None or solution.reason or not self._is_better(solution):
             return False
-        if solution.tip_mm > self._config.trust.tip_mm * _BY_THE_BASE and self.calibration is None:
+        if self.calibration is None and not self._is_useful(solution):
+            self._confirms = solution.calibration if solution.keyframes >= _RELIED_ON else None
             return False
-        self._own, self._agreeing = True, None
+        self._own, self._agreeing, self._confirms = True, None, None
         self._begin(solution.calibration)
         return True
+
+    def _is_useful(self, solution: Solution) -> bool:
+        """Whether images are to be followed by a first solution, and not any longer from image to image.
+
+        Not by one whose error is too large, nor by few keyframes that do not tell the lag: the arm may have been slow.
+        """
+        assert solution.calibration is not None
+        lag = lag_of(solution.calibration, self._config.track.lag_std)
+        std = self._config.track.lag_std if lag is None else lag.std
+        told = std <= _TOLD_LAG or solution.keyframes >= _OWN_IS_ENOUGH
+        return told and solution.tip_mm <= self._config.trust.tip_mm * _BY_THE_BASE
 
     def _is_better(self, solution: Solution) -> bool:
         """Whether a solution is to replace the calibration: one of an earlier run only if that is another or worse."""
@@ -154,6 +172,7 @@ class KnownBase:
     def _begin(self, calibration: SessionCalibration) -> None:
         """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
         written = SessionCalibration.from_dict(calibration.to_dict())
+        self._started = False
         lag = lag_of(written, self._config.track.lag_std)
         std = self._config.track.lag_std if lag is None else lag.std
         self._following = CalibratedFollowing(
@@ -177,6 +196,10 @@ class KnownBase:
         """
         following, lag = self._following, self.lag
         assert following is not None
+        if not self._started and self._last is not None and time - self._last[0] <= _LATELY:
+            before = readings.at(self._last[0] - (0.0 if lag is None else lag.seconds))
+            following.start_from(self._last[1], before)
+        self._started = True
         result = following.follow(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, sight)
         wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
         if wrong or (alone and self._is_of_few and following.explains_little):
@@ -195,6 +218,12 @@ class KnownBase:
         if result.status == "doubtful" and uncertain and self._own:
             result = replace(result, reasons=(*result.reasons, self._how_far()))
         return result
+
+    def note(self, result: TrackResult) -> None:
+        """Remember where an image shows the instrument: fits by a new calibration start from there."""
+        if result.camera_from_root is not None and result.status != "lost":
+            joints = np.array([result.joints[name] for name in self._body.instrument.joint_names])
+            self._last = result.time, Posed(result.camera_from_root, joints)
 
     @property
     def _is_of_few(self) -> bool:
@@ -218,7 +247,7 @@ class KnownBase:
             self._bases += 1
             self._alone.clear()
             self.store.clear()
-        self._own, self._agreeing = False, None
+        self._own, self._agreeing, self._confirms = False, None, None
 
     def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is."""
@@ -231,10 +260,21 @@ class KnownBase:
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
         return self.store.offer(time, masks, sight.ignored(seen), readings, rates)
 
-    def unconfirmed(self, result: TrackResult, *, told: bool) -> TrackResult:
-        """Return the result of an image before a calibration: where the base could be ``told``, it is not ok."""
+    def unconfirmed(self, result: TrackResult, readings: ReadingBuffer, *, told: bool) -> TrackResult:
+        """Return the result of an image before a calibration.
+
+        Where the base could be ``told``, it is ok only if a solution whose lag is not told expects it there.
+        """
         if not told or result.status != "ok":
             return result
+        if self._confirms is not None:
+            lag = lag_of(self._confirms, self._config.track.lag_std)
+            reading = readings.at(result.time - (0.0 if lag is None else lag.seconds))
+            std = self._config.track.lag_std if lag is None else lag.std
+            instrument = self._body.instrument
+            confirmed = confirmed_by(self._confirms, result, reading, std, self._rig, self._config, instrument)
+            if confirmed is not None:
+                return confirmed
         known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
         why = f" ({self._reason})" if self._reason else ""
         far = f" ({self._how_far()})" if np.isfinite(self._known_mm) and not why else ""
@@ -243,6 +283,7 @@ class KnownBase:
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the state as plain values."""
+        last = self._last
         return {
             "store": self.store.checkpoint(),
             "alone": {name: result.to_dict() for name, result in self._alone.items()},
@@ -254,6 +295,9 @@ class KnownBase:
             "bases": self._bases,
             "own": self._own,
             "agreeing": self._agreeing,
+            "started": self._started,
+            "confirms": None if self._confirms is None else self._confirms.to_dict(),
+            "last": None if last is None else [last[0], last[1].pose.tolist(), last[1].joints.tolist()],
             "following": None if self._following is None else self._following.checkpoint(),
         }
 
@@ -271,3 +315,9 @@ class KnownBase:
             self._begin(SessionCalibration.from_dict(saved["following"]["calibration"]))
             assert self._following is not None
             self._following.restore(saved["following"])
+        self._started, self._last = bool(saved["started"]), None
+        confirms = saved["confirms"]
+        self._confirms = None if confirms is None else SessionCalibration.from_dict(confirms)
+        if saved["last"] is not None:
+            seconds, pose, joints = saved["last"]
+            self._last = float(seconds), Posed(np.array(pose, dtype=np.float64), np.array(joints, dtype=np.float64))

@@ -101,7 +101,7 @@ def judged(
     """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
     qualities = [measure_overlap(view, at) for view in views]
     error = expected_error(body.instrument, at, covariance)
-    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust)
+    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust, followed=True)
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)
 
 

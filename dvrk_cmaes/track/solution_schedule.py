@@ -9,9 +9,9 @@ from typing import Final, Protocol
 from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
 from dvrk_cmaes.track.tracker import Tracker
 
-_FEW: Final = 16
+_FEW: Final = 20
 SECONDS_OF_FEW: Final = 1.0
-"""Time, s, from the image after which up to 16 keyframes are given to be solved to the one that their solution is used
+"""Time, s, from the image after which up to 20 keyframes are given to be solved to the one that their solution is used
 from."""
 SECONDS_OF_MANY: Final = 2.0
 """The same of more keyframes."""

@@ -380,6 +380,7 @@ class Tracker:
             lately = self._by_filter is not None and time - self._by_filter <= _LONGEST_GAP
             alone = lately and self._best is not None
             result = known.follow(time, self._readings.buffer, seen, self._sight, alone=alone)
+            known.note(result)
             if known.calibration is None:  # contradicted
                 following.forget_calibration()
                 if not alone:
@@ -395,7 +396,9 @@ class Tracker:
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
-        return known.unconfirmed(result, told=self._best is not None and self._best.anchor.based)
+        known.note(result)
+        told = self._best is not None and self._best.anchor.based
+        return known.unconfirmed(result, self._readings.buffer, told=told)
 
     def smoothed(self) -> list[TrackResult]:
         """Return the results of all images given all images; status and reasons stay as they were.

@@ -300,6 +300,16 @@ def test_curve_tells_how_large_the_lag_may_be() -> None:
     assert flat.root_mean_square(60, 0.1) == pytest.approx(0.1, rel=0.1)
     assert late.root_mean_square(60, 0.1) == 0.1  # no more than what is expected beforehand
     assert [curve.against_none for curve in (sharp, flat, late)] == [False, False, True]
+    assert late.root_mean_square(60, 0.1, 0.3) < 0.05  # about the lag that it tells
+
+
+def test_lag_of_a_flat_curve_has_a_least_standard_deviation() -> None:
+    lags = np.arange(-8.0, 13.0) / 30
+    flat, sharp = (LagCurve("s", lags, weight * (lags - 0.1) ** 2) for weight in (0.1, 200.0))
+    assert sharp.least_std(8, 0.1, 0.1, applied=True) == 0
+    assert flat.least_std(8, 0.1, 0.0, applied=False) == pytest.approx(0.07, rel=0.2)
+    assert flat.least_std(8, 0.1, -0.15, applied=True) > 0.08  # an accidental minimum, far from what is likely
+    assert LagCurve("s", lags[:1], lags[:1]).least_std(8, 0.1, 0.0, applied=True) == 0
 
 
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:
