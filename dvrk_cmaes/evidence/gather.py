@@ -55,7 +55,7 @@ class Evidence:
         if self.ignores:
             counts = self.weight[window] > 0
             both, either = both & counts, either & counts
-        return np.count_nonzero(both) / max(np.count_nonzero(either), 1)
+        return float(np.count_nonzero(both)) / max(float(np.count_nonzero(either)), 1.0)
 
 
 def gather_evidence(

@@ -8,7 +8,7 @@ and the variance of the squared distance (Satterthwaite's approximation).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +48,22 @@ def _slope(values: Float64) -> Float64:
     return np.asarray((values[:count] - values[count:]).T / (2 * _STEP))
 
 
-def _across(instrument: Instrument, about: Float64) -> tuple[Float64, Float64]:
-    """Return the shaft's direction (3,) in the root's axes, and two directions (3, 2) across it at a pose (4, 4)."""
+def _position(pose: Float64, ends: Float64, which: Sequence[int]) -> Float64:
+    """Return the mean position (C, 3) m in the camera of some of the tips, whose places (C, K, 3) are in the root."""
+    tips = ends[:, list(which)].mean(axis=1)
+    return np.asarray(np.einsum("nij,nj->ni", pose[:, :3, :3], tips) + pose[:, :3, 3])
+
+
+def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
+    """Return the quantity: mean position of some tips in the camera, (C, 3) m."""
+    return lambda at: _position(at.pose, instrument.ends(at.joints), which)
+
+
+def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
+    """Return the quantity: the two components (C, 2) of the shaft's direction across that of the pose ``about``."""
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
-    return along, frame_along(about[:3, :3] @ along)[:, :2]
+    across = frame_along(about[:3, :3] @ along)[:, :2]
+    return lambda at: np.asarray(at.pose[:, :3, :3] @ along @ across)
 
 
 def largest_distance(covariance: Float64) -> float:
@@ -88,14 +100,13 @@ def _gamma_quantile(shape: float) -> float:
 def expected_error(instrument: Instrument, at: Posed, covariance: Float64) -> ExpectedError:
     """Propagate the covariance (6 + J, 6 + J) of the small changes of one pose to tips and shaft."""
     count, moved = len(instrument.ends(at.joints)), _moved(at)
-    ends, rotation = instrument.ends(moved.joints), moved.pose[:, :3, :3]
+    ends = instrument.ends(moved.joints)
     names = {f"jaw_{k + 1}": [k] for k in range(count)} | {"mean": [*range(count)]} if count > 1 else {"tip": [0]}
     spreads = {}
     for name, which in names.items():
-        slope = _slope(np.einsum("nij,nj->ni", rotation, ends[:, which].mean(axis=1)) + moved.pose[:, :3, 3])
+        slope = _slope(_position(moved.pose, ends, which))
         spreads[name] = 1e6 * slope @ covariance @ slope.T
-    along, across = _across(instrument, at.pose)
-    slope = np.degrees(_slope(rotation @ along @ across))
+    slope = np.degrees(_slope(shaft_direction(instrument, at.pose)(moved)))
     return ExpectedError(
         tip_mm={name: float(np.sqrt(np.trace(spread))) for name, spread in spreads.items()},
         tip_axes_mm={name: np.sqrt(np.diag(spread)) for name, spread in spreads.items()},
