@@ -7,9 +7,8 @@ recorded session at 30 a second, forwards and backwards, and readings of arm and
 the poses. The age is from sending an image's mask to receiving its pose there. Memory is the resident set of the
 following process, in MB, after 10 s, after a quarter of the time, and at the end; its growth is that since the quarter.
 
-With --solve, the arm's base is found from keyframes in another process, as by the command; with --losses, the masks
-show the instrument turned by half a turn about the image's centre for a quarter of a second each time. Ten minutes with
-one loss a minute:
+With --solve, the arm's base is found from keyframes in another process, as by the command; with --losses, the mask is a
+disc in the middle of the image for a quarter of a second each time. Ten minutes with one loss a minute:
 
     python scripts/bench.py live --seconds 600 --losses 60 --solve
 """
@@ -33,6 +32,7 @@ import numpy as np
 import psutil
 
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.instrument import load_instrument
@@ -190,12 +190,11 @@ def _key(fields: dict[str, Any]) -> tuple[int, int]:
 def _messages(session: Session, seconds: float, losses: float | None) -> Iterator[Sent]:
     """Yield the messages of a session in the order of their times, forwards and backwards for some seconds.
 
-    ``losses`` is the time between losses, s, during which masks are turned; None for none.
+    ``losses`` is the time between losses, s, during which the mask is a disc; None for none.
     """
     images = _images(session.folder)
-    files = [frame.mask for frame in session.frames if frame.mask is not None]
-    masks = [base64.b64encode(path.read_bytes()).decode() for path in files]
-    turned = [] if losses is None else [_turned(path) for path in files]
+    masks = [base64.b64encode(frame.mask.read_bytes()).decode() for frame in session.frames if frame.mask is not None]
+    disc = _disc(session.camera)
     (table,) = read_timed_joints(session.folder / "joints.csv")
     times = (table.times - table.times[0]) / NANOSECONDS
     count = min(len(images), len(masks))
@@ -203,7 +202,6 @@ def _messages(session: Session, seconds: float, losses: float | None) -> Iterato
     for k in range(round(seconds * IMAGES)):
         frame, moment = _back_and_forth(k, count - 1), k / IMAGES
         lost = losses is not None and moment >= losses / 2 and (moment - losses / 2) % losses < _LOSS
-        shown = turned if lost else masks
         later.append(
             Sent(moment, TOPICS.image, {"header": _header(moment), "format": "jpeg", "data": images[round(frame)]})
         )
@@ -211,7 +209,7 @@ def _messages(session: Session, seconds: float, losses: float | None) -> Iterato
             Sent(
                 moment + 1e-4,
                 str(TOPICS.mask),
-                {"header": _header(moment), "format": "png", "data": shown[round(frame)]},
+                {"header": _header(moment), "format": "png", "data": disc if lost else masks[round(frame)]},
             )
         )
     for k in range(round(seconds * READINGS)):
@@ -224,11 +222,11 @@ def _messages(session: Session, seconds: float, losses: float | None) -> Iterato
     yield from sorted(later, key=lambda one: one.moment)
 
 
-def _turned(path: Path) -> str:
-    """Return the mask of a file, turned by half a turn, as PNG in base64."""
-    pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    assert pixels is not None
-    return base64.b64encode(cv2.imencode(".png", pixels[::-1, ::-1])[1].tobytes()).decode()
+def _disc(camera: Camera) -> str:
+    """Return the mask of a disc in the middle of a camera's image, which no instrument has, as PNG in base64."""
+    pixels = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    cv2.circle(pixels, (camera.width // 2, camera.height // 2), camera.height // 8, 255, cv2.FILLED)
+    return base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
 
 
 def _back_and_forth(k: float, last: int) -> float:
