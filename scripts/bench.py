@@ -6,6 +6,7 @@
     python scripts/bench.py calibrate    processor time of solving a session together, by stage
     python scripts/bench.py scale        time of the renderer by image and mesh size, frames a second by processes
     python scripts/bench.py track        ms a step of following an instrument; with --steps, memory after so many
+    python scripts/bench.py steps        the time of each step of a running tracker, and what the longest did
     python scripts/bench.py page         bytes of a followed recording's page of 10,000 frames, time to load it
     python scripts/bench.py cores        speed of two threads and of two processes relative to one thread
     python scripts/bench.py checkouts    estimates with their errors, commands, folder, page, calibration and tests
@@ -29,7 +30,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from measure.bench import folder, live, many
+from measure.bench import folder, live, many, steps
 from measure.bench.calibrate import calibrate_report
 from measure.bench.checkouts import checkouts_report
 from measure.bench.cores import cores_report
@@ -117,8 +118,9 @@ COMMANDS: Final[Mapping[str, Callable[[argparse.Namespace], Report]]] = {
     "folder": folder.folder_report,
     "many": many.many_report,
     "live": live.live_report,
+    "steps": steps.steps_report,
 }
-OWN_OPTIONS: Final = {"folder": folder, "many": many, "live": live}
+OWN_OPTIONS: Final = {"folder": folder, "many": many, "live": live, "steps": steps}
 """Modules of the commands that take other options than the rest."""
 
 

@@ -103,6 +103,7 @@ def report_tasks(
                 (*doubts, *_describe_slips(model, i, config)),
                 agree=not disagreements[i],
                 config=stated,
+                brief=frames[i].brief,
             )
         )
     return tasks

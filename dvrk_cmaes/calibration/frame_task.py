@@ -23,7 +23,7 @@ from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.covariance import rough_covariance
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
-from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -45,7 +45,8 @@ class SessionFrame:
 
     ``data`` are its data or a function that reads them, picklable where several processes are used. ``result`` is its
     own result, estimated without the session. ``keypoints`` (2, 2), px, are the jaw tips; ``time``, s, is that of its
-    image. ``find_masks`` finds its masks again around silhouettes, where they were found in its images.
+    image. ``find_masks`` finds its masks again around silhouettes, where they were found in its images. If it is
+    ``brief``, only what a calibration needs of it is measured: it is reported with its own pose and the overlaps.
     """
 
     name: str
@@ -54,6 +55,7 @@ class SessionFrame:
     keypoints: Float64 | None = None
     time: float | None = None
     find_masks: FindMasks | None = None
+    brief: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ class ReportTask:
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
     frame's new result is the fit, otherwise its own result. ``config`` is stored with the result. ``first`` is the
     evidence of the frame's first masks, against which the prediction is measured, if these are others, and ``change``
-    that of its cameras, as in `FitTask`.
+    that of its cameras, as in `FitTask`. ``brief`` is as in `SessionFrame`.
     """
 
     stored: StoredFrame
@@ -110,6 +112,7 @@ class ReportTask:
     config: Mapping[str, Any]
     first: StoredFrame | None = None
     change: Float64 | None = None
+    brief: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,7 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
     pose, joints = frame.result.camera_from_root, frame.result.joints
     assert pose is not None
     own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
-    return StoredFrame.of(data, own, body, config, frame.keypoints)
+    return StoredFrame.of(data, own, body, config, frame.keypoints, features=not frame.brief)
 
 
 def with_changed_cameras(frame: SessionFrame, change: Float64) -> SessionFrame:
@@ -221,7 +224,11 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     started = time.perf_counter()
     views = restored_views(body, task.stored)
     readings = _of_instrument(body, config, task.result.readings)
-    of_views, rays = measure_views(views, readings, Posed.stacked([task.predicted, task.fit.at]), config)
+    poses = Posed.stacked([task.predicted, task.fit.at])
+    if task.brief:
+        of_views, rays = [[measure_overlap(view, at) for at in (task.predicted, task.fit.at)] for view in views], 0
+    else:
+        of_views, rays = measure_views(views, readings, poses, config)
     measured, names = of_views, [view.name for view in views]
     if task.first is not None:
         first = restored_views(body, task.first, task.change)
@@ -229,7 +236,9 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         names = [view.name for view in first]
     predicted = pooled_quality([qualities[0] for qualities in measured])
     own_result = task.result
-    if task.agree:
+    if task.brief:
+        result = replace(own_result, quality=pooled_quality([qualities[1] for qualities in of_views]))
+    elif task.agree:
         result = _result_of_fit(body, config, task, views, readings, [qualities[1] for qualities in of_views])
         result = replace(
             result,

@@ -86,10 +86,12 @@ class StoredFrame:
         body: Body,
         config: EstimateConfig,
         keypoints: Float64 | None = None,
+        *,
+        features: bool = True,
     ) -> StoredFrame:
         """Gather the evidence of a frame's views, and measure the frame's own estimate in them.
 
-        ``keypoints`` (2, 2) px are the jaw tips in the first view.
+        ``keypoints`` (2, 2) px are the jaw tips in the first view; ``features`` is as in `gather_evidence`.
 
         Raises
         ------
@@ -100,7 +102,13 @@ class StoredFrame:
         for view in shown_views(data.views):
             tips = keypoints if view is data.views[0] else None
             evidence = gather_evidence(
-                view.mask, view.camera, body.instrument, ignore=view.ignore, keypoints=tips, seed=config.seed
+                view.mask,
+                view.camera,
+                body.instrument,
+                ignore=view.ignore,
+                keypoints=tips,
+                seed=config.seed,
+                features=features,
             )
             renderer = Renderer(body, evidence.camera, threads=1)
             views.append(FrameView(view.name, evidence, renderer, view.view_from_camera))

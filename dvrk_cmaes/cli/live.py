@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import signal
 from collections.abc import Iterator
@@ -177,6 +178,8 @@ def live(
             solver = stack.enter_context(SolverProcess(body.instrument, background=True))
             setup = replace(setup, solver=solver)
         connection.open(timeout=2.0)
+        gc.collect()
+        gc.freeze()  # later collections, between or in steps, leave out what is there from the beginning
         try:
             counts = follow(setup, connection, note, stop)
         finally:

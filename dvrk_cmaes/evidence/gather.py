@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -39,6 +39,23 @@ class Evidence:
     tips: Float64 | None
     tips_given: bool
     unused: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def ignores(self) -> bool:
+        """Whether there are ignored pixels."""
+        return bool(self.weight.min() < 1)
+
+    def overlap_with(self, silhouette: NDArray[np.bool_], window: tuple[slice, slice] = np.s_[:, :]) -> float:
+        """Return the intersection over union of a silhouette (H, W) and the mask, without ignored pixels.
+
+        All of both is in the ``window`` of the image.
+        """
+        drawn, mask = silhouette[window], self.mask[window]
+        both, either = drawn & mask, drawn | mask
+        if self.ignores:
+            counts = self.weight[window] > 0
+            both, either = both & counts, either & counts
+        return float(np.count_nonzero(both)) / max(float(np.count_nonzero(either)), 1.0)
 
 
 def gather_evidence(

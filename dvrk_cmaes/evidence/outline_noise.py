@@ -8,6 +8,8 @@ of the outline relative to the readings, and the covariance of the pose.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 import cv2
 import numpy as np
@@ -25,6 +27,9 @@ _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that
 _AROUND = 2  # px around a silhouette and pixels, so that the window has background and the samples their neighbours
 _CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
 _NEXT = 1.0  # px, of margins for which pixels 2 px from the outline and farther count alike
+_RADII = (3, 5, 8, 12)  # px, up to which the nearest pixel of the other kind is looked up, one after the other
+_MOST = 100_000  # pixels that are looked at for each of these
+_NEITHER = 2  # outside the image
 _NEIGHBOURS = cv2.MORPH_CROSS, cv2.MORPH_RECT
 
 
@@ -92,21 +97,81 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     high = np.maximum([columns[-1], rows[-1]], np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
     left, top = np.clip(low, 0, [width, height]).astype(int)
     right, bottom = np.clip(high, 0, [width, height]).astype(int)
-    window = np.s_[top:bottom, left:right]
-    distance = np.zeros(silhouette.shape, dtype=np.float32)
+    part = np.ascontiguousarray(silhouette[top:bottom, left:right])
     at = np.floor(pixels).astype(np.intp)
-    row = np.clip(at[:, 1] + np.array([[0], [0], [1], [1]]), top, bottom - 1)
-    column = np.clip(at[:, 0] + np.array([[0], [1], [0], [1]]), left, right - 1)
-    distance[row, column] = _signed_at(silhouette[window], row - top, column - left)
+    row = np.clip(at[:, 1], top, bottom - 1), np.clip(at[:, 1] + 1, top, bottom - 1)
+    column = np.clip(at[:, 0], left, right - 1), np.clip(at[:, 0] + 1, left, right - 1)
+    needed = np.zeros(part.shape, dtype=np.bool_)
+    for v in row:
+        for u in column:
+            needed[v - top, u - left] = True
+    index = np.flatnonzero(needed)
+    of_part = np.zeros(part.shape, dtype=np.float32)
+    of_part.ravel()[index] = _signed_at(part, index)
+    distance = np.zeros(silhouette.shape, dtype=np.float32)
+    distance[top:bottom, left:right] = of_part
     return sampled(distance, pixels)
 
 
-def _signed_at(mask: NDArray[np.bool_], row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Compute `signed_distance` at some pixels only."""
-    index = row * mask.shape[1] + column
+def _signed_at(mask: NDArray[np.bool_], index: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Compute `signed_distance` of M pixels of a mask (H, W) only, whose indices (M,) are of the flattened mask.
+
+    Nearly all of them are beside the outline: where the nearest pixel of the other kind is, is looked up around each,
+    and only for those farther away the whole mask, or what is outside it, is transformed.
+    """
     inside = mask.take(index)
-    within, beyond = (rounded_distance(transformed(part).take(index)) for part in (mask, ~mask))
-    return np.where(inside, np.float32(0.5) - within, beyond - np.float32(0.5))
+    distance = np.sqrt(_squares_beside(mask, index, inside))
+    far = distance == 0
+    for part, of_part in ((mask, far & inside), (~mask, far & ~inside)):
+        if of_part.any():
+            distance[of_part] = rounded_distance(transformed(part).take(index[of_part]))
+    return np.where(inside, np.float32(0.5) - distance, distance - np.float32(0.5))
+
+
+def _around(least: int, most: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Return the pixels (n, 2) within ``most`` px and beyond ``least``, the nearest first, and their squared distances.
+
+    Pixels as near as each other are in no order.
+    """
+    sides = np.arange(-most, most + 1)
+    around = np.stack(np.meshgrid(sides, sides, indexing="ij"), axis=-1).reshape(-1, 2)
+    squared = (around**2).sum(axis=1)
+    order = np.argsort(squared, kind="stable")
+    order = order[(squared[order] > least**2) & (squared[order] <= most**2)]
+    return around[order].astype(np.intp), squared[order].astype(np.float32)
+
+
+_BESIDE: Final = _around(0, _RADII[0])
+_BEYOND: Final = [_around(least, most) for least, most in pairwise(_RADII)]
+
+
+def _squares_beside(mask: NDArray[np.bool_], index: NDArray[np.intp], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the squared distance (M,) of pixels to the nearest one of the other kind; 0 where that is not looked up.
+
+    It is up to the largest of ``_RADII`` px, but only among ``_MOST`` pixels for each of these.
+    """
+    height, width = mask.shape
+    edge = _RADII[-1]
+    padded = np.full((height + 2 * edge, width + 2 * edge), _NEITHER, dtype=np.uint8)
+    padded[edge:-edge, edge:-edge] = mask
+    image, stride = padded.ravel(), padded.shape[1]
+    found = np.zeros(len(index), dtype=np.float32)
+    left = np.arange(len(index))
+    at = index + index // width * (stride - width) + edge * (stride + 1)
+    other = (~inside).view(np.uint8)
+    for (down, right), squared in zip(_BESIDE[0].tolist(), _BESIDE[1].tolist(), strict=True):
+        beside = image.take(at + (down * stride + right)) == other
+        found[left[beside]] = squared
+        keep = np.flatnonzero(~beside)
+        left, at, other = left.take(keep), at.take(keep), other.take(keep)
+    for around, squares in _BEYOND:
+        if not 0 < len(left) * len(around) <= _MOST:
+            break
+        hit = image.take(at[:, None] + around @ np.array([stride, 1])) == other[:, None]
+        beside = hit.any(axis=1)
+        found[left[beside]] = squares[hit[beside].argmax(axis=1)]
+        left, at, other = left[~beside], at[~beside], other[~beside]
+    return found
 
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:

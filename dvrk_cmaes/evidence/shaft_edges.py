@@ -24,6 +24,9 @@ Float64 = NDArray[np.float64]
 
 _BLUR = 1.5  # px, standard deviation of the blur before the contour is located between pixels
 _NORMAL_BLUR = 3.0  # px, of the additional blur before the normals are computed
+_AROUND = 24  # px around the mask, beyond which neither blur reaches
+_TOGETHER = 16  # pixels of a row that OpenCV filters at once; it rounds the rest of a row otherwise
+_LEAST_CHAIN = 20  # points of a contour
 _BORDER = 3.0  # px; contour nearer to the image border is left out
 _NEAR_LINE = 1.2  # px, standard deviation of contour points about an edge during the search for lines
 _FACING = 0.93  # least cosine between an edge's normal and that of a contour point on it
@@ -72,18 +75,25 @@ class ShaftEdges:
 def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.bool_] | None = None) -> Contour:
     """Find the outer contours of a mask (H, W) with subpixel accuracy, without the parts along the image border."""
     height, width = mask.shape
-    image = mask.astype(np.float32)
-    # Replicated borders, because the instrument continues outside the image.
-    blurred = cv2.GaussianBlur(image, (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
-    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    chains = [chain[:, 0, :] for chain in found if len(chain) >= 20]
+    pixels = np.ascontiguousarray(mask).view(np.uint8)
+    found, _ = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    chains = [chain[:, 0, :] for chain in found if len(chain) >= _LEAST_CHAIN]
     points = np.concatenate(chains).astype(np.float64) if chains else np.zeros((0, 2))
     column, row = points[:, 0].astype(int), points[:, 1].astype(int)
-    gx = cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=0.125)[row, column].astype(np.float64)
-    gy = cv2.Sobel(blurred, cv2.CV_32F, 0, 1, scale=0.125)[row, column].astype(np.float64)
+    left, top, wide, high = cv2.boundingRect(pixels)
+    # beyond, the blurred mask is zero
+    low = np.maximum([left - _AROUND, top - _AROUND], 0) // _TOGETHER * _TOGETHER
+    right = -(-(left + wide + _AROUND) // _TOGETHER) * _TOGETHER
+    window = np.s_[low[1] : top + high + _AROUND, low[0] : right]
+    # Replicated borders, because the instrument continues outside the image.
+    blurred = cv2.GaussianBlur(mask[window].astype(np.float32), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
     softer = cv2.GaussianBlur(blurred, (0, 0), _NORMAL_BLUR, borderType=cv2.BORDER_REPLICATE)
-    nx = cv2.Sobel(softer, cv2.CV_32F, 1, 0)[row, column].astype(np.float64)
-    ny = cv2.Sobel(softer, cv2.CV_32F, 0, 1)[row, column].astype(np.float64)
+    u, v = column - low[0], row - low[1]
+    gx = cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=0.125)[v, u].astype(np.float64)
+    gy = cv2.Sobel(blurred, cv2.CV_32F, 0, 1, scale=0.125)[v, u].astype(np.float64)
+    nx = cv2.Sobel(softer, cv2.CV_32F, 1, 0)[v, u].astype(np.float64)
+    ny = cv2.Sobel(softer, cv2.CV_32F, 0, 1)[v, u].astype(np.float64)
+    grey = blurred[v, u]
     steep = np.hypot(gx, gy)
     keep = steep > 0.02
     inside = (points >= _BORDER).all(axis=1) & (points <= [width - 1 - _BORDER, height - 1 - _BORDER]).all(axis=1)
@@ -91,8 +101,8 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     if ignore is not None:
         near_ignored = cv2.dilate(ignore.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
         keep &= ~near_ignored[row, column]
-    points, gx, gy, nx, ny, steep, row, column = (a[keep] for a in (points, gx, gy, nx, ny, steep, row, column))
-    step = np.clip((blurred[row, column] - 0.5) / steep, -1.5, 1.5)
+    points, gx, gy, nx, ny, steep, grey = (a[keep] for a in (points, gx, gy, nx, ny, steep, grey))
+    step = np.clip((grey - 0.5) / steep, -1.5, 1.5)
     pixels = points - (step / steep)[:, None] * np.stack([gx, gy], axis=1)
     normal = -np.stack([nx, ny], axis=1) / np.maximum(np.hypot(nx, ny), 1e-9)[:, None]
     if camera.is_pinhole:

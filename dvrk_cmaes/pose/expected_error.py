@@ -33,30 +33,37 @@ _ITERATIONS = 20  # of Newton's method, which needs four
 
 def jacobian(quantity: Quantity, at: Posed) -> Float64:
     """Return the derivatives (n, 6 + J) of a quantity by small changes [t, r, joints], from central differences."""
+    return _slope(quantity(_moved(at)))
+
+
+def _moved(at: Posed) -> Posed:
+    """Return one pose after each of the small changes, first forwards, then backwards, (2 (6 + J),)."""
     count = 6 + len(at.joints)
-    values = quantity(at.moved(_STEP * np.concatenate([np.eye(count), -np.eye(count)])))
+    return at.moved(_STEP * np.concatenate([np.eye(count), -np.eye(count)]))
+
+
+def _slope(values: Float64) -> Float64:
+    """Return the derivatives (n, D) of a quantity from its values (2 D, n) at the poses of `_moved`."""
+    count = len(values) // 2
     return np.asarray((values[:count] - values[count:]).T / (2 * _STEP))
+
+
+def _position(pose: Float64, ends: Float64, which: Sequence[int]) -> Float64:
+    """Return the mean position (C, 3) m in the camera of some of the tips, whose places (C, K, 3) are in the root."""
+    tips = ends[:, list(which)].mean(axis=1)
+    return np.asarray(np.einsum("nij,nj->ni", pose[:, :3, :3], tips) + pose[:, :3, 3])
 
 
 def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
     """Return the quantity: mean position of some tips in the camera, (C, 3) m."""
-
-    def position(at: Posed) -> Float64:
-        tips = instrument.ends(at.joints)[:, list(which)].mean(axis=1)
-        return np.asarray(np.einsum("nij,nj->ni", at.pose[:, :3, :3], tips) + at.pose[:, :3, 3])
-
-    return position
+    return lambda at: _position(at.pose, instrument.ends(at.joints), which)
 
 
 def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
     """Return the quantity: the two components (C, 2) of the shaft's direction across that of the pose ``about``."""
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
     across = frame_along(about[:3, :3] @ along)[:, :2]
-
-    def direction(at: Posed) -> Float64:
-        return np.asarray(at.pose[:, :3, :3] @ along @ across)
-
-    return direction
+    return lambda at: np.asarray(at.pose[:, :3, :3] @ along @ across)
 
 
 def largest_distance(covariance: Float64) -> float:
@@ -92,13 +99,14 @@ def _gamma_quantile(shape: float) -> float:
 
 def expected_error(instrument: Instrument, at: Posed, covariance: Float64) -> ExpectedError:
     """Propagate the covariance (6 + J, 6 + J) of the small changes of one pose to tips and shaft."""
-    count = len(instrument.ends(at.joints))
+    count, moved = len(instrument.ends(at.joints)), _moved(at)
+    ends = instrument.ends(moved.joints)
     names = {f"jaw_{k + 1}": [k] for k in range(count)} | {"mean": [*range(count)]} if count > 1 else {"tip": [0]}
     spreads = {}
     for name, which in names.items():
-        slope = jacobian(tip_position(instrument, which), at)
+        slope = _slope(_position(moved.pose, ends, which))
         spreads[name] = 1e6 * slope @ covariance @ slope.T
-    slope = np.degrees(jacobian(shaft_direction(instrument, at.pose), at))
+    slope = np.degrees(_slope(shaft_direction(instrument, at.pose)(moved)))
     return ExpectedError(
         tip_mm={name: float(np.sqrt(np.trace(spread))) for name, spread in spreads.items()},
         tip_axes_mm={name: np.sqrt(np.diag(spread)) for name, spread in spreads.items()},

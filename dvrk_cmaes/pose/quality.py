@@ -163,12 +163,7 @@ def _overlaps(evidence: Evidence, masks: NDArray[np.bool_]) -> list[float]:
     if not len(masks):
         return []
     window = _window(evidence, masks)
-    mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
-    found = []
-    for silhouette in masks[:, window[0], window[1]]:
-        both, either = (silhouette * weight * mask).sum(), (np.maximum(silhouette, mask) * weight).sum()
-        found.append(float(both / max(either, 1)))
-    return found
+    return [evidence.overlap_with(silhouette, window) for silhouette in masks]
 
 
 def _without_losses(view: FrameView, seen: Posed, masks: NDArray[np.bool_]) -> list[Quality]:

@@ -47,9 +47,5 @@ def clearest_view(views: Sequence[FrameView]) -> FrameView:
 
 def overlap(views: Sequence[FrameView], drawn: Sequence[NDArray[np.bool_]]) -> float:
     """Return the mean intersection over union of silhouettes and masks, one a view, without ignored pixels."""
-    shares = []
-    for view, silhouette in zip(views, drawn, strict=True):
-        mask, weight = view.evidence.mask, view.evidence.weight
-        both, either = ((part * weight).sum() for part in (silhouette & mask, silhouette | mask))
-        shares.append(float(both / max(either, 1)))
+    shares = [view.evidence.overlap_with(seen) for view, seen in zip(views, drawn, strict=True)]
     return float(np.mean(shares))

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Final, Generic, TypeVar, cast
 
 R = TypeVar("R")
@@ -21,11 +23,40 @@ _OF_A_DRAWING = 100
 """Pixel rows that take as long as what a drawing takes beside its rows."""
 
 
-def worked(rows: int) -> None:
-    """Count a drawing of some pixel rows of silhouettes; in a `SlicedCall` whose slice is done, wait for the next."""
+@dataclass
+class Work:
+    """Drawings, and the pixel rows of silhouettes that take as long as these and what else was counted."""
+
+    drawings: int = 0
+    rows: int = 0
+
+
+_counted: list[Work] = []
+
+
+@contextmanager
+def counted_work() -> Iterator[Work]:
+    """Count what is drawn in all threads meanwhile, whether in a `SlicedCall` or not."""
+    work = Work()
+    _counted.append(work)
+    try:
+        yield work
+    finally:
+        _counted.remove(work)
+
+
+def worked(rows: int, *, drawn: bool = True) -> None:
+    """Count a drawing of some pixel rows of silhouettes; in a `SlicedCall` whose slice is done, wait for the next.
+
+    If nothing was ``drawn``, they are rows that take as long as the work that was done.
+    """
+    taken = rows + _OF_A_DRAWING if drawn else rows
+    for work in _counted:
+        work.drawings += drawn
+        work.rows += taken
     call: _Call | None = getattr(_local, "call", None)
     if call is not None:
-        call.worked(rows + _OF_A_DRAWING)
+        call.worked(taken)
 
 
 def stage(name: str) -> None:
@@ -54,6 +85,11 @@ class SlicedCall(Generic[R]):
         return self._call.ended
 
     @property
+    def left(self) -> float:
+        """Pixel rows of the last slice that were not drawn, because the call has ended; negative if it drew more."""
+        return self._call.left
+
+    @property
     def stage(self) -> str:
         """Name of the piece of work that is being done or is next; empty while it draws."""
         return self._call.stage
@@ -76,14 +112,14 @@ class _Call:
         self.ended, self.value, self.error = False, cast(object, None), cast(BaseException | None, None)
         self.stage = ""
         self._function = function
-        self._left, self._given_up = 0.0, False
+        self.left, self._given_up = 0.0, False
         self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
         self._thread: threading.Thread | None = None
 
     def advance(self, work: float) -> None:
         if self.ended:
             return
-        self._left = work
+        self.left = work
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, daemon=True)
             self._thread.start()
@@ -98,15 +134,15 @@ class _Call:
 
     def begin(self, name: str) -> None:
         self.stage = name
-        self._spend(self._left)
+        self._spend(self.left)
 
     def worked(self, rows: int) -> None:
         self.stage = ""
         self._spend(rows)
 
     def _spend(self, rows: float) -> None:
-        self._left -= rows
-        if self._left <= 0:
+        self.left -= rows
+        if self.left <= 0:
             self._back.release()
             self._go.acquire()
             if self._given_up:

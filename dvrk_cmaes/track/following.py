@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -30,7 +30,7 @@ from dvrk_cmaes.track.recovery import (
 )
 from dvrk_cmaes.track.searching import WORSE, Searching, is_better
 from dvrk_cmaes.track.sight import Seen, Sight
-from dvrk_cmaes.track.sliced_search import CAUGHT_UP, CAUGHT_UP_BY_COLOURS, Purpose, SlicedSearch
+from dvrk_cmaes.track.sliced_search import Purpose, SlicedSearch
 from dvrk_cmaes.track.smoother import FilterStep
 from dvrk_cmaes.track.start import based_on_arm, rebased, starting_hypotheses
 from dvrk_cmaes.track.update import Fit
@@ -38,13 +38,35 @@ from dvrk_cmaes.track.update import Fit
 NOT_FOUND: Final = "not found: the first image could not be solved"
 
 
+SearchLater = Callable[[Purpose, float, Anchor, Seen, Sequence[Hypothesis], Fit | None], None]
+"""Begins the search of an image in the steps after it: what for, its time, s, what was known there, and its fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class FollowingState:
+    """The modes that were followed to an image, and how far they are believed; fields as of `Following`."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    search: Searching
+    confirmation: Confirmation
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the state as plain values."""
+        search, confirmation = self.search, self.confirmation
+        return {
+            "hypotheses": [plain_hypothesis(hypothesis) for hypothesis in self.hypotheses],
+            "search": [search.unsupported, search.wait, search.usual, search.astray],
+            "confirmation": [confirmation.credit, confirmation.left, confirmation.wait],
+        }
+
+
 @dataclass(eq=False)
 class Following:
     """The modes that are followed, and how far they are believed.
 
     ``hypotheses`` are the modes, the one that is believed first; none before the first pose. ``last_step`` is the
-    prediction and correction of the last image, None where the pose was found otherwise. ``sliced`` tells to search
-    images in slices, in the steps after them.
+    prediction and correction of the last image, None where the pose was found otherwise. ``searched_around`` is the
+    number of images around whose prediction another pose was searched for.
     """
 
     follower: Follower
@@ -54,36 +76,21 @@ class Following:
     readings: LaggedReadings
     config: EstimateConfig
     calibration: SessionCalibration | None
-    sliced: bool = False
     hypotheses: list[Hypothesis] = field(default_factory=list)
     last_step: FilterStep | None = None
+    searched_around: int = 0
     _search: Searching = field(default_factory=Searching)
     _confirmation: Confirmation = field(default_factory=Confirmation)
-    _running: SlicedSearch | None = None
-    _behind: list[tuple[float, Seen]] = field(default_factory=list)  # images after the one that is followed
-    _followed: float = 0.0  # s, the time of that one
-
-    @property
-    def searching(self) -> bool:
-        """Whether the search of an image goes on in the next steps, or images that came during one are behind."""
-        return self._running is not None or bool(self._behind)
-
-    def followed_until(self, last: float | None) -> float | None:
-        """Return the time, s, of the image that the modes are of; ``last`` is that of the last step."""
-        return self._followed if self._behind else last
 
     @property
     def best(self) -> Hypothesis | None:
         """The mode that is believed; None before the first pose."""
         return self.hypotheses[0] if self.hypotheses else None
 
-    def checkpoint(self) -> dict[str, Any]:
-        """Return the state as plain values."""
-        return {
-            "hypotheses": [plain_hypothesis(hypothesis) for hypothesis in self.hypotheses],
-            "search": [self._search.unsupported, self._search.wait, self._search.usual, self._search.astray],
-            "confirmation": [self._confirmation.credit, self._confirmation.left, self._confirmation.wait],
-        }
+    @property
+    def state(self) -> FollowingState:
+        """The present state, which is not changed by what follows."""
+        return FollowingState(tuple(self.hypotheses), replace(self._search), replace(self._confirmation))
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
@@ -91,7 +98,6 @@ class Following:
         unsupported, wait, usual, astray = saved["search"]
         usual = None if usual is None else float(usual)
         self._search = Searching(float(unsupported), float(wait), usual, int(astray))
-        self._running, self._behind = None, []
         credit, left, wait = saved["confirmation"]
         self._confirmation = Confirmation(float(credit), int(left), int(wait))
 
@@ -128,7 +134,7 @@ class Following:
 
     def forget(self) -> None:
         """Forget what was followed; the next image is solved by itself."""
-        self.hypotheses, self.last_step, self._running, self._behind = [], None, None, []
+        self.hypotheses, self.last_step = [], None
         self._search = Searching()
         self.readings.forget_poses()
 
@@ -157,8 +163,26 @@ class Following:
         if corrected is not None:
             self._search.settle(corrected[1])
 
-    def follow(self, time: float, elapsed: float, seen: Seen) -> TrackResult:
-        """Predict all hypotheses for an image ``elapsed`` s after the last, and correct them by it."""
+    def predicted(self, best: Hypothesis, time: float, elapsed: float, reason: str) -> TrackResult:
+        """Return where a hypothesis is predicted ``elapsed`` s later, as lost for a reason, without following to it."""
+        anchor = self.readings.anchor(time, best.anchor)
+        ahead, _ = self.follower.predicted(best, anchor, elapsed, self.readings.lag.std)
+        return self._described(ahead, time, "lost", (reason,))
+
+    def follow(
+        self,
+        time: float,
+        elapsed: float,
+        seen: Seen,
+        *,
+        around: bool = True,
+        search_later: SearchLater | None = None,
+    ) -> TrackResult:
+        """Predict all hypotheses for an image ``elapsed`` s after the last, and correct them by it.
+
+        ``around`` is whether another pose is searched for around a prediction that the image does not support well.
+        ``search_later`` begins the search of the image, which is done at once without.
+        """
         anchor = self.anchor(time)
         std = self.readings.lag.std
         before = [based_on_arm(self.follower, self.config, mode, anchor, std) for mode in self.hypotheses]
@@ -176,16 +200,18 @@ class Following:
         if evidence is None:
             return self._unsupported(time, "lost: no instrument was found in the image")
         fits = [self.follower.corrected(mode, evidence) for mode in self.hypotheses]
-        fits[0], away = self._found_around(before[0], fits[0], anchor, evidence, seen.source)
-        main, track = fits[0], self.config.track
+        track, away = self.config.track, False
+        if around:
+            fits[0], away = self._found_around(before[0], fits[0], anchor, evidence, seen.source)
+        main = fits[0]
         fit = None if main is None else main[1]
         supported, searched = fit is not None and is_supported(fit, track), False
         if self._search.is_weak(fit, seen.source, track):
             in_view = main is not None or self.follower.outline(self.hypotheses[0], seen.clear) is not None
             gone = seen.source == "image" and not in_view
             searched = self._search.missed(fit, seen.source, track, out_of_view=gone)
-            if searched and self.sliced:
-                self._begin_search("lost", time, anchor, seen, predicted, fit if supported else None)
+            if searched and search_later is not None:
+                search_later("lost", time, anchor, seen, predicted, fit if supported else None)
                 searched = False
             result = self._searched(time, anchor, seen, evidence, fit if supported else None) if searched else None
             if result is not None:
@@ -193,62 +219,15 @@ class Following:
         if supported:
             result = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
             if self._confirmation.needed and result.status == "ok":
-                result = self._confirmed(time, anchor, seen, result)
+                result = self._confirmed(time, anchor, seen, result, search_later)
         else:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
-        return replace(result, searched=searched or result.searched or self.searching)
+        return replace(result, searched=searched or result.searched)
 
-    def step_in_slices(self, time: float, before: float | None, seen: Seen) -> TrackResult:
-        """Follow to an image, ``before`` s being the time of the last, and do a slice of what is searched for.
-
-        What the search of an image finds is followed through the images after it, a few in each step, until the present
-        one is reached.
-        """
-        search = self._running
-        if search is None and not self._behind:
-            if self.best is not None and before is not None:
-                return self.follow(time, time - before, seen)
-            if seen.problem is not None:
-                return without_pose(time, seen.problem)
-            search = self._running = SlicedSearch.of(self.solve, "first", time, self.anchor(time), seen, [])
-            if not search.advance():
-                return without_pose(time, search.reason, searched=True)
-        result = None
-        if search is not None:
-            if time > search.time and not search.add(time, seen):
-                self._running = None
-            elif search.advance():
-                self._running = None
-                result = self._decided(search, time)
-            if not self._behind and result is None:
-                if self.best is None or before is None:
-                    reason = search.reason if self._running is not None else NOT_FOUND
-                    return without_pose(time, reason, searched=True)
-                return replace(self.follow(time, time - before, seen), searched=True)
-            if result is not None and not self._behind:
-                return result
-        else:
-            self._behind.append((time, seen.copied()))
-        for _ in range(CAUGHT_UP_BY_COLOURS if seen.masks[seen.main] is None else CAUGHT_UP):
-            at, image = self._behind.pop(0)
-            result = self.follow(at, at - self._followed, image)
-            self._followed = at
-            if not self._behind:
-                return replace(result, searched=True)
-        reason = f"searching: an image of {self._followed:.3f} s is followed to this one, {len(self._behind)} behind"
-        return without_pose(time, reason, searched=True)
-
-    def _begin_search(
-        self, purpose: Purpose, time: float, anchor: Anchor, seen: Seen, modes: list[Hypothesis], fit: Fit | None
-    ) -> None:
-        """Begin to search an image in slices, unless another one is being searched or followed to the present."""
-        if not self.searching:
-            self._running = SlicedSearch.of(self.solve, purpose, time, anchor, seen, modes, fit)
-
-    def _decided(self, search: SlicedSearch, time: float) -> TrackResult | None:
+    def decided(self, search: SlicedSearch) -> TrackResult | None:
         """Decide whether to go on from what the search of an image has found; None to go on as before.
 
-        If so, and it is not the image of this ``time``, s, the images after it are to be followed.
+        If so, the images after that one are to be followed anew.
         """
         solved, present, last = search.call.value(), self.hypotheses, self.last_step
         found: TrackResult | None = None
@@ -269,8 +248,6 @@ class Following:
                     found = self._searched(search.time, search.anchor, search.seen, evidence, search.fit, solved=solved)
             if found is None:
                 self.hypotheses, self.last_step = present, last
-        if found is not None:
-            self._behind, self._followed = list(search.later), search.time
         return found
 
     def _confirmed_by(self, search: SlicedSearch, solved: Result) -> TrackResult | None:
@@ -297,6 +274,7 @@ class Following:
         """
         away = False
         if self._search.is_weak(main and main[1], source, self.config.track):
+            self.searched_around += 1
             nearby = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
             certain = nearby is not None and is_certain(nearby[1], source)
             if nearby is not None and certain and (main is None or is_better(nearby[1], main[1])):
@@ -309,13 +287,15 @@ class Following:
             self.readings.forget_poses()
         return main, away
 
-    def _confirmed(self, time: float, anchor: Anchor, seen: Seen, result: TrackResult) -> TrackResult:
+    def _confirmed(
+        self, time: float, anchor: Anchor, seen: Seen, result: TrackResult, search_later: SearchLater | None
+    ) -> TrackResult:
         """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
         doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
         if not self._confirmation.due():
             return doubtful
-        if self.sliced:
-            self._begin_search("confirm", time, anchor, seen, self.hypotheses, None)
+        if search_later is not None:
+            search_later("confirm", time, anchor, seen, self.hypotheses, None)
             return doubtful
         solved = self.solve(seen, anchor)
         if solved is not None:
@@ -406,7 +386,17 @@ class Following:
         self, time: float, status: TrackStatus, reasons: tuple[str, ...], located: Located | None = None
     ) -> TrackResult:
         """Describe the best hypothesis, which is ``located`` if that is given."""
-        best = self.hypotheses[0]
+        return self._described(self.hypotheses[0], time, status, reasons, located)
+
+    def _described(
+        self,
+        best: Hypothesis,
+        time: float,
+        status: TrackStatus,
+        reasons: tuple[str, ...],
+        located: Located | None = None,
+    ) -> TrackResult:
+        """Describe a hypothesis, which is ``located`` if that is given."""
         located = self.follower.located(best) if located is None else located
         doubts = tuple(doubts_of_pose(located, self.rig, self.config.track))
         if status == "ok" and doubts:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.silhouette.sliced_call import worked
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
@@ -40,6 +41,7 @@ _WINDOW = 1  # px on either side of an edge within which its exact place is foun
 _LEAST_CONTRAST = 24.0  # difference of the colours of the sides, for the exact place
 _FINE_STD, _COARSE_STD = 0.8, 2.0  # px, of an edge's place where it is exact, and where it is not
 _BLUR = 1.2  # px from the outline, within which pixels have colours of both sides
+_WORK = 450  # pixel rows of silhouettes that take as long as the correction by the distances of an outline
 _BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
 
 
@@ -97,6 +99,7 @@ class ImageEvidence:
 
     def distances(self, pixels: Float64, outline: DrawnOutline, reach: float) -> EdgeDistances:
         """Measure how far an outline's points, now at ``pixels`` (N, 2), lie outside the edge."""
+        worked(_WORK, drawn=False)
         scale = 1
         while reach > _FARTHEST * scale:
             scale *= 2

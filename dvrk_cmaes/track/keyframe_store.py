@@ -139,7 +139,7 @@ class KeyframeProblem:
                 result = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=config)
                 result = Result.from_dict(result.to_dict())  # in the digits that an interrupted run goes on with
             alone[keyframe.name] = result
-            frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time))
+            frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time, brief=True))
         try:
             solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=config)
         except InputError as error:

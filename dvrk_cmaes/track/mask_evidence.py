@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.silhouette.sliced_call import worked
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.edges import EdgeDistances, Pass
 
@@ -15,6 +16,7 @@ Float64 = NDArray[np.float64]
 _IGNORED_MARGIN = 3  # px around ignored pixels whose edges are not the instrument's
 _MARGIN = 16  # px around the mask; beyond it there is nothing but background
 _INSIDE = 127  # largest value outside a blurred mask
+_WORK = 200  # pixel rows of silhouettes that take as long as the correction by the distances of an outline
 _BLUR = 1.0  # px, standard deviation; the edge of a blurred mask is found to a fraction of a pixel
 
 
@@ -48,6 +50,7 @@ class MaskEvidence:
 
     def distances(self, pixels: Float64, outline: DrawnOutline, reach: float) -> EdgeDistances:
         """Measure how far an outline's points, now at ``pixels`` (N, 2), lie outside the mask."""
+        worked(_WORK, drawn=False)
         count = int(np.ceil(reach))
         along = np.arange(-count, count + 1, dtype=np.float32)
         at, normals = (pixels - self._origin).astype(np.float32), outline.normals.astype(np.float32)

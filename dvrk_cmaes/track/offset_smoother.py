@@ -82,23 +82,23 @@ class FrameDeviations:
         slow_share, slow, fast
             Share of the variance that wanders slowly, and the times, s, over which both parts do.
         """
-        count, size = optimum.shape
+        size = optimum.shape[1]
         both = np.concatenate([np.eye(size), np.eye(size)], axis=1)  # the deviation is the sum of both parts
-        covariance = np.zeros((count, 2 * size, 2 * size))
+        covariance = np.zeros((len(prior), 2 * size, 2 * size))
         covariance[:, :size, :size] = slow_share * prior
         covariance[:, size:, size:] = (1 - slow_share) * prior
         scale = np.repeat([slow, fast], size)
         steps = np.exp(-np.diff(times)[:, None] / scale)
         diagonal = np.zeros_like(covariance)
-        beside = np.zeros((count - 1, 2 * size, 2 * size))  # between a frame and the next one
+        beside = np.zeros((0, 2 * size, 2 * size))  # between a frame and the next one
         diagonal[0] = np.linalg.inv(covariance[0])
-        for k, step in enumerate(steps):
-            root = _carried(covariance[k], covariance[k + 1], step, size)
-            noise = covariance[k + 1] - root @ covariance[k] @ root.T
-            precision = np.linalg.inv(noise + _JITTER * covariance[k + 1])
-            diagonal[k] += root.T @ precision @ root
-            diagonal[k + 1] += precision
-            beside[k] = -root.T @ precision
+        if len(steps):
+            root = _carried(prior, steps, size)
+            noise = covariance[1:] - root @ covariance[:-1] @ root.swapaxes(1, 2)
+            precision = np.linalg.inv(noise + _JITTER * covariance[1:])
+            beside = -root.swapaxes(1, 2) @ precision
+            diagonal[:-1] -= beside @ root
+            diagonal[1:] += precision
         diagonal += both.T @ information @ both
         right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
         return cls(diagonal, beside, both.T @ right, both, jacobian)
@@ -122,12 +122,17 @@ class FrameDeviations:
         return found[:, 0], self.both @ pivots[-1] @ self.both.T, self.jacobian[-1] + found[:, 1:]
 
 
-def _carried(before: Float64, after: Float64, step: Float64, size: int) -> Float64:
-    """Return the matrix that carries both parts of the deviation to the next frame, as covariances change there."""
-    out = np.zeros_like(before)
+def _carried(prior: Float64, steps: Float64, size: int) -> Float64:
+    """Return the matrices (N - 1, M, M) that carry both parts of the deviation to the next frame.
+
+    ``prior`` (N, D, D) are the frames' covariances, which change from frame to frame; ``steps`` (N - 1, M) are what is
+    left of each part. A share of a covariance is carried as the whole of it.
+    """
+    lower = np.linalg.cholesky(prior)
+    carried = lower[1:] @ np.linalg.inv(lower[:-1])
+    out = np.zeros((len(steps), 2 * size, 2 * size))
     for part in (slice(0, size), slice(size, None)):
-        lower, upper = np.linalg.cholesky(before[part, part]), np.linalg.cholesky(after[part, part])
-        out[part, part] = step[part][:, None] * (upper @ np.linalg.inv(lower))
+        out[:, part, part] = steps[:, part, None] * carried
     return out
 
 

@@ -42,7 +42,7 @@ _LINES_PER_PIXEL: Final = 1
 _STRIDE: Final = 2  # of the outline's points from which the covariance is found
 _FOLLOWED, _FOUND = 2, 6  # drawings of a fit from the image before, and of one from the prediction alone
 _INNER = 4  # steps on what was drawn
-_SETTLED = 2.0  # standard deviations per parameter, of a step from the image before, after which no other is taken
+_SETTLED = 1.0  # standard deviations per parameter, of a step from the image before, after which no other is taken
 _LARGEST_CHANGE = 4.0  # standard deviations of a step
 
 

@@ -16,13 +16,7 @@ from dvrk_cmaes.track.update import Fit
 
 Purpose = Literal["first", "lost", "confirm"]
 
-SLICE: Final = 4500.0
-"""Pixel rows of silhouettes that are drawn for a search in one step; some 20 ms."""
 _MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
-CAUGHT_UP: Final = 2
-"""Images with a mask that are followed in one step after a search, until the present one is reached."""
-CAUGHT_UP_BY_COLOURS: Final = 3
-"""The same of images without a mask, which take half as long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +53,18 @@ class SlicedSearch:
         call = SlicedCall(lambda: solve(kept, anchor, first=purpose == "first"))
         return cls(call, purpose, time, anchor, kept, tuple(hypotheses), fit)
 
-    def advance(self) -> bool:
-        """Go on by a slice; returns whether the search has ended."""
-        return self.call.advance(SLICE)
+    def advance(self, work: float) -> bool:
+        """Go on by a slice of so many pixel rows; returns whether the search has ended."""
+        return self.call.advance(work)
+
+    @property
+    def left(self) -> float:
+        """Pixel rows of the last slice that were not drawn."""
+        return self.call.left
 
     def add(self, time: float, seen: Seen) -> bool:
         """Keep an image that comes during the search; returns whether there are not too many."""
-        self.later.append((time, seen.copied()))
+        self.later.append((time, seen))
         return len(self.later) <= _MOST_IMAGES
 
     @property

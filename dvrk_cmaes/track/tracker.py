@@ -27,7 +27,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.following import Following
-from dvrk_cmaes.track.hypothesis import Follower
+from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
 from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.lag import FoundLag
@@ -36,6 +36,7 @@ from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.readings import LaggedReadings
 from dvrk_cmaes.track.recovery import GlobalSearch
 from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Seen, Sight
+from dvrk_cmaes.track.sliced_following import SlicedFollowing
 from dvrk_cmaes.track.smoother import Recorder
 
 Float64 = NDArray[np.float64]
@@ -126,9 +127,8 @@ class Tracker:
         self._sight = Sight(rig, track, evidence, hints)
         searched = replace(settings, threads=1) if sliced else settings
         solve = GlobalSearch(follower, self._sight, body, searched, calibration)
-        self._following = Following(
-            follower, rig, self._sight, solve, self._readings, settings, calibration, sliced=sliced
-        )
+        self._following = Following(follower, rig, self._sight, solve, self._readings, settings, calibration)
+        self._sliced = SlicedFollowing(self._following) if sliced else None
         known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
         self._known = known
         self._time: float | None = None
@@ -147,7 +147,7 @@ class Tracker:
         """Pose of the arm's base in the camera (4, 4), m; None without readings of the outer joints."""
         if self._known is not None and self._known.calibration is not None:
             return self._known.calibration.camera_from_base
-        best = self._following.best
+        best = self._best
         return None if best is None or not best.anchor.outer_read else best.state.camera_from_base
 
     @property
@@ -155,7 +155,7 @@ class Tracker:
         """Offsets of roll and of the joints, rad: true = reading + offset; empty before the first pose."""
         if self._known is not None and self._known.calibration is not None:
             return {name: self._known.calibration.offsets[name] for name in ("roll", *self._names)}
-        best = self._following.best
+        best = self._best
         return {} if best is None else dict(zip(("roll", *self._names), best.state.offsets.tolist(), strict=True))
 
     def calibration(self, interval: float, unit: Unit = "s") -> SessionCalibration | None:
@@ -172,7 +172,7 @@ class Tracker:
         """
         if self._known is not None and self._known.calibration is not None:
             return self._known.calibration
-        best = self._following.best
+        best = self._best
         if best is None or not best.anchor.outer_read:
             return None
         instrument = self._following.follower.instrument
@@ -182,7 +182,12 @@ class Tracker:
     @property
     def searching(self) -> bool:
         """Whether the search of an image goes on in the next steps."""
-        return self._following.searching
+        return self._sliced is not None and self._sliced.searching
+
+    @property
+    def _best(self) -> Hypothesis | None:
+        """The mode that is believed; None before the first pose."""
+        return self._following.best if self._sliced is None else self._sliced.best
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the state as plain values; readings are not in it, and must be added again before `restore`.
@@ -192,8 +197,8 @@ class Tracker:
         """
         return {
             "time": self._time,
-            "by_filter": self._following.followed_until(self._by_filter),
-            **self._following.checkpoint(),
+            "by_filter": self._by_filter if self._sliced is None else self._sliced.followed_until(self._by_filter),
+            **(self._following.state if self._sliced is None else self._sliced).checkpoint(),
             **self._readings.checkpoint(),
             "sight": self._sight.checkpoint(),
             "known": None if self._known is None else self._known.checkpoint(),
@@ -215,7 +220,7 @@ class Tracker:
         try:
             self._time = None if saved["time"] is None else float(saved["time"])
             self._by_filter = None if saved["by_filter"] is None else float(saved["by_filter"])
-            self._following.restore(saved)
+            (self._following if self._sliced is None else self._sliced).restore(saved)
             self._readings.restore(saved)
             self._sight.restore(saved["sight"])
             if self._known is not None:
@@ -320,6 +325,8 @@ class Tracker:
         self._check_time(time)
         seen = None if image is None else self._sight.look(None, image, None)
         following = self._following
+        if self._sliced is not None:
+            self._sliced.forget()
         following.begin(result, following.starts(following.anchor(time), result))
         self._time = self._by_filter = time
         if seen is not None:
@@ -362,7 +369,8 @@ class Tracker:
         base = None if self._known is None else self._known.known
         result = replace(result, seconds=clock.perf_counter() - started, base=base)
         if self._recorder is not None:
-            self._recorder.add(self._following.last_step, self._following.best, result)
+            late = self._sliced is not None and self._sliced.late
+            self._recorder.add(self._following.last_step, None if late else self._best, result)
         return result
 
     def _followed(self, time: float, seen: Seen) -> TrackResult:
@@ -370,16 +378,16 @@ class Tracker:
         known, following = self._known, self._following
         if known is not None and known.can_follow(time, self._readings.buffer):
             lately = self._by_filter is not None and time - self._by_filter <= _LONGEST_GAP
-            alone = lately and following.best is not None
+            alone = lately and self._best is not None
             result = known.follow(time, self._readings.buffer, seen, self._sight, alone=alone)
             known.note(result)
             if known.calibration is None:  # contradicted
                 following.forget_calibration()
                 if not alone:
-                    following.forget()
+                    (following if self._sliced is None else self._sliced).forget()
             return result
-        if following.sliced:
-            result = following.step_in_slices(time, self._by_filter, seen)
+        if self._sliced is not None:
+            result = self._sliced.step(time, self._by_filter, seen)
         elif following.best is None or self._by_filter is None:
             result = following.first(time, seen)
         else:
@@ -389,7 +397,7 @@ class Tracker:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
         known.note(result)
-        told = following.best is not None and following.best.anchor.based
+        told = self._best is not None and self._best.anchor.based
         return known.unconfirmed(result, self._readings.buffer, told=told)
 
     def smoothed(self) -> list[TrackResult]:

@@ -200,6 +200,18 @@ def test_base_of_frame_is_corrected_for_offsets(made: Made) -> None:
     assert np.degrees(np.linalg.norm(off[3:])) < 5
 
 
+def test_frames_that_are_reported_briefly_give_the_same_calibration(made: Made, bundled_body: Body) -> None:
+    config = EstimateConfig(session=SessionConfig(rounds=2))
+    solved = calibrate_session([replace(frame, brief=True) for frame in made.frames], bundled_body, config=config)
+    brief, whole = solved.calibration.to_dict(), made.solved.calibration.to_dict()
+    for name in ("camera_from_base", "offsets", "std", "covariance", "spreads", "frames", "left_out", "lag"):
+        assert brief[name] == whole[name], name
+    for name, (iou, px) in made.solved.calibration.leave_one_out.items():
+        assert solved.calibration.leave_one_out[name] == (pytest.approx(iou, abs=1e-3), pytest.approx(px, abs=0.02))
+    assert solved.calibration.iou == pytest.approx(made.solved.calibration.iou, abs=1e-3)
+    assert solved.results["0002"].source != "session"  # its own pose
+
+
 # faulty sessions, found before outlines are used
 
 

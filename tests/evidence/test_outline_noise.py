@@ -8,7 +8,8 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.distance_field import distance_within
+from dvrk_cmaes.evidence import outline_noise
+from dvrk_cmaes.evidence.distance_field import distance_within, transformed
 from dvrk_cmaes.evidence.outline_noise import distances_to, less_margin, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour
 
@@ -43,6 +44,35 @@ def test_distances_to_silhouette_are_those_of_the_whole_image(centre: tuple[floa
         points = rng.uniform(low, high, (200, 2))
         np.testing.assert_array_equal(distances_to(silhouette, points), sampled(signed_distance(silhouette), points))
     assert len(distances_to(silhouette, np.zeros((0, 2)))) == 0
+
+
+@pytest.mark.parametrize(("away", "transforms"), [(0.0, 0), (6.0, 0), (20.0, 2)])
+def test_distances_of_pixels_near_the_outline_need_no_transform(
+    away: float, transforms: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of a contour are looked up around it; they are exact however far from it the pixels are."""
+    silhouette, calls = disc(60), []
+    points = find_contour(silhouette, CAMERA).pixels[::8]
+    middle = np.array([150.3, 119.6])
+    points = np.concatenate([middle + (points - middle) * (1 + sign * away / 60) for sign in (-1, 1)])
+    expected = sampled(signed_distance(silhouette), points)
+
+    def counted(mask: np.ndarray) -> np.ndarray:
+        calls.append(mask.shape)
+        return transformed(mask)
+
+    monkeypatch.setattr(outline_noise, "transformed", counted)
+    np.testing.assert_array_equal(distances_to(silhouette, points), expected)
+    assert len(calls) == transforms
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distances_to_ragged_silhouettes_are_exact(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = cv2.GaussianBlur(rng.normal(size=(90, 120)), (0, 0), 1.0 + seed)
+    silhouette = noise > np.quantile(noise, [0.2, 0.5, 0.8, 0.98][seed])
+    points = rng.uniform([-3, -3], [123, 93], (700, 2))
+    np.testing.assert_array_equal(distances_to(silhouette, points), sampled(signed_distance(silhouette), points))
 
 
 def test_exact_mask_has_pixel_grid_noise() -> None:

@@ -5,7 +5,12 @@
 This needs the extra ros. Another process is the rosbridge server on 127.0.0.1. It sends the images and masks of a
 recorded session at 30 a second, forwards and backwards, and readings of arm and jaw at 100 a second each, and receives
 the poses. The age is from sending an image's mask to receiving its pose there. Memory is the resident set of the
-following process, in MB, after 10 s and at the end.
+following process, in MB, after 10 s, after a quarter of the time, and at the end; its growth is that since the quarter.
+
+With --solve, the arm's base is found from keyframes in another process, as by the command; with --losses, the mask is a
+disc in the middle of the image for a quarter of a second each time. Ten minutes with one loss a minute:
+
+    python scripts/bench.py live --seconds 600 --losses 60 --solve
 """
 
 from __future__ import annotations
@@ -16,7 +21,8 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Final
@@ -26,6 +32,7 @@ import numpy as np
 import psutil
 
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.instrument import load_instrument
@@ -35,11 +42,14 @@ from dvrk_cmaes.live.follow import LiveSetup, follow
 from dvrk_cmaes.live.inputs import InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.silhouette import Body
 from measure.places import ROOT, SHARED
 from measure.tables import Report
 
 IMAGES, READINGS = 30, 100  # a second
+_LOSS: Final = 0.25  # s
+_MEMORY_FROM: Final = 10  # s
 BEGIN: Final = 1_795_000_000 * NANOSECONDS
 POSE: Final = "/dvrk_cmaes/PSM1/camera_from_root"
 TOPICS: Final = InputTopics(
@@ -58,6 +68,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, help="a session.json")
     parser.add_argument("--lag", type=float, help="lag of the images, s")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--losses", type=float, metavar="S", help="time between losses, s (default: none)")
+    parser.add_argument("--solve", action="store_true", help="solve keyframes beside")
     parser.add_argument("--overlay", action="store_true", help="publish overlays too")
 
 
@@ -68,7 +80,8 @@ def live_report(options: argparse.Namespace) -> Report:
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    server = context.Process(target=serve, args=(theirs, options.session, options.seconds), daemon=True)
+    given = (theirs, options.session, options.seconds, options.losses)
+    server = context.Process(target=serve, args=given, daemon=True)
     server.start()
     setup = LiveSetup(
         TOPICS,
@@ -90,16 +103,19 @@ def live_report(options: argparse.Namespace) -> Report:
     watch.start()
     Thread(target=_end, args=(ours, stop), daemon=True).start()
     started = time.process_time()
-    counts = follow(setup, connection, say, stop)
-    used = time.process_time() - started
-    figures = ours.recv()
-    connection.close()
-    server.join(10)
+    with SolverProcess(instrument, background=True) if options.solve else nullcontext() as solver:
+        counts = follow(replace(setup, solver=solver), connection, say, stop)
+        used = time.process_time() - started
+        figures = ours.recv()
+        connection.close()
+        server.join(10)
+    quarter = memory[min(max(round(options.seconds / 4) - _MEMORY_FROM, 0), len(memory) - 1)]
     figures |= {
         "followed": counts.followed,
         "refused": counts.refused,
         "cpu_share": round(used / options.seconds, 2),
-        "memory_mb": [round(memory[0], 1), round(memory[-1], 1)],
+        "memory_mb": [round(memory[0], 1), round(quarter, 1), round(memory[-1], 1)],
+        "growth_%": round(100 * (memory[-1] / quarter - 1), 1),
     }
     return {"live": [figures]}
 
@@ -111,8 +127,8 @@ def _end(pipe: Any, stop: Event) -> None:
 
 
 def _watch(stop: Event, memory: list[float]) -> None:
-    """Sample the memory of this process, the first time after 10 s."""
-    stop.wait(10)
+    """Sample the memory of this process every second, the first time after 10 s."""
+    stop.wait(_MEMORY_FROM)
     while True:
         memory.append(psutil.Process().memory_info().rss / 1e6)
         if stop.wait(1):
@@ -131,12 +147,12 @@ class Sent:
     fields: dict[str, Any]
 
 
-def serve(pipe: Any, folder: Path, seconds: float) -> None:
+def serve(pipe: Any, folder: Path, seconds: float, losses: float | None = None) -> None:
     """Serve a session's messages in real time; send the port, and at the end the figures, through a pipe."""
     sys.path.insert(0, str(ROOT / "tests"))
     from helpers.rosbridge_server import RosbridgeServer, wait_for  # type: ignore[import-not-found]
 
-    messages = list(_messages(read_session(folder), seconds))
+    messages = list(_messages(read_session(folder), seconds, losses))
     server = RosbridgeServer()
     server.start()
     pipe.send(server.port)
@@ -171,16 +187,21 @@ def _key(fields: dict[str, Any]) -> tuple[int, int]:
     return stamp["sec"], stamp["nanosec"]
 
 
-def _messages(session: Session, seconds: float) -> Iterator[Sent]:
-    """Yield the messages of a session in the order of their times, forwards and backwards for some seconds."""
+def _messages(session: Session, seconds: float, losses: float | None) -> Iterator[Sent]:
+    """Yield the messages of a session in the order of their times, forwards and backwards for some seconds.
+
+    ``losses`` is the time between losses, s, during which the mask is a disc; None for none.
+    """
     images = _images(session.folder)
     masks = [base64.b64encode(frame.mask.read_bytes()).decode() for frame in session.frames if frame.mask is not None]
+    disc = _disc(session.camera)
     (table,) = read_timed_joints(session.folder / "joints.csv")
     times = (table.times - table.times[0]) / NANOSECONDS
     count = min(len(images), len(masks))
     later = list[Sent]()
     for k in range(round(seconds * IMAGES)):
         frame, moment = _back_and_forth(k, count - 1), k / IMAGES
+        lost = losses is not None and moment >= losses / 2 and (moment - losses / 2) % losses < _LOSS
         later.append(
             Sent(moment, TOPICS.image, {"header": _header(moment), "format": "jpeg", "data": images[round(frame)]})
         )
@@ -188,7 +209,7 @@ def _messages(session: Session, seconds: float) -> Iterator[Sent]:
             Sent(
                 moment + 1e-4,
                 str(TOPICS.mask),
-                {"header": _header(moment), "format": "png", "data": masks[round(frame)]},
+                {"header": _header(moment), "format": "png", "data": disc if lost else masks[round(frame)]},
             )
         )
     for k in range(round(seconds * READINGS)):
@@ -199,6 +220,13 @@ def _messages(session: Session, seconds: float) -> Iterator[Sent]:
             fields = {"header": _header(moment), "name": list(names), "position": [row[name] for name in names]}
             later.append(Sent(moment, topic, fields))
     yield from sorted(later, key=lambda one: one.moment)
+
+
+def _disc(camera: Camera) -> str:
+    """Return the mask of a disc in the middle of a camera's image, which no instrument has, as PNG in base64."""
+    pixels = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    cv2.circle(pixels, (camera.width // 2, camera.height // 2), camera.height // 8, 255, cv2.FILLED)
+    return base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
 
 
 def _back_and_forth(k: float, last: int) -> float:
