@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import signal
 from collections.abc import Iterator
@@ -141,6 +140,7 @@ def live(
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.live.rosbridge import RosbridgeConnection
     from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
+    from dvrk_cmaes.runs.long_run import prepare_long_run
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
     image = topics.image_topic
@@ -172,14 +172,13 @@ def live(
     )
     report = RepeatedLines(note)  # of the connection; follow has its own
     connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
+    prepare_long_run()
     with ExitStack() as stack:
         stop = stack.enter_context(_stopped(seconds))
         if keeps:
             solver = stack.enter_context(SolverProcess(body.instrument, background=True))
             setup = replace(setup, solver=solver)
         connection.open(timeout=2.0)
-        gc.collect()
-        gc.freeze()  # later collections, between or in steps, leave out what is there from the beginning
         try:
             counts = follow(setup, connection, note, stop)
         finally:

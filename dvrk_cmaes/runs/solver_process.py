@@ -21,7 +21,9 @@ _TRIES = 2  # of a problem that its process dies on
 
 
 class SolverProcess:
-    """Solves keyframes in a process of its own, which is started with the first problem; a context manager.
+    """Solves keyframes in a process of its own; a context manager.
+
+    The process is started with the first problem; one in the background is at once, so that no step is delayed by it.
 
     Parameters
     ----------
@@ -43,6 +45,8 @@ class SolverProcess:
         self._closed = False
 
     def __enter__(self) -> SolverProcess:
+        if self._background:
+            self._driver.submit(self._start)
         return self
 
     def __exit__(
@@ -76,8 +80,28 @@ class SolverProcess:
         if process is not None:
             process.kill()
         self._driver.shutdown(cancel_futures=True)
+        begun = self._process  # meanwhile
+        if begun is not None and begun is not process:
+            begun.kill()
+            begun.close()
         if process is not None:
             process.close()
+
+    def _start(self) -> WorkerProcess | None:
+        """Start the process, and prepare the instrument in it; None if it dies or is not wanted any more."""
+        if self._closed:
+            return None
+        self._process = process = WorkerProcess()
+        try:
+            process.call(_prepare, self._instrument, self._background)
+        except ProcessDiedError:
+            self._process = None
+        except Exception:
+            process.kill()
+            process.close()
+            self._process = None
+            raise
+        return self._process
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem in the process, and once more in a new one if that dies.
@@ -90,11 +114,11 @@ class SolverProcess:
         for _ in range(_TRIES):
             if self._closed:
                 break
+            process = self._process or self._start()
+            if process is None:
+                continue
             with contextlib.suppress(ProcessDiedError):
-                if self._process is None:
-                    self._process = process = WorkerProcess()
-                    process.call(_prepare, self._instrument, self._background)
-                solution = self._process.call(_solve, self._key, problem, self._threads)
+                solution = process.call(_solve, self._key, problem, self._threads)
                 self._alone = dict(solution.alone)
                 return solution
             self._process = None

@@ -42,6 +42,7 @@ from dvrk_cmaes.live.follow import LiveSetup, follow
 from dvrk_cmaes.live.inputs import InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.runs.long_run import prepare_long_run
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.silhouette import Body
 from measure.places import ROOT, SHARED
@@ -96,6 +97,7 @@ def live_report(options: argparse.Namespace) -> Report:
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
+    prepare_long_run()
     connection = RosbridgeConnection("127.0.0.1", ours.recv(), say)
     connection.open(timeout=10.0)
     stop, memory = Event(), list[float]()
