@@ -8,7 +8,7 @@ import pytest
 from helpers.plain_pictures import plain_pictures
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def _plain_pictures() -> Iterator[None]:
     """Let the pages that are written beside results do without pictures."""
     with plain_pictures():
