@@ -95,8 +95,18 @@ class LagCurve:
         """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve tells the lag.
 
         Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
-        its minimum. ``value`` is the lag, and ``applied`` tells whether it differs from none; the others are those of
-        `root_mean_square`.
+        its minimum.
+
+        Parameters
+        ----------
+        frames
+            Number of frames of which the curve is.
+        unknown
+            Standard deviation of the lag beforehand, in the unit of the curve.
+        value
+            The lag, in the unit of the curve.
+        applied
+            Whether it differs from none.
         """
         if len(self.lags) < 2:
             return 0.0

@@ -75,6 +75,17 @@ def test_a_side_whose_mask_is_far_from_the_outline_is_expected_to_err_as_much(bu
     np.testing.assert_array_equal(errors.as_seen(-6.0 * other).deviations[:LASTING] > 6.0, [False, True])
 
 
+@pytest.mark.parametrize("points", [0, 1, 3])
+def test_outline_of_few_points_still_has_both_sides_and_the_margin(bundled_body: Body, points: int) -> None:
+    outline = outline_of(bundled_body)
+    every = (outline.pose, outline.link, outline.pixels, outline.normals, outline.points)
+    few = OutlinePoints(*(part[:points] for part in every))
+    errors = shared_errors(few, bundled_body.instrument, CAMERA, TRUE, NOISE)
+    assert errors.columns.shape == (points, LASTING + 1)
+    far = errors.as_seen(np.full(points, 6.0))
+    assert far.deviations[LASTING] == errors.deviations[LASTING]
+
+
 def test_usual_distances_of_the_mask_change_no_error(bundled_body: Body) -> None:
     errors = errors_of(bundled_body)
     offsets = np.random.default_rng(0).uniform(-0.4, 0.4, len(errors.columns))

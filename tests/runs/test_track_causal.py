@@ -21,7 +21,7 @@ from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
 
-FRAMES, INTERRUPTED_AFTER = 46, 24
+FRAMES, INTERRUPTED_AFTER = 72, 24
 SETTINGS = TrackSettings(
     EstimateConfig(trust=TrustConfig(tip_mm=3.0)), causal=True, evidence="masks", workers=1
 )  # small images tell less about the depth
@@ -30,7 +30,7 @@ SETTINGS = TrackSettings(
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("causal") / "session"
-    write_recording(folder, SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", FRAMES, 2, {}))
+    write_recording(folder, SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", FRAMES, 4, {}))
     return folder
 
 
@@ -45,22 +45,21 @@ def rows_of(folder: Path) -> list[dict[str, object]]:
     return [{**row, "seconds": 0} for row in read_tracks(folder / "tracks.jsonl")]
 
 
-def test_no_frame_is_ok_before_the_first_solution_is_used(tracks: Path) -> None:
+def test_no_frame_is_ok_before_a_solution_expects_it(tracks: Path) -> None:
     rows = rows_of(tracks)
-    used = [row["base"]["used"] for row in rows]
+    used, solved = [row["base"]["used"] for row in rows], [row["base"]["solved"] for row in rows]
     first = used.index(True)
-    assert 30 < first < FRAMES - 3
+    assert 60 < first < FRAMES - 3
     assert all(used[first:])
-    assert {row["status"] for row in rows[:first]} <= {"doubtful", "lost"}
-    assert rows[first]["base"]["keyframes"] < 16
-    few = [row["status"] == "doubtful" and row["reasons"][0].startswith("too few keyframes") for row in rows[first:]]
-    assert sum(few) > (FRAMES - first) / 2
+    assert solved[first] >= 12
+    assert {row["status"] for row in rows[: solved.index(8)]} <= {"doubtful", "lost"}
+    assert sum(row["status"] == "ok" for row in rows[first:]) > (FRAMES - first) / 2
 
 
-def test_poses_by_the_solution_are_near_the_truth(recording: Path, tracks: Path) -> None:
+def test_poses_that_are_ok_or_by_the_solution_are_near_the_truth(recording: Path, tracks: Path) -> None:
     golden = json.loads((recording / "golden.json").read_text(encoding="utf-8"))["frames"]
     for row in rows_of(tracks):
-        if row["base"]["used"]:
+        if row["base"]["used"] or row["status"] == "ok":
             off = np.array(row["tips"]) - np.array(golden[row["frame"]]["tips_camera_m"])
             assert 1e3 * np.linalg.norm(off, axis=1).mean() < 2.0
 

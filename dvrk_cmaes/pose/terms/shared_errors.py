@@ -57,7 +57,7 @@ class SharedErrors:
 
     ``columns`` (N, M) are the shares with which each displaces the points outwards; ``deviations`` (M,), px, are their
     standard deviations. The first `LASTING` are those of both sides of the shaft as a whole, also where the outline
-    has no such side.
+    has no such side, and the next one is the margin.
     """
 
     columns: Float64
@@ -105,7 +105,7 @@ def shared_errors(
     columns = np.concatenate([values for values, _ in groups], axis=1)
     deviations = np.concatenate([np.full(values.shape[1], deviation) for values, deviation in groups])
     counts = (columns > 0).sum(axis=0) >= _LEAST_POINTS
-    counts[:LASTING] = True
+    counts[: LASTING + 1] = True  # the margin, too
     return SharedErrors(columns[:, counts], deviations[counts])
 
 
