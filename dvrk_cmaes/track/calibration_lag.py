@@ -37,6 +37,15 @@ def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
     return FoundLag(value, std)
 
 
+def lag_and_std(calibration: SessionCalibration, unknown: float) -> tuple[float, float]:
+    """Return the lag that is taken out of the readings and its standard deviation, s, as in `lag_of`.
+
+    They are 0 and ``unknown`` where nothing tells one.
+    """
+    found = lag_of(calibration, unknown)
+    return (0.0, unknown) if found is None else (found.seconds, found.std)
+
+
 def predicted_with_lag(
     calibration: SessionCalibration, outer: Float64, joints: Float64, rates: Float64, instrument: Instrument
 ) -> tuple[Posed, Float64]:

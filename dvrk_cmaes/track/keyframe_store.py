@@ -32,7 +32,7 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
-from dvrk_cmaes.track.calibration_lag import lag_of, predicted_with_lag
+from dvrk_cmaes.track.calibration_lag import lag_and_std, predicted_with_lag
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, well_in_view
 
 Bool = NDArray[np.bool_]
@@ -151,8 +151,7 @@ class KeyframeProblem:
     def _tip_error(self, calibration: SessionCalibration, instrument: Instrument) -> float:
         """Return the expected error of the tips, mm, in the median of the keyframes by the calibration alone."""
         names, errors = (*OUTER_JOINTS, *instrument.joint_names), []
-        lag = lag_of(calibration, self.config.track.lag_std)
-        std = self.config.track.lag_std if lag is None else lag.std
+        _, std = lag_and_std(calibration, self.config.track.lag_std)
         for keyframe in self.keyframes:
             values = np.array([keyframe.readings.get(name, np.nan) for name in names])
             rates = np.array([keyframe.rates.get(name, 0.0) for name in names])

@@ -19,7 +19,7 @@ from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
-from dvrk_cmaes.track.calibration_lag import lag_of
+from dvrk_cmaes.track.calibration_lag import lag_and_std, lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
 from dvrk_cmaes.track.lag import FoundLag
@@ -155,8 +155,7 @@ class KnownBase:
         Not by one whose error is too large, nor by few keyframes that do not tell the lag: the arm may have been slow.
         """
         assert solution.calibration is not None
-        lag = lag_of(solution.calibration, self._config.track.lag_std)
-        std = self._config.track.lag_std if lag is None else lag.std
+        _, std = lag_and_std(solution.calibration, self._config.track.lag_std)
         told = std <= _TOLD_LAG or solution.keyframes >= _OWN_IS_ENOUGH
         return told and solution.tip_mm <= self._config.trust.tip_mm * _BY_THE_BASE
 
@@ -174,8 +173,7 @@ class KnownBase:
         """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
         written = SessionCalibration.from_dict(calibration.to_dict())
         self._started = False
-        lag = lag_of(written, self._config.track.lag_std)
-        std = self._config.track.lag_std if lag is None else lag.std
+        _, std = lag_and_std(written, self._config.track.lag_std)
         self._following = CalibratedFollowing(
             self._rig, self._body, self._config, written, lag_std=std, uncertain=self._is_of_few
         )
@@ -274,9 +272,8 @@ class KnownBase:
         if not told or result.status != "ok":
             return result
         if self._confirms is not None:
-            lag = lag_of(self._confirms, self._config.track.lag_std)
-            reading = readings.at(result.time - (0.0 if lag is None else lag.seconds))
-            std = self._config.track.lag_std if lag is None else lag.std
+            late, std = lag_and_std(self._confirms, self._config.track.lag_std)
+            reading = readings.at(result.time - late)
             instrument = self._body.instrument
             confirmed = confirmed_by(self._confirms, result, reading, std, self._rig, self._config, instrument)
             if confirmed is not None:
