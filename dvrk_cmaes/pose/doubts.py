@@ -129,11 +129,15 @@ def _doubts_in_view(
     if outside.all() if followed else outside.any():
         which = "the jaw tips lie" if followed else "a jaw tip lies"
         reasons.append(f"tip out of view: {which} outside the image")
-    if expected.of_tips_mm > trust.tip_mm:
-        reasons.append(
-            f"tips not accurate: their expected error is {expected.of_tips_mm:.1f} mm, more than {trust.tip_mm:g} mm"
-        )
-    return reasons
+    return reasons + doubts_of_tips(expected, trust)
+
+
+def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
+    """List the reason, in words, for which the tips are not accurate; empty where they are."""
+    error, limit = expected.of_tips_mm, trust.tip_mm
+    if error <= limit:
+        return []
+    return [f"tips not accurate: their expected error is {error:.1f} mm, more than {limit:g} mm"]
 
 
 def outside_image(points: Float64, camera: Camera) -> Bool:

@@ -33,7 +33,7 @@ from dvrk_cmaes.track.calibrated_frames import (
 )
 from dvrk_cmaes.track.describe import without_pose
 from dvrk_cmaes.track.offset_smoother import FrameDeviations
-from dvrk_cmaes.track.predicted_image import PredictedImage
+from dvrk_cmaes.track.predicted_image import ROLL, PredictedImage
 from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
@@ -119,6 +119,11 @@ class CalibratedFollowing:
     def disagrees(self) -> bool:
         """Whether the last images disagree with the calibration."""
         return self._astray >= _DISAGREES
+
+    @property
+    def begun(self) -> bool:
+        """Whether an image has been followed to."""
+        return bool(self._images)
 
     def start_from(self, at: Posed, reading: ReadingAt) -> None:
         """Let the fit of the next image start from the pose and joints of one before it, with that one's readings."""
@@ -264,7 +269,7 @@ class CalibratedFollowing:
 
     def _offsets(self, at: Posed, predicted: PredictedImage, reading: ReadingAt) -> dict[str, float]:
         """Return the offsets of roll and of the joints that were read: true = reading + offset."""
-        by_roll = predicted.roll_offset + float(at.minus(predicted.at)[5])
+        by_roll = predicted.roll_offset + float(at.minus(predicted.at)[ROLL])
         found = {"roll": by_roll} if reading.has_outer else {}
         for name, value, read in zip(self._names, at.joints.tolist(), reading.joints.tolist(), strict=True):
             if not np.isnan(read):

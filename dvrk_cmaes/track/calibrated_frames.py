@@ -16,6 +16,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.quick_fit import QuickFit
 from dvrk_cmaes.track.recorded_frames import EMPTY, FittedFrame, JudgedFrame
@@ -90,6 +91,12 @@ def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, 
     return np.asarray(margin * np.outer(along, along))
 
 
+def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | None:
+    """Return the mean of the tips' expected errors, mm; None for an instrument without tips."""
+    each = [value for name, value in error.tip_mm.items() if name != "mean"]
+    return float(np.mean(each)) if instrument.jaw_tips else None
+
+
 def status_of(
     judged: JudgedFrame | None,
     misfit: float,
@@ -134,9 +141,8 @@ def describe(
 ) -> TrackResult:
     """Return a frame's result with the error that is expected of its tips; ``judged`` is how the pose was judged."""
     tips, _ = locate_tips(instrument, camera, at)
-    error = (expected_error(instrument, at, covariance) if judged is None else judged.error).tip_mm
+    error = expected_error(instrument, at, covariance) if judged is None else judged.error
     residual = None if judged is None else _MEDIAN_TO_STD * judged.quality.contour_px_median
-    each = [value for name, value in error.items() if name != "mean"]
     return TrackResult(
         time=time,
         status=status,
@@ -145,7 +151,7 @@ def describe(
         joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
         covariance=covariance,
         tips=np.array(tips),
-        tip_std_mm=float(np.mean(each)) if instrument.jaw_tips else None,
+        tip_std_mm=mean_of_tips_mm(instrument, error),
         camera_from_base=base,
         offsets=dict(offsets),
         seconds=seconds,

@@ -12,9 +12,10 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track.calibrated_frames import covariance_of_margin
+from dvrk_cmaes.track.calibrated_frames import covariance_of_margin, mean_of_tips_mm
 from dvrk_cmaes.track.predicted_image import PredictedImage
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 
@@ -42,11 +43,10 @@ def confirmed_by(
     if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
         return None
     at = Posed(result.camera_from_root, np.array([result.joints[name] for name in instrument.joint_names]))
-    known = PredictedImage.of(calibration, reading.outer, reading, 0.0, instrument)
-    limit = config.trust.tip_mm
-    if expected_error(instrument, known.at, known.prior + known.shared).of_tips_mm > _KNOWN * limit:
-        return None
     expected = PredictedImage.of(calibration, reading.outer, reading, lag_std, instrument)
+    but_for_lag = expected.prior - expected.by_lag + expected.shared
+    if expected_error(instrument, expected.at, but_for_lag).of_tips_mm > _KNOWN * config.trust.tip_mm:
+        return None
     apart = at.minus(expected.at)
     spread = expected.prior + expected.shared + result.covariance
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
@@ -54,10 +54,11 @@ def confirmed_by(
     camera = calibration.corrected(rig.views[0].camera)
     covariance = _OWN_ERROR**2 * result.covariance + covariance_of_margin(at, calibration.masks, camera, instrument)
     error = expected_error(instrument, at, covariance)
-    each = [value for name, value in error.tip_mm.items() if name != "mean"]
-    tip_std = float(np.mean(each)) if instrument.jaw_tips else None
-    found = replace(result, covariance=covariance, tip_std_mm=tip_std)
-    if error.of_tips_mm <= limit:
-        return found
-    reason = f"tips not accurate: their expected error is {error.of_tips_mm:.1f} mm, more than {limit:g} mm"
-    return replace(found, status="doubtful", reasons=(reason,))
+    reasons = doubts_of_tips(error, config.trust)
+    return replace(
+        result,
+        status="doubtful" if reasons else result.status,
+        reasons=tuple(reasons) or result.reasons,
+        covariance=covariance,
+        tip_std_mm=mean_of_tips_mm(instrument, error),
+    )

@@ -69,7 +69,6 @@ class KnownBase:
         self._following: CalibratedFollowing | None = None
         self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
         self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
-        self._started = False  # whether the fits by the calibration have been given where to start
         if calibration is not None:
             self._begin(calibration)
 
@@ -172,7 +171,6 @@ class KnownBase:
     def _begin(self, calibration: SessionCalibration) -> None:
         """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
         written = SessionCalibration.from_dict(calibration.to_dict())
-        self._started = False
         _, std = lag_and_std(written, self._config.track.lag_std)
         self._following = CalibratedFollowing(
             self._rig, self._body, self._config, written, lag_std=std, uncertain=self._is_of_few
@@ -196,9 +194,8 @@ class KnownBase:
         following, lag = self._following, self.lag
         assert following is not None
         late = 0.0 if lag is None else lag.seconds
-        if not self._started and self._last is not None and time - self._last[0] <= _LATELY:
+        if not following.begun and self._last is not None and time - self._last[0] <= _LATELY:
             following.start_from(self._last[1], readings.at(self._last[0] - late))
-        self._started = True
         in_view = self.store.shows_well(self._masks(seen))
         result = following.follow(time, readings.at(time - late), seen, sight, in_view=in_view)
         wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
@@ -298,7 +295,6 @@ class KnownBase:
             "bases": self._bases,
             "own": self._own,
             "agreeing": self._agreeing,
-            "started": self._started,
             "confirms": None if self._confirms is None else self._confirms.to_dict(),
             "last": None if last is None else [last[0], last[1].pose.tolist(), last[1].joints.tolist()],
             "following": None if self._following is None else self._following.checkpoint(),
@@ -318,7 +314,7 @@ class KnownBase:
             self._begin(SessionCalibration.from_dict(saved["following"]["calibration"]))
             assert self._following is not None
             self._following.restore(saved["following"])
-        self._started, self._last = bool(saved["started"]), None
+        self._last = None
         confirms = saved["confirms"]
         self._confirms = None if confirms is None else SessionCalibration.from_dict(confirms)
         if saved["last"] is not None:

@@ -17,12 +17,13 @@ from dvrk_cmaes.track.reading_buffer import ReadingAt
 
 Float64 = NDArray[np.float64]
 
-_ROLL: Final = 5  # among the changes of pose and joints: the first that is an error of the wrist
+ROLL: Final = 5
+"""Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""
 _WRIST_ERROR = 2.0
 """Factor on the errors of roll and joints that a calibration expects of later images.
 
-In 18 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (root mean square) off what the
-keyframes before an image expect; the outer joints were 0.5 to 1.
+In 12 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (root mean square) off what the
+keyframes before an image expect; the arm was 0.5 to 1.
 """
 _UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
@@ -32,13 +33,14 @@ class PredictedImage:
     """What is expected of an image.
 
     ``at`` is where the calibration expects the instrument. ``prior`` (D, D) is the covariance of the image's own
-    deviation from there, ``shared`` (D, D) that by the calibration's errors, and ``jacobian`` (D, K) the change of
-    ``at`` with the calibration. ``base_from_root`` (4, 4), m, and ``offsets`` of roll and the joints, rad, are those of
-    the calibration at the readings.
+    deviation from there, of which ``by_lag`` (D, D) is the lag's part; ``shared`` (D, D) is that by the calibration's
+    errors, and ``jacobian`` (D, K) the change of ``at`` with the calibration. ``base_from_root`` (4, 4), m, and
+    ``roll_offset``, rad, are those of the calibration at the readings.
     """
 
     at: Posed
     prior: Float64
+    by_lag: Float64
     shared: Float64
     jacobian: Float64
     base_from_root: Float64
@@ -63,20 +65,22 @@ class PredictedImage:
         names = instrument.joint_names
         model, own = calibration.model(outer[None], reading.joints[None], names)
         prior = model.covariance(own)[0]
+        by_lag = np.zeros_like(prior)
         if not told:
             prior = prior + np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(names)))
         if lag_std > 0:
             rates = np.concatenate([reading.outer_rate, reading.joint_rate])
             late = lag_std * predicted_with_lag(calibration, outer, reading.joints, rates, instrument)[1]
-            prior = prior + np.outer(late, late)
+            by_lag = np.outer(late, late)
         factor = np.ones(len(prior))
-        factor[_ROLL:] = _WRIST_ERROR
+        factor[ROLL:] = _WRIST_ERROR
         widened = np.outer(factor, factor)
         jacobian = model.jacobian(own)[0]
         shared = jacobian @ calibration_covariance(calibration) @ jacobian.T
         return cls(
             model.predict(own)[0],
-            prior * widened,
+            (prior + by_lag) * widened,
+            by_lag * widened,
             shared * widened,
             jacobian,
             model.base_from_root(own.offsets)[0],

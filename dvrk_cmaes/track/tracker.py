@@ -367,6 +367,8 @@ class Tracker:
         result = self._followed(time, seen)
         self._time = time
         base = None if self._known is None else self._known.known
+        if self._known is not None:
+            self._known.note(result)
         result = replace(result, seconds=clock.perf_counter() - started, base=base)
         if self._recorder is not None:
             late = self._sliced is not None and self._sliced.late
@@ -380,7 +382,6 @@ class Tracker:
             lately = self._by_filter is not None and time - self._by_filter <= _LONGEST_GAP
             alone = lately and self._best is not None
             result = known.follow(time, self._readings.buffer, seen, self._sight, alone=alone)
-            known.note(result)
             if known.calibration is None:  # contradicted
                 following.forget_calibration()
                 if not alone:
@@ -396,7 +397,6 @@ class Tracker:
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
-        known.note(result)
         told = self._best is not None and self._best.anchor.based
         return known.unconfirmed(result, self._readings.buffer, told=told)
 
