@@ -153,15 +153,9 @@ class LagEstimate:
         if self._clock is None or not self._clock.interpolable:
             return none
         unit, interval = self._clock.series.unit, self._clock.series.interval
-        std = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
+        told = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
         delay = self._delay(self._clock)
-        if std is None:
-            step = self._untold_std(interval)
-        else:
-            unknown, applied = _UNKNOWN * interval, self.applied is not None
-            frames = len(self._clock.times)
-            flat = 0.0 if self.curve is None else self.curve.least_std(frames, unknown, delay.value, applied=applied)
-            step = max(std, flat)
+        step = self._untold_std(interval) if told is None else max(told, self._least_std(interval, delay.value))
         ends = [self._clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
@@ -173,6 +167,13 @@ class LagEstimate:
             return _UNTOLD * interval
         told = self.curve.root_mean_square(len(self._clock.times) if self._clock else 0, _UNKNOWN * interval)
         return max(_UNTOLD * interval, told)
+
+    def _least_std(self, interval: float, value: float) -> float:
+        """Return the least standard deviation that the curve leaves a lag of some ``value``, as `_untold_std`."""
+        if self.curve is None:
+            return 0.0
+        frames = len(self._clock.times) if self._clock else 0
+        return self.curve.least_std(frames, _UNKNOWN * interval, value, applied=self.applied is not None)
 
     def has_readings(self) -> NDArray[np.bool_]:
         """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).
