@@ -267,11 +267,13 @@ class _Process:
         raise ProcessDiedError
 
     def close(self) -> None:
-        """Let the process end after its current task."""
+        """Let the process end after its current task, and wait until it has, also where `begin` is ending it."""
         with self._lock:
             process, self._process = self._process, None
         if process is not None:
             process.close()
+        if self._beginning is not None and self._beginning is not threading.current_thread():
+            self._beginning.join()
 
     def kill(self) -> None:
         """Kill the process."""
