@@ -23,7 +23,10 @@ ALONE = "alone"
 ARMS = "arms.json"
 """File of where the bases of several arms are relative to each other, in the folder of the arms' results."""
 
-_NO_RESULTS = (SUMMARY, SESSION, ARMS, "golden.json", "run.json", "checkpoint.json")
+MANIFEST = "run.json"
+"""File of what the results in a folder were made with."""
+
+_NO_RESULTS = (SUMMARY, SESSION, ARMS, MANIFEST, "golden.json", "checkpoint.json")
 
 
 @dataclass(frozen=True, eq=False)

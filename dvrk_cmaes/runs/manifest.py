@@ -22,6 +22,7 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
+from dvrk_cmaes.results.folder import MANIFEST
 from dvrk_cmaes.runs.digests import background_digests, calibration_digest, frame_digests, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
@@ -29,7 +30,6 @@ Manifest = dict[str, Any]
 FrameParts = Mapping[str, Mapping[str, str] | None]
 """Digests of the parts of each frame; None for a frame of another shard."""
 
-MANIFEST: Final = "run.json"
 _SCHEMA: Final = 1
 _NOT_COMPARED: Final = ("session", "frames")
 _OF_FILES: Final = ("mask", "image", "video")

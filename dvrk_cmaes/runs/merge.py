@@ -12,16 +12,10 @@ from typing import Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import not_written
 from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.folder import read_results
+from dvrk_cmaes.results.folder import MANIFEST, read_results
 from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path, result_path
 from dvrk_cmaes.runs.batch import finish
-from dvrk_cmaes.runs.manifest import (
-    MANIFEST,
-    check_same_settings,
-    read_manifest,
-    with_frames,
-    write_manifest,
-)
+from dvrk_cmaes.runs.manifest import check_same_settings, read_manifest, with_frames, write_manifest
 from dvrk_cmaes.runs.output import (
     has_results,
     locked,

@@ -17,10 +17,10 @@ from dvrk_cmaes.io.atomic import not_written, write_bytes
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.written_files import RECORD
 from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.folder import SESSION, SUMMARY
+from dvrk_cmaes.results.folder import MANIFEST, SESSION, SUMMARY
 from dvrk_cmaes.results.paths import found_masks, layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
-from dvrk_cmaes.runs.manifest import MANIFEST, read_manifest
+from dvrk_cmaes.runs.manifest import read_manifest
 from dvrk_cmaes.runs.worker import FrameOutcome
 from dvrk_cmaes.runs.worklist import shards_folder
 

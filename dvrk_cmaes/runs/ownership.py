@@ -20,9 +20,8 @@ from dvrk_cmaes.io.atomic import places_to_write, write_json
 from dvrk_cmaes.io.files import file_digest
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.written_files import RECORD, Written, files_in, read_written, write_written
-from dvrk_cmaes.results.folder import ALONE
+from dvrk_cmaes.results.folder import ALONE, MANIFEST
 from dvrk_cmaes.results.track_files import TRACKS
-from dvrk_cmaes.runs.manifest import MANIFEST
 
 Command = Literal["batch", "calibrate", "segment", "track"]
 
