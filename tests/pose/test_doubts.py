@@ -35,7 +35,7 @@ def doubts(body: Body, *, sigmas: tuple[float, ...] = (0, 0, 0), turn: float = 0
         ViewCheck("right", GOOD, rotation, std**2 * np.eye(3)),
     ]
     readings = readings_of(body, TRUE.joints + np.array(sigmas) * SPREAD)
-    fits = [Fit(TRUE, 0.0, 0.0, np.eye(9))]
+    fits = [Fit(TRUE, 0.0, 0.0, np.eye(9), None, TRUE)]
     return judge(fits, views, checks, EXPECTED, 0.99, readings, TrustConfig())[0]
 
 

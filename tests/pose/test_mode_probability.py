@@ -18,7 +18,8 @@ GOOD = Quality(0.97, 0.1, {}, 0.5, 1.5, distal_px=0.8)
 
 def mode(turn_deg: float, score: float, shift: float = 0.0) -> Fit:
     change = np.array([shift, 0, 0, 0, 0, np.deg2rad(turn_deg)])
-    return Fit(Posed(moved(POSE, change), JOINTS), score, score, np.eye(9) * 1e6)
+    at = Posed(moved(POSE, change), JOINTS)
+    return Fit(at, score, score, np.eye(9) * 1e6, None, at)
 
 
 def test_only_mode_of_accurate_pose_is_certain() -> None:
