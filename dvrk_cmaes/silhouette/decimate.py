@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import Instrument, Link
 
+_LARGEST = 1 << 62
+
 
 def decimate(instrument: Instrument, cell: float) -> tuple[Instrument, float]:
     """Replace the vertices of each link within a cubic grid cell, ``cell`` m wide, by their mean.
@@ -22,12 +24,20 @@ def decimate(instrument: Instrument, cell: float) -> tuple[Instrument, float]:
 
 
 def _decimate_link(link: Link, cell: float) -> tuple[Link, float]:
-    _, group = np.unique(np.floor(link.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
-    group = group.ravel()
+    cells = np.floor(link.vertices / cell).astype(np.int64)
+    _, group = np.unique(_keys(cells - cells.min(axis=0)), return_inverse=True)
     size = np.bincount(group)
     vertices = np.stack([np.bincount(group, weights=column) for column in link.vertices.T], axis=1) / size[:, None]
     faces: NDArray[np.int32] = group[link.faces].astype(np.int32)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    _, once = np.unique(_keys(np.sort(faces, axis=1).astype(np.int64)), return_index=True)
     moved = float(np.linalg.norm(vertices[group] - link.vertices, axis=1).max())
     return Link(link.name, vertices, np.ascontiguousarray(faces[np.sort(once)])), moved
+
+
+def _keys(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a number for each row (N, 3) of numbers from 0 on, in the order of the rows: `np.unique` sorts it faster."""
+    first, second, third = (rows.max(axis=0, initial=0) + 1).tolist()
+    if first * second * third >= _LARGEST:
+        return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).ravel()
+    return np.asarray((rows[:, 0] * second + rows[:, 1]) * third + rows[:, 2])

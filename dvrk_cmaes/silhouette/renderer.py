@@ -41,10 +41,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """An instrument prepared for rendering: its edge topology and its Embree scenes. Renderers may share it."""
+    """An instrument prepared for rendering: its edge topology and its Embree scenes. Renderers may share it.
+
+    Each of these is computed when it is first needed: most images need only the topology with a shortened shaft.
+    """
 
     instrument: Instrument
-    topology: MeshTopology
     scenes: LinkScenes
     error_m: float = 0.0
     """Upper bound of the distance of its surface from the instrument's, m."""
@@ -57,19 +59,24 @@ class Body:
 
     @staticmethod
     def prepare(instrument: Instrument) -> Body:
-        """Build the edge topology and the scenes of an instrument.
+        """Prepare an instrument.
 
         Parameters
         ----------
         instrument
             The instrument, whose meshes are prepared.
         """
-        return Body(instrument, build_topology(instrument), LinkScenes(instrument))
+        return Body(instrument, LinkScenes(instrument))
+
+    @cached_property
+    def topology(self) -> MeshTopology:
+        """The edge topology of the whole instrument."""
+        return build_topology(self.instrument)
 
     @cached_property
     def shortened(self) -> ShortenedShaft:
         """The instrument with the part of its shaft cut off that lies outside an image."""
-        return ShortenedShaft(self.instrument, self.topology)
+        return ShortenedShaft(self.instrument, lambda: self.topology)
 
     def decimated(self, cell: float) -> Body:
         """Return a body with fewer faces for images of low resolution, decimated on a grid with cells of ``cell`` m.
@@ -80,7 +87,7 @@ class Body:
             Width of the grid's cells, m.
         """
         instrument, error = decimate(self.instrument, cell)
-        return Body(instrument, build_topology(instrument), LinkScenes(instrument), self.error_m + error, self.method)
+        return Body(instrument, LinkScenes(instrument), self.error_m + error, self.method)
 
     def camera_from_links(
         self, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]

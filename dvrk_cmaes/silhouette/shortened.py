@@ -7,6 +7,7 @@ is rendered as a mesh with a boundary, whose layer count is exact in the image.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -28,9 +29,12 @@ _SAMPLES = 9  # points on each side of the image's border
 
 
 class ShortenedShaft:
-    """The topologies of an instrument with shafts of several lengths; each is computed when it is first needed."""
+    """The topologies of an instrument with shafts of several lengths; each is computed when it is first needed.
 
-    def __init__(self, instrument: Instrument, whole: MeshTopology) -> None:
+    ``whole`` returns that of the whole instrument.
+    """
+
+    def __init__(self, instrument: Instrument, whole: Callable[[], MeshTopology]) -> None:
         self._instrument = instrument
         self._whole = whole
         self._built: dict[int, MeshTopology] = {}
@@ -42,13 +46,13 @@ class ShortenedShaft:
         ``camera_from_link`` is (C, L, 4, 4).
         """
         if not len(self._corners) or not len(camera_from_link):
-            return self._whole
+            return self._whole()
         root = camera_from_link[:, 0]
         sides = self._corners @ (_frustum(camera) @ root).swapaxes(1, 2)
         beyond = (sides < 0).reshape(len(root), -1, 8, sides.shape[2])
         outside = np.all(np.any(np.all(beyond, axis=2), axis=2), axis=0)
         if not outside.any():
-            return self._whole
+            return self._whole()
         index = int(outside.argmax())
         if index not in self._built:
             self._built[index] = build_topology(self._cut(float(_KEPT[index])))
