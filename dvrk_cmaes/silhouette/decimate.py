@@ -36,7 +36,7 @@ def _decimate_link(link: Link, cell: float) -> tuple[Link, float]:
 
 
 def _keys(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return a number for each row (N, 3) of numbers from 0 on, in the order of the rows; `np.unique` is faster on it."""
+    """Return a number for each row (N, 3) of numbers from 0 on, in their order; `np.unique` is faster on it."""
     first, second, third = (rows.max(axis=0, initial=0) + 1).tolist()
     if first * second * third >= _LARGEST:
         return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).ravel()

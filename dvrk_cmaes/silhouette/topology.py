@@ -74,7 +74,8 @@ def _paired_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], ...]:
     new_run = np.r_[True, (np.diff(edge) != 0) | (direction[1:] != direction[:-1])]
     run_start = np.flatnonzero(new_run)
     rank = np.arange(len(order)) - run_start[np.cumsum(new_run) - 1]
-    order = order[((edge * (int(rank.max(initial=0)) + 1) + rank) * 2 + direction).argsort(kind="stable")]
+    if rank.any():  # otherwise no edge has two faces of the same winding, and the order stays the same
+        order = order[((edge * (int(rank.max()) + 1) + rank) * 2 + direction).argsort(kind="stable")]
     low, high, face, forward = low[order], high[order], face[order], forward[order]
     new_edge = np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)]
     edge_first = np.flatnonzero(new_edge)
@@ -100,7 +101,7 @@ def build_topology(instrument: Instrument) -> MeshTopology:
         triangles = link.vertices[link.faces]
         normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-        offset = -np.einsum("ij,ij->i", normal, triangles.mean(axis=1))
+        offset = -np.einsum("ij,ij->i", normal, triangles.sum(axis=1) / 3)
         edge_from, edge_to, left, right, same_direction = _paired_edges(link.faces)
         alone = right < 0
         vertices.append(np.c_[link.vertices, np.ones(len(link.vertices))])
