@@ -8,6 +8,7 @@ offset by a margin; otherwise nothing is corrected. Each frame is corrected by w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -16,7 +17,14 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Correction, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
-from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, log_likelihood, run_filter
+from dvrk_cmaes.joints.cable_inference import (
+    Assumed,
+    Filtered,
+    Observations,
+    leave_one_out,
+    log_likelihood,
+    run_filters,
+)
 from dvrk_cmaes.joints.cable_prior import CablePrior
 from dvrk_cmaes.joints.cables import features
 from dvrk_cmaes.joints.play import Play
@@ -174,7 +182,7 @@ def _widening(given: Observations, means: Float64, covariances: Float64) -> Floa
     def likelihood(joint: int, factor: float) -> float:
         tried = np.sqrt(np.where(np.arange(len(factors)) == joint, factor, factors))
         widened = covariances * tried[:, None] * tried
-        return sum(map(log_likelihood, given.information, given.vector, means, widened))
+        return float(log_likelihood(given.information, given.vector, means, widened).sum())
 
     for joint in range(len(factors)):
         factors[joint] = max(_WIDENINGS, key=lambda factor: likelihood(joint, factor))
@@ -197,14 +205,19 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
     mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
     std = np.concatenate([session.offset_std, prior.spread[active]])
 
-    def trial(noise: float, wander: float) -> _Fit:
-        assumed = Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
-        return _Fit(parts, active, given, assumed, run_filter(given, assumed))
+    def tried(pairs: Sequence[tuple[float, float]]) -> list[_Fit]:
+        """Fit with noises and wanders in their usual sizes."""
+        assumed = [
+            Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
+            for noise, wander in pairs
+        ]
+        filtered = run_filters(given, assumed)
+        return [_Fit(parts, active, given, *pair) for pair in zip(assumed, filtered, strict=True)]
 
     usual = 1.0 if "wander" in parts else 0.0
-    trials = {noise: trial(noise, usual) for noise in _NOISES}
+    trials = dict(zip(_NOISES, tried([(noise, usual) for noise in _NOISES]), strict=True))
     best = max(_NOISES, key=lambda noise: trials[noise].likelihood)
-    others = [trial(best, wander) for wander in _WANDERS] if "wander" in parts else []
+    others = tried([(best, wander) for wander in _WANDERS]) if "wander" in parts else []
     return max([trials[best], *others], key=lambda fit: fit.likelihood)
 
 

@@ -112,7 +112,7 @@ def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibrati
     """Choose the mode of each of N frames with the least Mahalanobis distance from a calibration's prediction."""
     at, own_covariance = _stacked(modes)
     changes = at.minus(_for_each_mode(model.predict(calibration)))
-    squares = _squared_distances(changes, model.covariance(calibration)[:, None] + own_covariance)
+    squares, _ = _distances(changes, model.covariance(calibration)[:, None] + own_covariance)
     return [of_frame[best] for of_frame, best in zip(modes, squares.argmin(axis=1), strict=True)]
 
 
@@ -135,9 +135,18 @@ def _for_each_mode(at: Posed) -> Posed:
     return Posed(at.pose[:, None], at.joints[:, None])
 
 
-def _squared_distances(changes: Float64, covariance: Float64) -> Float64:
-    """Return the squared Mahalanobis lengths (V, M) of changes (V, M, D) with covariances (V, M, D, D)."""
-    return np.asarray(np.einsum("vmi,vmi->vm", changes, np.linalg.solve(covariance, changes[..., None])[..., 0]))
+def _distances(changes: Float64, covariance: Float64) -> tuple[Float64, Float64]:
+    """Return the squared Mahalanobis lengths (V, M) of changes (V, M, D), and the logarithms of the determinants.
+
+    Both follow from the Cholesky factors of the covariances (V, M, D, D), by forward substitution for all at once.
+    """
+    factor = np.linalg.cholesky(covariance)
+    whitened = np.empty_like(changes)
+    for i in range(changes.shape[-1]):
+        known = np.einsum("vmi,vmi->vm", factor[..., i, :i], whitened[..., :i])
+        whitened[..., i] = (changes[..., i] - known) / factor[..., i, i]
+    determinants = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.einsum("vmi,vmi->vm", whitened, whitened), determinants
 
 
 class _Hypotheses:
@@ -181,8 +190,7 @@ class _Hypotheses:
         predicted = transport @ own @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
         changes = self._at[test_frames].minus(_for_each_mode(expected))
         total = predicted[:, None] + self._covariance[test_frames]
-        misfit = _squared_distances(changes, total) / dimension
-        log_determinant = np.linalg.slogdet(total)[1] / dimension
+        misfit, log_determinant = (one / dimension for one in _distances(changes, total))
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
         outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1
         cost = np.minimum(misfit + log_determinant, outlier_cost)

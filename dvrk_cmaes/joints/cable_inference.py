@@ -8,7 +8,8 @@ modified Bryson-Frazier one, which inverts no covariance of the state.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,8 @@ class _Step:
     ``cross`` (D, C) is the covariance of state and error before the observation, ``design`` (C, D) the derivative of
     the error by the state, ``expected`` (C,) the error and ``spread`` (C, C) its covariance, without the noise.
     ``innovation`` (C,) and ``weight`` (C, C) are the observation's, ``information`` (C, C) and ``vector`` (C,) the
-    observation of the error without the noise. ``keep`` (D,) carries the state from the pose before to this one.
+    observation of the error without the noise. ``keep`` (D,) carries the state from the pose before to this one. While
+    T assumptions are filtered together, all but the design have a first axis of length T.
     """
 
     keep: Float64
@@ -64,60 +66,78 @@ class _Step:
     information: Float64
     vector: Float64
 
+    def of(self, trial: int) -> _Step:
+        """Return the step of one of several assumptions."""
+        own = {each.name: getattr(self, each.name)[trial] for each in fields(self) if each.name != "design"}
+        return replace(self, **own)
+
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
     """A pass over all poses: the log-likelihood of the observations, and the coefficients given all of them.
 
-    ``mean`` (K,) and ``covariance`` (K, K) are of the coefficients.
+    ``mean`` (K,) and ``covariance`` (K, K) are of the coefficients. ``steps`` are of all assumptions that were filtered
+    together, of which this is number ``trial``.
     """
 
     log_likelihood: float
     mean: Float64
     covariance: Float64
     steps: tuple[_Step, ...]
+    trial: int
 
 
-def run_filter(observations: Observations, assumed: Assumed) -> Filtered:
-    """Estimate the coefficients, and compute the likelihood of the observations."""
+def run_filters(observations: Observations, assumed: Sequence[Assumed]) -> list[Filtered]:
+    """Estimate the coefficients, and compute the likelihood of the observations, with each of T assumptions.
+
+    All of them are filtered in one pass: what a pose takes is the number of operations, not their size.
+    """
     count, coefficients = observations.terms.shape[1:]
-    mean = np.concatenate([assumed.mean, np.zeros(count)])
-    covariance = np.diag(np.concatenate([assumed.std, assumed.wander]) ** 2)
-    noise, own = np.diag(assumed.noise**2), np.eye(count)
-    wander = np.diag(covariance)[coefficients:].copy()
+    trials, own = len(assumed), np.eye(count)
+    mean = np.array([np.concatenate([one.mean, np.zeros(count)]) for one in assumed])
+    covariance = np.array([np.diag(np.concatenate([one.std, one.wander]) ** 2) for one in assumed])
+    noise = np.array([np.diag(one.noise**2) for one in assumed])
+    wander, seconds = (np.array([getattr(one, name) for one in assumed]) for name in ("wander", "seconds"))
     at = np.arange(coefficients, coefficients + count)
     elapsed = np.diff(observations.times, prepend=observations.times[:1])
-    total, steps = 0.0, []
+    total, steps = np.zeros(trials), []
     for terms, given, vector, wait in zip(
         observations.terms, observations.information, observations.vector, elapsed, strict=True
     ):
-        keep = np.concatenate([np.ones(coefficients), np.exp(-wait / assumed.seconds)])
+        keep = np.concatenate([np.ones((trials, coefficients)), np.exp(-wait / seconds)], axis=1)
         mean = keep * mean
-        covariance = keep[:, None] * covariance * keep
-        covariance[at, at] += wander * (1 - keep[coefficients:] ** 2)
+        covariance = keep[:, :, None] * covariance * keep[:, None]
+        covariance[:, at, at] += wander**2 * (1 - keep[:, coefficients:] ** 2)
         design = np.concatenate([terms, own], axis=1)
         cross = covariance @ design.T
-        expected, spread = design @ mean, design @ cross
+        expected, spread = mean @ design.T, design @ cross
         total += log_likelihood(given, vector, expected, spread + noise)
-        seen = np.linalg.solve(own + given @ noise, np.column_stack([given, vector]))
-        information, told = seen[:, :count], seen[:, count]
-        gains = np.linalg.solve(
-            own + information @ spread, np.column_stack([information, told - information @ expected])
-        )
-        weight, innovation = gains[:, :count], gains[:, count]
+        seen = np.linalg.solve(own + given @ noise, np.tile(np.column_stack([given, vector]), (trials, 1, 1)))
+        information, told = seen[:, :, :count], seen[:, :, count]
+        off = told - (information @ expected[:, :, None])[:, :, 0]
+        gains = np.linalg.solve(own + information @ spread, np.concatenate([information, off[:, :, None]], axis=2))
+        weight, innovation = gains[:, :, :count], gains[:, :, count]
         steps.append(_Step(keep, design, cross, expected, spread, innovation, weight, information, told))
-        mean = mean + cross @ innovation
-        covariance = covariance - cross @ weight @ cross.T
-        covariance = (covariance + covariance.T) / 2
-    return Filtered(total, mean[:coefficients], covariance[:coefficients, :coefficients], tuple(steps))
+        mean = mean + (cross @ innovation[:, :, None])[:, :, 0]
+        covariance = covariance - cross @ weight @ np.swapaxes(cross, 1, 2)
+        covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    of = slice(coefficients)
+    passes = tuple(steps)
+    return [Filtered(float(total[k]), mean[k, of], covariance[k, of, of], passes, k) for k in range(trials)]
 
 
-def log_likelihood(information: Float64, vector: Float64, expected: Float64, spread: Float64) -> float:
-    """Return the log of the mean likelihood of an observation over errors with a mean (C,) and covariance (C, C)."""
-    widened = np.eye(len(vector)) + spread @ information
-    off = vector - information @ expected
-    known = expected @ (vector - information @ expected / 2)
-    return float(known + off @ np.linalg.solve(widened, spread @ off) / 2 - np.linalg.slogdet(widened)[1] / 2)
+def log_likelihood(information: Float64, vector: Float64, expected: Float64, spread: Float64) -> Float64:
+    """Return the logs (...) of mean likelihoods of observations over errors with a mean and covariance.
+
+    ``information`` (..., C, C) and ``vector`` (..., C) are of the observations, ``expected`` (..., C) and ``spread``
+    (..., C, C) of the errors.
+    """
+    widened = np.eye(vector.shape[-1]) + spread @ information
+    seen = (information @ expected[..., None])[..., 0]
+    known = (expected * (vector - seen / 2)).sum(axis=-1)
+    off = (vector - seen)[..., None]
+    gained = (off * np.linalg.solve(widened, spread @ off)).sum(axis=(-2, -1))
+    return np.asarray(known + gained / 2 - np.linalg.slogdet(widened)[1] / 2)
 
 
 def leave_one_out(filtered: Filtered) -> tuple[Float64, Float64]:
@@ -125,7 +145,7 @@ def leave_one_out(filtered: Filtered) -> tuple[Float64, Float64]:
 
     The noise is not included.
     """
-    steps = filtered.steps
+    steps = [step.of(filtered.trial) for step in filtered.steps]
     means, covariances = [], []
     slope, curvature = np.zeros(len(steps[0].keep)), np.zeros((len(steps[0].keep),) * 2)
     for step in reversed(steps):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, run_filter
+from dvrk_cmaes.joints.cable_inference import Assumed, Filtered, Observations, leave_one_out, run_filters
 
 POSES, JOINTS, COEFFICIENTS = 7, 2, 3
 SIZE = POSES * JOINTS
@@ -63,7 +65,9 @@ def dense() -> Dense:
 
 @pytest.fixture(scope="module")
 def filtered(dense: Dense) -> Filtered:
-    return run_filter(dense.given, dense.assumed)
+    """The second of two assumptions that are filtered together."""
+    other = replace(dense.assumed, noise=2 * dense.assumed.noise, seconds=3 * dense.assumed.seconds)
+    return run_filters(dense.given, [other, dense.assumed])[1]
 
 
 def test_the_likelihood_is_that_of_all_poses_at_once(dense: Dense, filtered: Filtered) -> None:
@@ -80,7 +84,7 @@ def test_each_pose_is_predicted_by_all_others_before_and_after_it(dense: Dense, 
 
 def test_coefficients_without_observations_stay_as_expected(dense: Dense) -> None:
     blind = Observations(dense.given.times, dense.terms, np.zeros((POSES, 2, 2)), np.zeros((POSES, 2)))
-    found = run_filter(blind, dense.assumed)
+    found = run_filters(blind, [dense.assumed])[0]
     np.testing.assert_allclose(found.mean, dense.assumed.mean)
     np.testing.assert_allclose(found.covariance, np.diag(dense.assumed.std**2), atol=1e-15)
     assert found.log_likelihood == pytest.approx(0.0, abs=1e-12)
