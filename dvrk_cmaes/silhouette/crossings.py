@@ -66,9 +66,12 @@ class Crossings:
         return row.take(at, mode="clip"), value.take(at, mode="clip") >> _CODE_BITS
 
 
-def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False) -> Crossings:
-    """Find the crossings of all lines with outline edges; with ``detail``, also the segment of each crossing."""
-    found = edges.segments(grid, detail=detail)
+def find_crossings(edges: OutlineEdges, grid: LineGrid, *, detail: bool = False, exact: bool = False) -> Crossings:
+    """Find the crossings of all lines with outline edges; with ``detail``, also the segment of each crossing.
+
+    ``exact`` as of `OutlineEdges.segments`.
+    """
+    found = edges.segments(grid, detail=detail, exact=exact)
     segments = found.segments
 
     first = np.minimum(*segments.line).astype(np.int32)

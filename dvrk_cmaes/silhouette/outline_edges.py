@@ -80,8 +80,11 @@ class OutlineEdges:
         """Return the index of the link of each face (N,)."""
         return np.searchsorted(self._topology.face_start, face, side="right") - 1
 
-    def segments(self, grid: LineGrid, *, detail: bool) -> OutlineSegments:
-        """Return the outline segments that cross lines of a grid, with their inverse depth if ``detail``."""
+    def segments(self, grid: LineGrid, *, detail: bool, exact: bool = False) -> OutlineSegments:
+        """Return the outline segments that cross lines of a grid, with their inverse depth if ``detail``.
+
+        ``exact`` ones follow the bends of a distorting lens as closely as whole pixels need.
+        """
         straight, batch_size = self._projection.camera.is_pinhole, self._batch_size
         vertices, outline = self._vertices.on(grid), self._outline
         cut = []
@@ -102,6 +105,6 @@ class OutlineEdges:
         for more in cut:
             segments = segments.concatenated(more.crossing() if straight else more)
         if not straight:
-            segments = subdivided(segments, self._projection, grid)
+            segments = subdivided(segments, self._projection, grid, exact=exact)
         front = self._front_facing.ravel().take(segments.face * batch_size + segments.pose, mode="clip")
         return OutlineSegments(segments, front)

@@ -13,7 +13,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.silhouette.grid import Float32, LineGrid, Projection
 from dvrk_cmaes.silhouette.scenes import NEAR
 
-_BEND = 0.0005  # px; a segment that the lens bends by less is treated as straight
+_BEND = 0.004  # px; a segment that the lens bends by less is treated as straight
+_EXACT_BEND = 0.0005  # px; the same where it is asked which pixels' centres are covered
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,8 @@ class Segments:
 
 
 @lru_cache(maxsize=64)
-def _straight_length(camera: Camera) -> float:
-    """Return the length, px, up to which the lens bends a segment by less than ``_BEND`` anywhere in the image."""
+def _straight_length(camera: Camera, allowed: float) -> float:
+    """Return the length, px, up to which the lens bends a segment by less than ``allowed`` px anywhere in the image."""
     u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, 17), np.linspace(-0.5, camera.height - 0.5, 17))
     middle = camera.normalise(np.stack([u, v], axis=-1))
     focal = np.array([camera.fx, camera.fy])
@@ -93,14 +94,17 @@ def _straight_length(camera: Camera) -> float:
     start, end = camera.distort(middle - half) * focal, camera.distort(middle + half) * focal
     chord, off = end - start, camera.distort(middle) * focal - (start + end) / 2
     bend = np.abs(chord[..., 0] * off[..., 1] - chord[..., 1] * off[..., 0]) / np.linalg.norm(chord, axis=-1)
-    return float(4.0 * np.sqrt(_BEND / max(bend.max(), 1e-9)))
+    return float(4.0 * np.sqrt(allowed / max(bend.max(), 1e-9)))
 
 
-def subdivided(segments: Segments, projection: Projection, grid: LineGrid) -> Segments:
-    """Divide the segments that lens distortion may bend by more than ``_BEND``; return those that cross lines."""
+def subdivided(segments: Segments, projection: Projection, grid: LineGrid, *, exact: bool = False) -> Segments:
+    """Divide the segments that lens distortion may bend; return those that cross lines.
+
+    They are divided where that may be by more than ``_BEND`` or, for ``exact`` ones, ``_EXACT_BEND``.
+    """
     assert segments.xy is not None
     focal = np.array([[projection.camera.fx], [projection.camera.fy]], dtype=np.float32)
-    straight = _straight_length(projection.camera)
+    straight = _straight_length(projection.camera, _EXACT_BEND if exact else _BEND)
     delta = (segments.xy[:, 1] - segments.xy[:, 0]) * focal
     is_long = np.einsum("is,is->s", delta, delta) > straight**2
     short = segments.select(np.flatnonzero((segments.line[0] != segments.line[1]) & ~is_long))

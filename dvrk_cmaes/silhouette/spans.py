@@ -52,7 +52,7 @@ def covered_spans(
     otherwise they are the positions of the outline. With ``detail``, the result holds the crossings at which spans
     start and end and the segment of each crossing.
     """
-    crossings = find_crossings(edges, grid, detail=detail)
+    crossings = find_crossings(edges, grid, detail=detail, exact=to_pixel)
     bits = 0 if to_pixel else PAYLOAD_BITS - extent.bit_length()  # fractional bits of a position
     if to_pixel:
         at = np.ceil(crossings.u)

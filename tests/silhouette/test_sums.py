@@ -10,7 +10,7 @@ import pytest
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import exp_rotation, moved, transform
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
+from dvrk_cmaes.silhouette import Body, PixelSums, Renderer, segments
 
 PINHOLE = Camera(160, 120, 220.7, 220.7, 110.9, 47.2)
 LENS = Camera(160, 120, 206, 225, 99, 61, (-0.3517, 0.7089, 0.0044, -0.0008, -0.9176))
@@ -62,6 +62,16 @@ def test_smooth_sums_agree_with_coverage(bundled_body: Body, camera: Camera, lin
     assert coverage.max() <= 1 + 1e-6
     found = renderer.sums(*population(20), PixelSums.of(images, weight), lines_per_pixel=lines)
     np.testing.assert_allclose(found, np.einsum("chw,khw->ck", coverage, images * weight), rtol=1e-5, atol=1e-2)
+
+
+def test_segments_that_a_lens_bends_a_little_are_as_good_as_straight(
+    bundled_body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    renderer = Renderer(bundled_body, LENS)
+    found = renderer.coverage(*population(20))
+    monkeypatch.setattr(segments, "_BEND", 2e-5)
+    away = np.abs(found - renderer.coverage(*population(20)))
+    assert 0 < away.max() < 0.005  # covered share of a pixel
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, LENS])
