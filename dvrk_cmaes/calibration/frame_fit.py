@@ -31,7 +31,7 @@ Float64 = NDArray[np.float64]
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
-_FEW_STEPS = Steps(4, inner=3, tested="none", largest=4.0)  # of a fit from a pose that is nearly right
+_FREE_STEPS = Steps(12, inner=3, tested="none", largest=4.0)  # of a fit from a pose that is nearly right
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -193,13 +193,14 @@ def fit_predicted(
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
 
-    Few steps are taken, from the better start. The noise of the outlines is measured where they end, and the errors
-    that masks share are eliminated there. Also returns what was measured.
+    Steps are taken from the better start, and not tested: where the prediction is near, two or three are enough, where
+    it is some millimetres off, more. The noise of the outlines is measured where they end, and the errors that masks
+    share are eliminated there. Also returns what was measured.
     """
     terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
     coverage = _coverage(views, config, None, 1, margins)
     at = Posed.stacked([_better_start(coverage, terms, starts)])
-    (fit,) = refine(coverage, terms, at, replace(_FEW_STEPS, tolerance=config.refine.outline.tolerance))
+    (fit,) = refine(coverage, terms, at, replace(_FREE_STEPS, tolerance=config.refine.outline.tolerance))
     own = OwnEstimate.of(views, fit.at)
     coverage = coverage.with_lengths(own.lengths)
     coverage = coverage.with_noise(coverage.noise_at(own.at))
