@@ -71,7 +71,13 @@ def needed(command: str) -> str | None:
 def quicker() -> Iterator[None]:
     """Let commands do without worker processes and pictures, search little, and draw quarter-size images."""
     camera = made_sessions.default_camera
-    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates(), plain_pictures(), quick_settings():
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        processes_here(),
+        shared_estimates(),
+        plain_pictures(),
+        quick_settings(),
+    ):
         patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
         yield
 

@@ -159,7 +159,7 @@ def test_sparse_file_is_refused_by_its_size(tmp_path: Path, read: Callable[[Path
 def test_values_of_five_thousand_frames_are_read(outcomes: dict[str, tuple[str, int, str]]) -> None:
     said, _, last = outcomes["most frames"]
     assert said == ""
-    assert last == repr((5399, dict.fromkeys(range(1, 15), [700.5, 400.25])))
+    assert last == repr((5399, {number: [700.5, 400.25] for number in range(1, 15)}))
 
 
 def test_more_values_are_refused(tmp_path: Path) -> None:
