@@ -17,14 +17,19 @@ from cyclopts.argument import ArgumentCollection
 
 from dvrk_cmaes.instrument import Instrument, measure
 from dvrk_cmaes.runs.digests import instrument_digest
+from dvrk_cmaes.silhouette import Body, prepare
+
+_BODIES = 8
+"""Most prepared instruments that are kept."""
 
 
 @contextmanager
 def done_once() -> Iterator[None]:
-    """Assemble the options of each command once (10 ms), and measure instruments of the same content once (150 ms)."""
+    """Assemble the options of a command once (10 ms), and measure and prepare instruments of one content (200 ms)."""
     with pytest.MonkeyPatch.context() as patch:
         _options_assembled_once(patch)
         _instruments_measured_once(patch)
+        _instruments_prepared_once(patch)
         yield
 
 
@@ -64,3 +69,18 @@ def _instruments_measured_once(patch: pytest.MonkeyPatch) -> None:
         return replace(instrument, shaft=one.shaft, jaw_tips=one.jaw_tips, has_twin=one.has_twin)
 
     patch.setattr(measure, "with_measurements", measured)
+
+
+def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
+    prepare_body = prepare._body
+    known: dict[str, Body] = {}
+
+    def prepared(instrument: Instrument) -> Body:
+        key = instrument_digest(instrument)
+        if key not in known:
+            if len(known) == _BODIES:
+                known.pop(next(iter(known)))
+            known[key] = prepare_body(instrument)
+        return known[key]
+
+    patch.setattr(prepare, "_body", prepared)
