@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
-    from dvrk_cmaes.track.keyframe_store import Keyframe, KeyframeProblem, Solution
+    from dvrk_cmaes.track.keyframe_store import Keyframe, KeyframeProblem, KeyframeTask, Solution
     from dvrk_cmaes.track.lag import FoundLag
 
 _HOMES = {
@@ -69,6 +69,7 @@ _HOMES = {
     "JawTip": "instrument.model",
     "Keyframe": "track.keyframe_store",
     "KeyframeProblem": "track.keyframe_store",
+    "KeyframeTask": "track.keyframe_store",
     "Lag": "joints.lag",
     "LagCurve": "calibration.lag",
     "LeaveOneOutPrediction": "calibration.frame_task",
@@ -141,6 +142,7 @@ __all__ = [
     "JawTip",
     "Keyframe",
     "KeyframeProblem",
+    "KeyframeTask",
     "Lag",
     "LagCurve",
     "LeaveOneOutPrediction",

@@ -16,6 +16,7 @@ from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Posed, adjoint, inverse
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
+from dvrk_cmaes.pose.refine.selection import Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
@@ -160,6 +161,7 @@ def fit_frame(
     """
     shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
     at, count = Posed.stacked(starts), 0
+    selection = Selection(config.refine.small_share, config.refine.small_gap, least=_KEPT)
     for shrink in shrinks:
         terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
         coverage = _coverage(views, config, own_estimate, shrink, margins)
@@ -167,7 +169,7 @@ def fit_frame(
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
         steps = replace(Steps.of(config.refine.outline, shrink), tested="all" if confirm else "long")
-        fits = sorted(refine(coverage, terms, at, steps), key=lambda fit: fit.score)[:_KEPT]
+        fits = sorted(refine(coverage, terms, at, steps, selection), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
     drawn = [view.silhouette(fits[0].at) for view in views]
     if own_estimate is None:
@@ -203,6 +205,7 @@ def fit_predicted(
     coverage = coverage.with_noise(coverage.noise_at(own.at))
     count = coverage.silhouettes + len(views)
     as_seen = config.session.shadows
+    fit = replace(fit, drawn=coverage.draw(Posed.stacked([fit.at]))[0], drawn_at=fit.at)
     fitted = _without_shared(fit, coverage, terms, own.noises, own.iou, own.iou, count, SINGLE_SIZE, as_seen=as_seen)
     return fitted, own
 
@@ -233,17 +236,20 @@ def _without_shared(
 
     ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours, and ``size`` is that of the
     errors that last from frame to frame; ``as_seen`` is as in `Coverage.near_with_lasting`, the others are as in
-    `FrameFit`.
+    `FrameFit`. The step is taken from where the fit was drawn last, which is at most a small step away, if its outline
+    was found there.
     """
-    lasting = coverage.near_with_lasting(fit.at, noises, as_seen=as_seen)
-    own = 6 + len(fit.at.joints)
+    has_outlines = all(outline is not None for outline in fit.drawn.outlines)
+    start, drawn = (fit.drawn_at, fit.drawn) if has_outlines else (fit.at, None)
+    lasting = coverage.near_with_lasting(start, noises, drawn=drawn, as_seen=as_seen)
+    own = 6 + len(start.joints)
     outline = without_lasting(lasting, lasting.dimension - own, size)
-    at, slope = stepped(fit.at, outline, terms)
+    at, slope = stepped(start, outline, terms)
     return FrameFit(
         at,
         information=outline.information[0],
         slope=slope,
-        lasting=_after(lasting, at.minus(fit.at)),
+        lasting=_after(lasting, at.minus(start)),
         side_px=side_deviation(noises[0]),
         score=fit.score,
         evaluations=evaluations,

@@ -19,8 +19,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
-from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = NDArray[np.bool_]
@@ -181,8 +180,8 @@ def again_task(body: Body, config: EstimateConfig, task: AgainTask) -> FoundAgai
 def predicted_task(body: Body, config: EstimateConfig, task: PredictedTask) -> list[tuple[float, float]]:
     """Measure the overlap of a frame's mask and the silhouette at each pose, and the median contour distance, px."""
     views = restored_views(body, task.stored, task.change)
-    of_views, _ = measure_views(views, Readings.none(body.instrument), task.poses, config)
-    pooled = (pooled_quality(qualities) for qualities in zip(*of_views, strict=True))
+    poses = [task.poses[k] for k in range(len(task.poses))]
+    pooled = (pooled_quality([measure_overlap(view, at) for view in views]) for at in poses)
     return [(quality.iou, quality.contour_px_median) for quality in pooled]
 
 

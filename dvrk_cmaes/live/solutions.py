@@ -55,13 +55,14 @@ class LiveSolutions:
             self._save(self.earlier)
 
     def after_step(self) -> None:
-        """Begin to solve the keyframes if that is due."""
+        """Begin to solve the keyframes if that is due; until it is, new ones are estimated by themselves."""
         tracker = self.tracker
-        if self._asked is None and tracker is not None and tracker.solution_due:
-            if clock.monotonic() < self._not_before:
-                return
+        if tracker is None or clock.monotonic() < self._not_before:
+            return
+        if self._asked is None and tracker.solution_due:
             self.solver.begin(tracker.problem())
             self._asked = tracker
+        self.solver.prepare(tracker.unsolved_keyframes)
 
     def _save(self, calibration: SessionCalibration) -> None:
         """Write a calibration; where that is not possible, the user is told."""

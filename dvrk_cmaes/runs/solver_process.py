@@ -5,17 +5,18 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from types import TracebackType
 
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 from dvrk_cmaes.silhouette.prepare import body_by
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
+from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
 
 _TRIES = 2  # of a problem that its process dies on
 
@@ -42,6 +43,7 @@ class SolverProcess:
         self._process: WorkerProcess | None = None
         self._futures: deque[Future[Solution]] = deque()
         self._alone: dict[str, Result] = {}
+        self._prepared: set[str] = set()  # names of unsolved keyframes that are or will be in `_alone`
         self._closed = False
 
     def __enter__(self) -> SolverProcess:
@@ -57,6 +59,16 @@ class SolverProcess:
     def begin(self, problem: KeyframeProblem) -> None:
         """Begin with a problem, after those before it; returns at once."""
         self._futures.append(self._driver.submit(self._solved, problem))
+
+    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
+        """Estimate keyframes by themselves after what was begun before, each once; returns at once.
+
+        ``tasks`` are all that no solution has estimated yet.
+        """
+        new = [task for task in tasks if task.keyframe.name not in self._prepared]
+        self._prepared = {task.keyframe.name for task in tasks}
+        for task in new:
+            self._driver.submit(self._estimated, task)
 
     @property
     def ready(self) -> bool:
@@ -103,6 +115,19 @@ class SolverProcess:
             raise
         return self._process
 
+    def _estimated(self, task: KeyframeTask) -> None:
+        """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
+        name = task.keyframe.name
+        process = self._process or self._start()
+        if name in self._alone or process is None:
+            return
+        try:
+            self._alone[name] = process.call(_estimate, self._key, task, self._threads)
+        except ProcessDiedError:
+            self._process = None
+        except InputError:
+            return
+
     def _solved(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem in the process, and once more in a new one if that dies.
 
@@ -132,6 +157,13 @@ def _prepare(instrument: Instrument, background: bool) -> None:
     if background and hasattr(os, "nice"):
         os.nice(10)
     prepare_instrument(instrument)
+
+
+def _estimate(key: str, task: KeyframeTask, threads: int) -> Result:
+    """Estimate a keyframe by itself with the instrument whose digest is ``key``."""
+    from dvrk_cmaes.runs.worker import prepared_body
+
+    return task.estimate(body_by(prepared_body(key), task.config.silhouette.method), threads)
 
 
 def _solve(key: str, problem: KeyframeProblem, threads: int) -> Solution:

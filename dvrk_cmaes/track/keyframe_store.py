@@ -83,6 +83,37 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
+class KeyframeTask:
+    """A keyframe that is to be estimated by itself, in this or in another process."""
+
+    keyframe: Keyframe
+    rig: Rig
+    config: EstimateConfig
+
+    def estimate(self, body: Body, threads: int = 1) -> Result:
+        """Estimate the keyframe by itself; the result does not depend on the number of threads.
+
+        Parameters
+        ----------
+        body
+            The instrument.
+        threads
+            Number of threads.
+
+        Raises
+        ------
+        InputError
+            As `dvrk_cmaes.estimate`.
+        """
+        views = self.keyframe.data(self.rig).views
+        masks = {view.name: view.mask for view in views if view.given}
+        ignored = {view.name: view.ignore for view in views if view.ignore is not None}
+        config = replace(self.config, threads=threads)
+        found = estimate(masks, self.rig, self.keyframe.readings, body, ignore=ignored or None, config=config)
+        return Result.from_dict(found.to_dict())  # in the digits that an interrupted run goes on with
+
+
+@dataclass(frozen=True, eq=False)
 class Solution:
     """What keyframes tell together: the calibration, or why there is none.
 
@@ -131,14 +162,11 @@ class KeyframeProblem:
         alone: dict[str, Result] = {}
         frames = []
         for keyframe in self.keyframes:
-            data = keyframe.data(self.rig)
             result = self.alone.get(keyframe.name)
             if result is None:
-                masks = {view.name: view.mask for view in data.views if view.given}
-                ignored = {view.name: view.ignore for view in data.views if view.ignore is not None}
-                result = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=config)
-                result = Result.from_dict(result.to_dict())  # in the digits that an interrupted run goes on with
+                result = KeyframeTask(keyframe, self.rig, self.config).estimate(body, threads)
             alone[keyframe.name] = result
+            data = keyframe.data(self.rig)
             frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time, brief=True))
         try:
             solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=config)
@@ -253,6 +281,10 @@ class KeyframeStore:
         del self._kept[closest]
         self._places = np.delete(self._places, closest, axis=0)
         return True
+
+    def unsolved(self, config: EstimateConfig, alone: Mapping[str, Result]) -> list[KeyframeTask]:
+        """Return the keyframes without a result of their own among ``alone``, by name, as tasks."""
+        return [KeyframeTask(one, self._rig, config) for one in self._kept if one.name not in alone]
 
     def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result], base: int = 0) -> KeyframeProblem:
         """Return what the keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""

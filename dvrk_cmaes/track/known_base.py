@@ -21,7 +21,14 @@ from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.calibration_lag import lag_and_std, lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeProblem, KeyframeStore, Solution
+from dvrk_cmaes.track.keyframe_store import (
+    NEW_AT_MOST,
+    SOLVED_AT,
+    KeyframeProblem,
+    KeyframeStore,
+    KeyframeTask,
+    Solution,
+)
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight
@@ -127,6 +134,11 @@ class KnownBase:
         if self._solved < SOLVED_AT[-1]:
             session = replace(session, test_camera=False)
         return self.store.problem(self._arm, replace(self._config, session=session), self._alone, self._bases)
+
+    @property
+    def unsolved(self) -> list[KeyframeTask]:
+        """The keyframes that no solution has estimated by themselves yet."""
+        return self.store.unsolved(self._config, self._alone)
 
     def use(self, solution: Solution) -> bool:
         """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
+from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.tracker import Tracker
 
 _FEW: Final = 20
@@ -22,6 +23,12 @@ class Solver(Protocol):
 
     def begin(self, problem: KeyframeProblem) -> None:
         """Begin with a problem, after those before it; returns at once."""
+
+    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
+        """Estimate keyframes by themselves ahead of a problem that has them, each once; returns at once.
+
+        The solutions are the same without; they are there sooner.
+        """
 
     @property
     def ready(self) -> bool:
@@ -54,12 +61,16 @@ class SolutionSchedule:
             self._use_next()
 
     def after_step(self, time: float) -> None:
-        """Begin to solve the keyframes if that is due after the step to the image of a time, s."""
+        """Begin to solve the keyframes if that is due after the step to the image of a time, s.
+
+        Until it is, new ones are estimated by themselves.
+        """
         if self.tracker.solution_due:
             problem = self.tracker.problem()
             self.solver.begin(problem)
             due = time + (SECONDS_OF_FEW if len(problem.keyframes) <= _FEW else SECONDS_OF_MANY)
             self._due.append(max(due, self._due[-1]) if self._due else due)
+        self.solver.prepare(self.tracker.unsolved_keyframes)
 
     def finish(self) -> None:
         """Wait for the solutions of all keyframes that are being solved, and use them."""

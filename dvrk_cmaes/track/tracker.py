@@ -28,7 +28,7 @@ from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, Solution
+from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel
@@ -268,6 +268,11 @@ class Tracker:
         if self._known is None:
             raise InputError("problem: expected a tracker that keeps keyframes, got one without keyframes=True")
         return self._known.problem()
+
+    @property
+    def unsolved_keyframes(self) -> list[KeyframeTask]:
+        """The keyframes that no solution has estimated by themselves yet; a solver may do that before one is due."""
+        return [] if self._known is None else self._known.unsolved
 
     def solve(self) -> Solution:
         """Solve the keyframes together: base, lag, offsets. That takes seconds, and changes nothing until `use`.

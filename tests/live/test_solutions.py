@@ -22,6 +22,7 @@ class FakeTracker:
     used: list[str] = field(default_factory=list)
     base_state: str = "calibrating: 4 keyframes, base not known yet"
     accepts: bool = True
+    unsolved_keyframes: tuple[str, ...] = ("0.1", "0.4")
 
     @property
     def solution_due(self) -> bool:
@@ -45,6 +46,10 @@ class FakeSolver:
     ready: bool = False
     begun: int = 0
     error: Exception | None = None
+    prepared: list[str] = field(default_factory=list)
+
+    def prepare(self, tasks: tuple[str, ...]) -> None:
+        self.prepared += [task for task in tasks if task not in self.prepared]
 
     def begin(self, problem: str) -> None:
         self.begun += 1
@@ -69,6 +74,7 @@ def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it() 
         solutions.before_step()
         solutions.after_step()
     assert (solver.begun, tracker.used, saved) == (1, [], [])
+    assert solver.prepared == ["0.1", "0.4"]
     solver.ready = True
     solutions.before_step()
     assert (tracker.used, saved) == (["solution 1"], ["calibration by solution 1"])

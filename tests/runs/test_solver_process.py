@@ -1,14 +1,20 @@
-"""The process that solves keyframes: when it is started, and that it ends with its owner."""
+"""The process that solves keyframes: when it is started, what it does ahead, and that it ends with its owner."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import Any, cast
 
 import psutil
 import pytest
 
+from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.track.keyframe_store import Keyframe, KeyframeProblem, KeyframeTask, Solution
 
 
 def started_since(before: set[int]) -> list[psutil.Process]:
@@ -34,3 +40,48 @@ def test_process_that_is_not_needed_ends_at_once() -> None:
     with SolverProcess(prepare("lnd").instrument, background=True):
         pass
     assert not started_since(before)
+
+
+class FakeProcess:
+    """Notes what it is called with; the own result of a keyframe is a text."""
+
+    def __init__(self) -> None:
+        self.estimated: list[str] = []
+        self.problems: list[dict[str, str]] = []
+
+    def call(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Any:
+        if function.__name__ == "_estimate":
+            self.estimated.append(given.keyframe.name)
+            return f"result of {given.keyframe.name}"
+        self.problems.append(dict(given.alone))
+        return Solution(None, "", len(given.keyframes), {one.name: f"solved {one.name}" for one in given.keyframes})
+
+    def kill(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def keyframe(time: float) -> Keyframe:
+    return Keyframe(time, {}, {}, {}, {})
+
+
+def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
+    rig, config = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
+    keyframes = tuple(keyframe(0.1 * k) for k in range(4))
+    tasks = [KeyframeTask(one, rig, config) for one in keyframes]
+    process, no_readings = FakeProcess(), ReadingSeries("s", {}, {}, {}, 0.1)
+    with SolverProcess(prepare("lnd").instrument) as solver:
+        solver._process = cast(Any, process)
+        for known in (1, 2, 2):
+            solver.prepare(tasks[:known])
+        for count in (3, 4):  # of which the last ones were not estimated ahead
+            solver.begin(KeyframeProblem(keyframes[:count], no_readings, rig, "classic", config))
+            solver.prepare(tasks[:count])
+        first, second = solver.solution(), solver.solution()
+    names = [one.name for one in keyframes]
+    assert process.estimated == names[:2]
+    assert process.problems == [
+        {name: f"result of {name}" for name in names[:2]},
+        {name: f"solved {name}" for name in names[:3]},
+    ]
+    assert (first.keyframes, second.keyframes) == (3, 4)

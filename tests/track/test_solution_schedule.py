@@ -13,6 +13,7 @@ class FakeTracker:
 
     def __init__(self) -> None:
         self.keyframes, self.solution_due, self.used = 0, False, list[int]()
+        self.unsolved_keyframes: list[str] = []
 
     def has(self, keyframes: int) -> None:
         self.keyframes, self.solution_due = keyframes, True
@@ -30,6 +31,10 @@ class FakeSolver:
 
     def __init__(self) -> None:
         self.asked: list[int] = []
+        self.prepared: list[list[str]] = []
+
+    def prepare(self, tasks: list[str]) -> None:
+        self.prepared.append(list(tasks))
 
     def begin(self, problem: Any) -> None:
         self.asked.append(len(problem.keyframes))
@@ -52,6 +57,17 @@ def test_solutions_are_used_a_fixed_time_of_images_later_in_their_order() -> Non
         schedule.after_step(time)
     assert used == {4: 9 + 30 * SECONDS_OF_FEW, 8: 20 + 30 * SECONDS_OF_FEW, 32: 45 + 30 * SECONDS_OF_MANY}
     assert not schedule.waiting
+
+
+def test_keyframes_are_estimated_ahead_of_the_solution_that_needs_them() -> None:
+    tracker, solver = FakeTracker(), FakeSolver()
+    schedule = SolutionSchedule(cast(Any, tracker), cast(Any, solver))
+    tracker.unsolved_keyframes = ["0.1"]
+    schedule.after_step(0.1)
+    tracker.unsolved_keyframes = ["0.1", "0.4"]
+    schedule.after_step(0.4)
+    assert solver.prepared == [["0.1"], ["0.1", "0.4"]]
+    assert not solver.asked
 
 
 def test_solutions_are_waited_for_at_the_end() -> None:

@@ -37,10 +37,14 @@ class Fit(Candidate):
 
     ``information`` (D, D) is that of the small changes from all terms. ``score`` is a negative log-likelihood up to a
     constant that is the same for all modes of a frame, ``outline_score`` the part of it that comes from the outline.
+    ``drawn`` is what the outline's term drew last, of the pose ``drawn_at``, of which a step within the tolerance leads
+    to the refined pose.
     """
 
     outline_score: float
     information: Float64
+    drawn: Any
+    drawn_at: Posed
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ class _State:
     """State of the refinement of one pose: what was drawn there, and the last approximation that was computed.
 
     ``others`` is the sum of squares of the other terms, ``weight`` the factor on that of the outline. ``stale`` tells
-    that the state moved on from where it was drawn.
+    that the state moved on from where it was drawn, ``drawn_at``.
     """
 
     at: Posed
@@ -111,6 +115,10 @@ class _State:
     moved: bool = True
     stale: bool = False
     finished: bool = False
+    drawn_at: Posed = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.drawn_at = self.at
 
 
 def refine(
@@ -160,7 +168,7 @@ class _Refinement:
             return
         stale = [state for state in states if state.stale]
         for state, drawn in zip(stale, self.outline.draw(_poses(stale)) if stale else (), strict=True):
-            state.drawn, state.stale = drawn, False
+            state.drawn, state.drawn_at, state.stale = drawn, state.at, False
         at = _poses(states)
         near = self.outline.near([state.drawn for state in states], at)
         others = sum_of_locals(self.terms, at).padded(near.dimension)
@@ -210,6 +218,7 @@ class _Refinement:
             return
         state.finished = small or gain < _SMALL_GAIN * self.steps.tolerance
         state.at, state.drawn, state.others, state.moved = at, drawn, others, True
+        state.drawn_at = at
         state.damping = max(state.damping / _DAMPING_STEP, _DAMPING[0])
 
     def _is_small(self, state: _State, change: Float64) -> bool:
@@ -232,7 +241,8 @@ class _Refinement:
     def _fit(self, state: _State) -> Fit:
         """Return the refined pose of a state with its score."""
         alone = self.outline.score_of(state.drawn, final=True)
-        return Fit(state.at, alone + 0.5 * state.others, alone, state.information)
+        score = alone + 0.5 * state.others
+        return Fit(state.at, score, alone, state.information, state.drawn, state.drawn_at)
 
 
 def _poses(states: Sequence[_State]) -> Posed:
