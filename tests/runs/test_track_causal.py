@@ -33,11 +33,11 @@ SETTINGS = TrackSettings(
 
 @pytest.fixture(scope="module", autouse=True)
 def solved_once() -> Iterator[None]:
-    """Let keyframes be solved once, in a process, and the same ones again give the same solution without the work."""
+    """Let keyframes be estimated and solved in a process, and the same ones again give the same answer at once."""
     call, known = WorkerProcess.call, {}
 
     def answer(process: WorkerProcess, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-        if function is not solver_process._solve:
+        if function not in (solver_process._estimate, solver_process._solve):
             return call(process, function, *arguments, **options)
         key = digests._digest(arguments[1])
         if key not in known:
