@@ -20,7 +20,6 @@ from helpers.places import ROOT
 from helpers.plain_pictures import plain_pictures
 from helpers.printed_blocks import PROGRAM, Block, blocks, run
 from helpers.processes_here import processes_here
-from helpers.quick_settings import quick_settings
 from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes import EstimateConfig, prepare, read_camera
@@ -69,15 +68,9 @@ def needed(command: str) -> str | None:
 
 @pytest.fixture(scope="module", autouse=True)
 def quicker() -> Iterator[None]:
-    """Let commands do without worker processes and pictures, search little, and draw quarter-size images."""
+    """Let commands do without worker processes and pictures, estimate a frame once, and draw quarter-size images."""
     camera = made_sessions.default_camera
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        processes_here(),
-        shared_estimates(),
-        plain_pictures(),
-        quick_settings(),
-    ):
+    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates(), plain_pictures():
         patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
         yield
 

@@ -12,7 +12,7 @@ import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.config import EstimateConfig, RefineConfig, SearchConfig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
@@ -27,13 +27,7 @@ from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 13
 GONE, OTHER = "0005", "0009"
-FEWER = EstimateConfig(
-    search=SearchConfig(samples=256, starts=2, evaluations=25, spares=8, unread_spares=2),
-    refine=RefineConfig(first_candidates=6, small_modes=4, half_size_modes=2, modes=1),
-)
-"""Settings of fewer evaluations, with which keyframes of these small images have the same answers by themselves."""
-
-SETTINGS = TrackSettings(FEWER, evidence="images", workers=1)
+SETTINGS = TrackSettings(EstimateConfig(), evidence="images", workers=1)
 
 Recording = tuple[Path, dict[str, Truth]]
 
