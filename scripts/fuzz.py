@@ -19,9 +19,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import os
 import random
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -39,6 +41,9 @@ from measure.fuzz.tracker import TrackerReport, fuzz_tracker
 LARGE = 1500.0  # MB
 _LONGEST_LINE = 1000
 _PLACES = 0.1  # share of the tries in which something else than a file is in its place
+Status = tuple[int, int]
+"""Size of a file, and its time of change, ns; zeros for a folder."""
+
 _JSON = ("inspect", "--json")  # which reports on stdout as well
 
 
@@ -129,11 +134,11 @@ def attempt(
     where that reads the family's file, which takes a fraction of the time of others.
     """
     chance = random.Random(f"{seed} {family.name} {number}")
-    restore(material, place)
+    copied = restore(material, place)
     quick = [command for command in family.commands if inspected and command[0] == "inspect"]
     command = list(chance.choice(quick or family.commands))
     unreadable = damage(family, place, command, chance)
-    before = contents(place)
+    before = {name: status for name, status in copied.items() if name != family.file} | _status(place, family.file)
     with contextlib.chdir(place):
         outcome = run(command)
     changed = contents(place) != before
@@ -179,10 +184,13 @@ def violation_of(outcome: Outcome, command: Sequence[str], *, changed: bool, unr
     return "exit code 2, but files were written" if changed else None
 
 
-def restore(material: Path, place: Path) -> None:
-    """Make a folder a copy of the material again, by the files that differ."""
+def restore(material: Path, place: Path) -> dict[str, Status]:
+    """Make a folder a copy of the material again, by the files that differ; returns its contents.
+
+    The material must not have changed since it was restored for the first time.
+    """
     place.mkdir(exist_ok=True)
-    wanted, there = contents(material), contents(place)
+    wanted, there = _contents_once(material), contents(place)
     for name in [name for name, status in there.items() if wanted.get(name) != status]:
         path = place / name
         if path.is_dir() and not path.is_symlink():
@@ -195,11 +203,12 @@ def restore(material: Path, place: Path) -> None:
             path.mkdir()
         else:
             shutil.copy2(source, path, follow_symlinks=False)
+    return wanted
 
 
-def contents(folder: Path) -> dict[str, tuple[int, int]]:
+def contents(folder: Path) -> dict[str, Status]:
     """Return size and time of change of everything in a folder, by its path."""
-    found: dict[str, tuple[int, int]] = {}
+    found: dict[str, Status] = {}
     left = [""]
     while left:
         below = left.pop()
@@ -212,6 +221,20 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
                 else:
                     found[name] = (status.st_size, status.st_mtime_ns)
     return found
+
+
+@functools.lru_cache(maxsize=2)
+def _contents_once(folder: Path) -> dict[str, Status]:
+    return contents(folder)
+
+
+def _status(folder: Path, name: str) -> dict[str, Status]:
+    """Return what `contents` says of a path in a folder; nothing if there is none."""
+    path = folder / name
+    if not name or not os.path.lexists(path):
+        return {}
+    status = path.lstat()
+    return {name: (0, 0) if stat.S_ISDIR(status.st_mode) else (status.st_size, status.st_mtime_ns)}
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.done_once import done_once
 from helpers.places import SHARED
 from helpers.processes_here import processes_here, real_processes
 from helpers.shared_estimates import shared_estimates
@@ -131,6 +132,13 @@ def _instrument_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     folder = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DVRK_CMAES_CACHE", str(folder / "cache"))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _done_once() -> Iterator[None]:
+    """Let the program do once for all tests of a process what depends on a command's or an instrument's content."""
+    with done_once():
         yield
 
 

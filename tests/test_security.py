@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -35,9 +36,15 @@ ALLOWED = {
 CALLS = frozenset({"eval", "exec", "compile", "__import__", "system", "popen", "execv", "spawnv", "startfile"})
 
 
+@cache
+def tree_of(file: Path) -> ast.Module:
+    """Parse a file."""
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 def modules_in(file: Path) -> Iterator[str]:
     """Give the first part of the name of every module that a file imports, anywhere in it."""
-    for statement in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for statement in ast.walk(tree_of(file)):
         if isinstance(statement, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in statement.names)
         elif isinstance(statement, ast.ImportFrom) and not statement.level:
@@ -55,7 +62,7 @@ def test_only_named_files_import_dangerous_modules(name: str) -> None:
 
 @pytest.mark.parametrize("name", FILES)
 def test_no_file_runs_text_as_code_or_starts_a_program(name: str) -> None:
-    tree = ast.parse((PACKAGE / name).read_text(encoding="utf-8"))
+    tree = tree_of(PACKAGE / name)
     for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
         match call.func:
             case ast.Name(id=called):

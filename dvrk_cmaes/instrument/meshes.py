@@ -82,6 +82,8 @@ def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if not present:
         raise InputError(f"{path}: element face: expected a list property vertex_indices")
     polygons = ply["face"].data[present[0]]
+    if polygons.ndim == 2:  # all are triangles
+        return vertices, np.array(polygons, dtype=np.int64)
     fans = [_fan(np.asarray(polygon, dtype=np.int64)) for polygon in polygons]
     return vertices, np.concatenate(fans)
 

@@ -30,7 +30,10 @@ _MOST_TABLE_ITEMS = 400_000  # at most 170 MB of memory while they are parsed
 _OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
 
 
-class _Loader(yaml.SafeLoader):
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, but not in every build of PyYAML
+
+
+class _MatrixLoader(_Loader):  # type: ignore[misc]
     """A safe loader that constructs OpenCV's matrices as mappings."""
 
 
@@ -39,7 +42,7 @@ def _matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
 
 
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _matrix)
+    _MatrixLoader.add_constructor(f"tag:yaml.org,2002:{_tag}", _matrix)
 
 
 def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
@@ -53,7 +56,7 @@ def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
         The file is not readable, larger than 1 MB, not YAML, has aliases, is nested too deeply, or is no mapping.
     """
     text = _OPENCV_HEADER.sub("", read_text(path, expected=expected, largest=_LARGEST))
-    for document in _documents(path, text, expected, _Loader, most=1):
+    for document in _documents(path, text, expected, _MatrixLoader, most=1):
         if isinstance(document, dict):
             return {str(key): value for key, value in document.items()}
     raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
@@ -73,9 +76,8 @@ def read_yaml_by_frame(path: str | Path, *, expected: str) -> Any:
         The file is not readable, larger than 20 MB, of more than 400,000 values, not YAML, has aliases, is nested too
         deeply, or is neither a mapping nor a list.
     """
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     text = read_text(path, expected=expected, largest=_LARGEST_TABLE)
-    document = next(_documents(path, text, expected, loader, most=1, most_items=_MOST_TABLE_ITEMS), None)
+    document = next(_documents(path, text, expected, _Loader, most=1, most_items=_MOST_TABLE_ITEMS), None)
     if not isinstance(document, dict | list):
         raise InputError(f"{path}: expected {expected}, got {shown(document)}")
     return document
@@ -89,9 +91,8 @@ def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[s
     InputError
         The text is not YAML or has aliases; a document is nested too deeply, too large, or no mapping.
     """
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, but not in every build of PyYAML
     documents = []
-    for document in _documents(path, text, expected, loader, most=_MOST_DOCUMENTS):
+    for document in _documents(path, text, expected, _Loader, most=_MOST_DOCUMENTS):
         if document is None:
             continue
         if not isinstance(document, dict):
@@ -107,7 +108,7 @@ def check_yaml(path: str | Path, *, expected: str, longest: int = _LONGEST) -> N
     """
     text = read_text(path, expected=expected, largest=_LARGEST)
     with _errors_as_input_errors(path, expected):
-        _check_events(path, text, yaml.SafeLoader, _MOST_DOCUMENTS, longest)
+        _check_events(path, text, _Loader, _MOST_DOCUMENTS, longest)
 
 
 def yaml_text(document: Mapping[str, Any]) -> str:

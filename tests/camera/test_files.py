@@ -246,7 +246,7 @@ def test_unknown_layout_is_refused_with_its_fields(tmp_path: Path) -> None:
         (b"\xff\xfe\x00", "expected a camera file (YAML or XML) in UTF-8, got other bytes at 0"),
         (
             "width: [1, 2\nheight: 2]: 3\n",
-            "expected a camera file (YAML or XML), got no valid YAML (line 2: expected ',' or ']', but got ':')",
+            "expected a camera file (YAML or XML), got no valid YAML (line 2: did not find expected ',' or ']')",
         ),
         (
             "when: 2020-99-99\n",

@@ -24,7 +24,7 @@ unread_spares = 1
 [refine]
 first_steps = 1
 small_modes = 2
-small_steps = 40
+small_steps = 12
 half_size_modes = 1
 modes = 1
 [refine.outline]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -110,12 +111,16 @@ def stamped(messages: Iterable[Message], stamp: int) -> list[Message]:
     return [replace(message, stamp=stamp) for message in messages]
 
 
+_typestore = cache(get_typestore)
+"""The message types of a ROS release, whose code is generated once."""
+
+
 def write_bag(path: Path, kind: str, messages: Iterable[Message]) -> Path:
     """Record messages in the order of their times; gives the path with the kind's suffix."""
     ordered = sorted(messages, key=lambda message: message.time)
     if kind == "ros1":
         path = path.with_suffix(".bag")
-        store = get_typestore(Stores.ROS1_NOETIC)
+        store = _typestore(Stores.ROS1_NOETIC)
         with Writer1(path) as writer1:
             connections = {}
             for m in ordered:
@@ -125,7 +130,7 @@ def write_bag(path: Path, kind: str, messages: Iterable[Message]) -> Path:
                 data = store.serialize_ros1(_message(store, m, ros1=True), f"sensor_msgs/msg/{m.kind}")
                 writer1.write(connections[m.topic], m.time, data)
         return path
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = _typestore(Stores.ROS2_HUMBLE)
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     with Writer2(path, version=9, storage_plugin=plugin) as writer2:
         topics = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from selenium.webdriver.remote.webelement import WebElement
 
 from dvrk_cmaes.draw.canvas import AXES
 from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.report import page_layers, page_thumbnails
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_layers import EMBEDDED
+from dvrk_cmaes.report.page_thumbnails import webp_address
 
 pytestmark = pytest.mark.browser
 
@@ -305,7 +308,12 @@ def test_page_is_readable_without_javascript(report: str, tmp_path: Path) -> Non
         assert "twin undecided: x" in body.text
 
 
-def test_thousand_frames_load_and_scroll_quickly(driver: WebDriver, tmp_path: Path) -> None:
+def test_thousand_frames_load_and_scroll_quickly(
+    driver: WebDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoded = cache(lambda data, shape, quality: webp_address(np.frombuffer(data, np.uint8).reshape(shape), quality))
+    for module in (page_thumbnails, page_layers):  # it is the same picture each time
+        monkeypatch.setattr(module, "webp_address", lambda one, quality: encoded(one.tobytes(), one.shape, quality))
     document = doubtful("x", "far: jaw", "far: yaw").to_dict()
     picture = tmp_path / "picture.jpg"
     write_image(picture, overlay(doubtful("x", "far: jaw", "far: yaw"), width=400))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +16,10 @@ from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import read_tracks
+from dvrk_cmaes.runs import digests, solver_process
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
@@ -25,6 +29,24 @@ FRAMES, INTERRUPTED_AFTER = 72, 24
 SETTINGS = TrackSettings(
     EstimateConfig(trust=TrustConfig(tip_mm=3.0)), causal=True, evidence="masks", workers=1
 )  # small images tell less about the depth
+
+
+@pytest.fixture(scope="module", autouse=True)
+def solved_once() -> Iterator[None]:
+    """Let keyframes be estimated and solved in a process, and the same ones again give the same answer at once."""
+    call, known = WorkerProcess.call, {}
+
+    def answer(process: WorkerProcess, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        if function not in (solver_process._estimate, solver_process._solve):
+            return call(process, function, *arguments, **options)
+        key = digests._digest(arguments[1])
+        if key not in known:
+            known[key] = call(process, function, *arguments, **options)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(WorkerProcess, "call", answer)
+        yield
 
 
 @pytest.fixture(scope="module")

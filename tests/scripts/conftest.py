@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -44,11 +43,9 @@ def tasks_in_a_thread(scripts_on_path: None, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def compiled_once(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let comparisons of checkouts compile the packages that they import once in a run of the tests."""
-    own = tmp_path_factory.getbasetemp()
-    folder = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own  # which the workers share
-    monkeypatch.setenv("PYTHONPYCACHEPREFIX", str(folder / "compiled"))
+def compiled_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let comparisons of checkouts take the packages as they are compiled for the tests, too."""
+    monkeypatch.setenv("PYTHONPYCACHEPREFIX", "")  # as if it was not set
 
 
 @pytest.fixture

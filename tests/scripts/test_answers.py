@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.batch_sessions import QUICK
+from helpers.batch_sessions import QUICK, make_session
 from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
 
@@ -177,12 +177,13 @@ def answers(*options: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.usefixtures("compiled_once")
+@pytest.mark.usefixtures("compiled_before")
 def test_checkout_compared_with_itself(run_here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
     import answers
 
     def write(folder: Path) -> None:
-        shutil.copytree(bundled_path("demo"), folder)
+        make_session(folder, ["0000", "0001", "0002"])
+        shutil.copy(bundled_path("demo", "golden.json"), folder)
         (folder / "quick.toml").write_text(QUICK, encoding="utf-8")
 
     options = ("--out", "out", "--workers", "1", "--config", "inputs/quick.toml")

@@ -15,17 +15,13 @@ from dvrk_cmaes.io.bundled import bundled_path
 
 
 def two_frames(folder: Path) -> Path:
-    """Write the first two of the bundled frames, with their truth, as a session."""
-    demo = bundled_path("demo")
-    (folder / "masks").mkdir(parents=True)
-    for name in ("camera.yaml", "golden.json", "masks/0000.png", "masks/0001.png"):
-        shutil.copy(demo / name, folder / name)
-    lines = (demo / "joints.csv").read_text(encoding="utf-8").splitlines()
-    (folder / "joints.csv").write_text("\n".join(lines[:3]) + "\n", encoding="utf-8")
+    """Write the first two of the bundled frames at a quarter of their size, with their truth, as a session."""
+    make_session(folder, ["0000", "0001"])
+    shutil.copy(bundled_path("demo", "golden.json"), folder)
     return folder
 
 
-@pytest.mark.usefixtures("compiled_once")
+@pytest.mark.usefixtures("compiled_before")
 def test_every_figure_is_compared(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
     session = two_frames(tmp_path / "session")
     options = ("--against", ROOT, "--quick", "--json")

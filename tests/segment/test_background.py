@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -50,14 +52,21 @@ def bench(number: int, ground: tuple[int, int, int] = PAPER, *, texture: float =
     return Drawing(np.clip(image, 0, 255).astype(np.uint8), cover > 0.5)
 
 
-DRAWN = {
-    "paper": [bench(k) for k in range(16)],
-    "textured cloth": [bench(k, CLOTH, texture=0.08) for k in range(16)],
+GROUNDS: dict[str, Callable[[int], Drawing]] = {
+    "paper": bench,
+    "textured cloth": lambda number: bench(number, CLOTH, texture=0.08),
 }
 
 
-@pytest.mark.parametrize("drawn", DRAWN.values(), ids=DRAWN)
-def test_moving_instrument_is_told_from_what_stands_still(drawn: list[Drawing]) -> None:
+@cache
+def drawn_on(ground: str) -> list[Drawing]:
+    """Draw the instrument at 16 places on a ground."""
+    return [GROUNDS[ground](number) for number in range(16)]
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_moving_instrument_is_told_from_what_stands_still(ground: str) -> None:
+    drawn = drawn_on(ground)
     background = learn_background([each.image for each in drawn])
     assert background is not None
     for each in drawn[::3]:
@@ -67,7 +76,7 @@ def test_moving_instrument_is_told_from_what_stands_still(drawn: list[Drawing]) 
 
 
 def test_learned_background_shows_no_instrument() -> None:
-    drawn = DRAWN["textured cloth"]
+    drawn = drawn_on("textured cloth")
     background = learn_background([each.image for each in drawn])
     assert background is not None
     free = np.stack([np.where(each.mask[..., None], np.nan, each.image.astype(float)) for each in drawn])
@@ -75,7 +84,7 @@ def test_learned_background_shows_no_instrument() -> None:
 
 
 def test_single_image_is_told_from_a_smooth_background() -> None:
-    for each in DRAWN["paper"][::4]:
+    for each in drawn_on("paper")[::4]:
         found = segment(each.image)
         assert found.before == "smooth background"
         assert each.overlap(found.mask) > 0.93
@@ -83,7 +92,7 @@ def test_single_image_is_told_from_a_smooth_background() -> None:
 
 
 def test_grey_image_is_segmented_as_a_coloured_one() -> None:
-    drawn = DRAWN["paper"][3]
+    drawn = drawn_on("paper")[3]
     grey = np.repeat(drawn.image[..., :1], 3, axis=2)
     assert drawn.overlap(segment(grey).mask) > 0.93
 
@@ -93,11 +102,11 @@ def test_other_light_and_noise_change_little(gain: float, offset: float, noise: 
     rng = np.random.default_rng(0)
     images = [
         np.clip(gain * each.image + offset + rng.normal(0, noise, each.image.shape), 0, 255).astype(np.uint8)
-        for each in DRAWN["paper"]
+        for each in drawn_on("paper")
     ]
     background = learn_background(images)
     assert background is not None or noise
-    for each, image in list(zip(DRAWN["paper"], images, strict=True))[::5]:
+    for each, image in list(zip(drawn_on("paper"), images, strict=True))[::5]:
         found = segment(image, background=background)
         assert each.overlap(found.mask) > 0.9
 
@@ -110,8 +119,8 @@ def test_instrument_on_tissue_is_found_by_colours_as_before() -> None:
 
 
 def test_prompts_hold_before_a_background() -> None:
-    drawn = DRAWN["paper"][3]
-    background = learn_background([each.image for each in DRAWN["paper"]])
+    drawn = drawn_on("paper")[3]
+    background = learn_background([each.image for each in drawn_on("paper")])
     assert background is not None
     v, u = np.argwhere(drawn.mask)[5000]
     found = segment(drawn.image, background=background, not_points=[(float(u), float(v))])
@@ -120,7 +129,7 @@ def test_prompts_hold_before_a_background() -> None:
 
 
 def test_background_that_moves_or_is_seen_too_seldom_is_not_learned() -> None:
-    images = [each.image for each in DRAWN["textured cloth"]]
+    images = [each.image for each in drawn_on("textured cloth")]
     assert learn_background(images[:7]) is None
     assert learn_background([np.roll(image, 9 * k, axis=1) for k, image in enumerate(images)]) is None
     assert learn_background([*images, images[0][:100]]) is None
@@ -132,7 +141,7 @@ def test_image_without_a_smooth_background_has_none() -> None:
 
 
 def test_empty_table_has_no_instrument() -> None:
-    background = learn_background([each.image for each in DRAWN["paper"]])
+    background = learn_background([each.image for each in drawn_on("paper")])
     assert background is not None
     found = segment_before(background, background, Prompts())
     assert not found.mask.any()
@@ -140,7 +149,7 @@ def test_empty_table_has_no_instrument() -> None:
 
 
 def test_backgrounds_are_learned_only_where_colours_do_not_tell(tmp_path: Path) -> None:
-    for name, drawn in (("bench", DRAWN["paper"]), ("tissue", [draw_tool(seed=k) for k in range(8)])):
+    for name, drawn in (("bench", drawn_on("paper")), ("tissue", [draw_tool(seed=k) for k in range(8)])):
         for k, each in enumerate(drawn):
             write_image(tmp_path / name / f"{k}.png", each.image)
     paths = {name: sorted((tmp_path / name).iterdir()) for name in ("bench", "tissue")}
@@ -152,7 +161,7 @@ def test_backgrounds_are_learned_only_where_colours_do_not_tell(tmp_path: Path) 
 
 def test_wrong_background_is_refused() -> None:
     with pytest.raises(InputError, match=r"background: expected \(h, w, 3\) uint8, got \(4, 4\) uint8"):
-        segment(DRAWN["paper"][0].image, background=np.zeros((4, 4), np.uint8))
+        segment(drawn_on("paper")[0].image, background=np.zeros((4, 4), np.uint8))
 
 
 @pytest.mark.parametrize("eye", ["left", "right"])

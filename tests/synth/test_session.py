@@ -35,7 +35,9 @@ WRIST = ("wrist_pitch", "wrist_yaw", "jaw")
 
 
 def plan(body: Body, level: LevelName = "medium", **changes: Any) -> SessionPlan:
-    start = SessionPlan(body, default_camera(LEVELS[level]), LEVELS[level], "rcm", frames=2, seed=5, markers=TABLE)
+    start = SessionPlan(
+        body, default_camera(LEVELS[level]).scaled(320, 240), LEVELS[level], "rcm", frames=2, seed=5, markers=TABLE
+    )
     return replace(start, **changes)
 
 

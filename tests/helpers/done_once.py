@@ -1,0 +1,86 @@
+"""What the tests let the program do once for the same input, where commands of a process of their own do it anyway.
+
+Each of these depends on its arguments alone. The first call with them is the program's own; later ones take its result.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from cyclopts import App
+from cyclopts.argument import ArgumentCollection
+
+from dvrk_cmaes.instrument import Instrument, measure
+from dvrk_cmaes.runs.digests import instrument_digest
+from dvrk_cmaes.silhouette import Body, prepare
+
+_BODIES = 8
+"""Most prepared instruments that are kept."""
+
+
+@contextmanager
+def done_once() -> Iterator[None]:
+    """Assemble the options of a command once (10 ms), and measure and prepare instruments of one content (200 ms)."""
+    with pytest.MonkeyPatch.context() as patch:
+        _options_assembled_once(patch)
+        _instruments_measured_once(patch)
+        _instruments_prepared_once(patch)
+        yield
+
+
+def _options_assembled_once(patch: pytest.MonkeyPatch) -> None:
+    assemble = App.assemble_argument_collection
+    known: dict[tuple[Any, ...], tuple[App, ArgumentCollection]] = {}
+
+    def assembled(app: App, **options: Any) -> ArgumentCollection:
+        key = (id(app), app.default_command, repr(app.app_stack.default_parameter), *sorted(options.items()))
+        if key not in known:
+            known[key] = app, assemble(app, **options)  # with the app, whose number is then not used again
+        return _unused(known[key][1])
+
+    patch.setattr(App, "assemble_argument_collection", assembled)
+
+
+def _unused(options: ArgumentCollection) -> ArgumentCollection:
+    """Copy options that no words of a command line have been given to."""
+    copies = {id(one): copy.copy(one) for one in options}
+    for one in copies.values():
+        one.tokens = []
+        one.children = ArgumentCollection([copies[id(child)] for child in one.children])
+    return ArgumentCollection(list(copies.values()))
+
+
+def _instruments_measured_once(patch: pytest.MonkeyPatch) -> None:
+    with_measurements = measure.with_measurements
+    known: dict[tuple[str, str], Instrument] = {}
+
+    def measured(
+        instrument: Instrument, *, radius: float | None = None, axis: measure.Axis | None = None
+    ) -> Instrument:
+        key = instrument_digest(instrument), repr((radius, axis))
+        if key not in known:
+            known[key] = with_measurements(instrument, radius=radius, axis=axis)
+        one = known[key]
+        return replace(instrument, shaft=one.shaft, jaw_tips=one.jaw_tips, has_twin=one.has_twin)
+
+    patch.setattr(measure, "with_measurements", measured)
+
+
+def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
+    prepare_body = prepare._body
+    known: dict[str, Body] = {}
+
+    def prepared(instrument: Instrument) -> Body:
+        key = instrument_digest(instrument)
+        if key not in known:
+            if len(known) == _BODIES:
+                known.pop(next(iter(known)))
+            known[key] = prepare_body(instrument)
+        return known[key]
+
+    patch.setattr(prepare, "_body", prepared)
