@@ -31,10 +31,7 @@ _OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
 
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, but not in every build of PyYAML
-
-
-class _MatrixLoader(_Loader):  # type: ignore[misc]
-    """A safe loader that constructs OpenCV's matrices as mappings."""
+_MatrixLoader: Any = type("_MatrixLoader", (_Loader,), {})  # constructs OpenCV's matrices as mappings
 
 
 def _matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
