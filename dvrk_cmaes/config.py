@@ -91,7 +91,7 @@ class SearchConfig:
     evaluations: int = 33
     spares: int = 22
     width_px: int = field(default=80, metadata=_WIDTH)
-    detail_m: float = field(default=8e-4, metadata=Limits(least=1e-6).metadata)
+    detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
     free_share: float = field(default=0.15, metadata=_SHARE_OR_ZERO)
     unread_share: float = 0.25
@@ -168,8 +168,7 @@ class OutlineConfig:
         Largest number of iterations, each with a silhouette for every pose.
     inner_steps
         Steps of each iteration that need no silhouette: with the robust weights of the previous one, on the residual
-        sampled along the outline. At smaller image sizes, whose loss is less robust, a third of these, or in the
-        search of a single frame a half, and of its first iterations two thirds.
+        sampled along the outline. At smaller image sizes, whose loss is less robust, a third of these.
     blur
         Standard deviation of the Gaussian blur of coverage and mask, px of the image at the current size.
     lines_per_pixel
@@ -245,19 +244,19 @@ class RefineConfig:
     method: str = "gauss-newton"
     evaluations: int = 400
     width_px: int = field(default=160, metadata=_WIDTH)
-    first_steps: int = 2
+    first_steps: int = 3
     first_candidates: int = 12
     agreed_gap: float = 6.0
     small_modes: int = 10
-    small_steps: int = 5
-    small_share: float = field(default=0.8, metadata=_SHARE)
+    small_steps: int = 8
+    small_share: float = field(default=0.9, metadata=_SHARE)
     last_share: float = field(default=0.93, metadata=_SHARE)
     first_gap: float = 150.0
     small_gap: float = 50.0
     last_gap: float = 30.0
     half_size_modes: int = 3
     modes: int = 2
-    full_steps: int = 1
+    full_steps: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)
 
 

@@ -33,8 +33,6 @@ _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
 _TWINS = 3  # best candidates whose mirror twins are refined as well
-_FIRST_INNER, _SMALL_INNER = 2 / 3, 1 / 2  # of the steps of each iteration at full size, at smaller sizes
-_HALF_TOLERANCE = 1.5  # factor on the tolerance at half the size, since the full size moves a pose by more anyway
 _OF_CONTOUR = Steps(6, tolerance=0.1, tested="none", largest=6.0)  # from a pose that is nearly right
 
 
@@ -114,21 +112,12 @@ class LocalSearch:
         iterations: int | None = None,
         selection: Selection = ALL,
         continued: bool = False,
-        inner: float = _SMALL_INNER,
     ) -> list[Fit]:
-        """Refine candidates or modes on the coverage and all other terms.
-
-        At smaller sizes, each iteration has a share ``inner`` of the steps without a silhouette that it has at full
-        size: they are cheaper than another iteration.
-        """
+        """Refine candidates or modes on the coverage and all other terms."""
         if not modes:
             return []
         shrink = coverage.views[0].shrink
-        outline = self._config.refine.outline
-        steps = Steps.of(outline, shrink, iterations=iterations, continued=continued)
-        if shrink > 1:
-            tolerance = steps.tolerance * (_HALF_TOLERANCE if shrink == _HALF else 1.0)
-            steps = replace(steps, inner=max(round(inner * outline.inner_steps), 1), tolerance=tolerance)
+        steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
         return refine(coverage, self._terms(shrink), Posed.stacked([mode.at for mode in modes]), steps, selection)
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
@@ -156,13 +145,9 @@ class LocalSearch:
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if self._instrument.has_twin else []
         first = Selection(gap=c.first_gap, least=c.small_modes)
         tried, rest = candidates[: c.first_candidates], candidates[c.first_candidates :]
-
-        def begun(candidates: Sequence[Candidate]) -> list[Fit]:
-            return self._refine(coarse, candidates, iterations=c.first_steps, selection=first, inner=_FIRST_INNER)
-
-        modes = begun([*tried, *twins])
+        modes = self._refine(coarse, [*tried, *twins], iterations=c.first_steps, selection=first)
         if not _agree(modes, c.agreed_gap):
-            modes += begun(rest)
+            modes += self._refine(coarse, rest, iterations=c.first_steps, selection=first)
         small = Selection(c.small_share, c.small_gap, least=c.half_size_modes + 1)
         modes = small.of(best_per_mode(modes, most=c.small_modes))
         modes = self._refine(coarse, modes, iterations=c.small_steps, selection=small)
