@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
-    from dvrk_cmaes.track.keyframe_store import Keyframe, KeyframeProblem, KeyframeTask, Solution
+    from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
     from dvrk_cmaes.track.lag import FoundLag
 
 _HOMES = {
@@ -67,9 +67,9 @@ _HOMES = {
     "InputError": "errors",
     "Instrument": "instrument",
     "JawTip": "instrument.model",
-    "Keyframe": "track.keyframe_store",
-    "KeyframeProblem": "track.keyframe_store",
-    "KeyframeTask": "track.keyframe_store",
+    "Keyframe": "track.keyframe_problem",
+    "KeyframeProblem": "track.keyframe_problem",
+    "KeyframeTask": "track.keyframe_problem",
     "Lag": "joints.lag",
     "LagCurve": "calibration.lag",
     "LeaveOneOutPrediction": "calibration.frame_task",
@@ -100,7 +100,7 @@ _HOMES = {
     "Shaft": "instrument.model",
     "SilhouetteConfig": "config",
     "SolvedSession": "calibration.calibrate",
-    "Solution": "track.keyframe_store",
+    "Solution": "track.keyframe_problem",
     "ToolInFrame": "estimation",
     "TrackConfig": "config",
     "TrackResult": "results.tracked",

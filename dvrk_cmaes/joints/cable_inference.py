@@ -112,7 +112,7 @@ def run_filters(observations: Observations, assumed: Sequence[Assumed]) -> list[
         cross = covariance @ design.T
         expected, spread = mean @ design.T, design @ cross
         total += log_likelihood(given, vector, expected, spread + noise)
-        seen = np.linalg.solve(own + given @ noise, np.tile(np.column_stack([given, vector]), (trials, 1, 1)))
+        seen = np.linalg.solve(own + given @ noise, np.column_stack([given, vector]))
         information, told = seen[:, :, :count], seen[:, :, count]
         off = told - (information @ expected[:, :, None])[:, :, 0]
         gains = np.linalg.solve(own + information @ spread, np.concatenate([information, off[:, :, None]], axis=2))

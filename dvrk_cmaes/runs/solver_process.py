@@ -16,7 +16,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 from dvrk_cmaes.silhouette.prepare import body_by
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 
 _TRIES = 2  # of a problem that its process dies on
 
@@ -118,15 +118,14 @@ class SolverProcess:
     def _estimated(self, task: KeyframeTask) -> None:
         """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
         name = task.keyframe.name
-        process = self._process or self._start()
-        if name in self._alone or process is None:
+        process = None if name in self._alone else self._process or self._start()
+        if process is None:
             return
         try:
-            self._alone[name] = process.call(_estimate, self._key, task, self._threads)
+            with contextlib.suppress(InputError):
+                self._alone[name] = process.call(_estimate, self._key, task, self._threads)
         except ProcessDiedError:
             self._process = None
-        except InputError:
-            return
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem in the process, and once more in a new one if that dies.

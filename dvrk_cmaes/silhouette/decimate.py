@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument import Instrument, Link
 
-_LARGEST = 1 << 62
+_LARGEST = 1 << 62  # number of different rows, up to which each has a number of 64 bits
 
 
 def decimate(instrument: Instrument, cell: float) -> tuple[Instrument, float]:

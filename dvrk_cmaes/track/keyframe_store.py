@@ -1,4 +1,4 @@
-"""The keyframes that a tracker keeps while it follows, and the problem that they pose: base, lag and offsets.
+"""The keyframes that a tracker keeps while it follows.
 
 A keyframe is an image well in view, far enough from all others in the arm's pose and in time. When there are too many,
 one of the two that are nearest to each other is dropped, so that they stay spread over all that was seen.
@@ -10,29 +10,17 @@ import zlib
 from base64 import b64decode, b64encode
 from bisect import insort
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.calibrate import calibrate_session
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.seen_view import seen_views
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.calibrated_frames import calibration_covariance
-from dvrk_cmaes.track.calibration_lag import lag_and_std, predicted_with_lag
+from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, packed
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, well_in_view
 
 Bool = NDArray[np.bool_]
@@ -51,148 +39,6 @@ _AROUND = 0.6  # s, of readings that are kept before and after a keyframe
 _LATEST = 2.0  # s, of readings that are kept without a keyframe
 _SHAPES = 200  # masks whose areas tell what is well in view
 _PRUNED_EVERY = 2000  # readings
-_LINES_PER_PIXEL = 1  # of the silhouettes that are fitted together: as in following, and a sixth faster than two
-
-
-@dataclass(frozen=True, eq=False)
-class Keyframe:
-    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings.
-
-    ``rates`` are those of the readings, per s.
-    """
-
-    time: float
-    masks: Mapping[str, NDArray[np.uint8]]
-    ignored: Mapping[str, NDArray[np.uint8]]
-    readings: Mapping[str, float]
-    rates: Mapping[str, float]
-
-    @property
-    def name(self) -> str:
-        """Name of the frame in a calibration."""
-        return f"{self.time:.6f}"
-
-    def data(self, rig: Rig) -> FrameData:
-        """Return the frame as it was given.
-
-        Parameters
-        ----------
-        rig
-            The rig whose views the keyframe has.
-        """
-        return FrameData(seen_views(_unpacked(self.masks, rig), rig, _unpacked(self.ignored, rig) or None))
-
-
-@dataclass(frozen=True, eq=False)
-class KeyframeTask:
-    """A keyframe that is to be estimated by itself, in this or in another process."""
-
-    keyframe: Keyframe
-    rig: Rig
-    config: EstimateConfig
-
-    def estimate(self, body: Body, threads: int = 1) -> Result:
-        """Estimate the keyframe by itself; the result does not depend on the number of threads.
-
-        Parameters
-        ----------
-        body
-            The instrument.
-        threads
-            Number of threads.
-
-        Raises
-        ------
-        InputError
-            As `dvrk_cmaes.estimate`.
-        """
-        views = self.keyframe.data(self.rig).views
-        masks = {view.name: view.mask for view in views if view.given}
-        ignored = {view.name: view.ignore for view in views if view.ignore is not None}
-        config = replace(self.config, threads=threads)
-        found = estimate(masks, self.rig, self.keyframe.readings, body, ignore=ignored or None, config=config)
-        return Result.from_dict(found.to_dict())  # in the digits that an interrupted run goes on with
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """What keyframes tell together: the calibration, or why there is none.
-
-    ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice. ``base`` counts
-    the bases of the tracker before the one that the keyframes are of. ``tip_mm`` is the expected error of the tips, mm,
-    that the calibration and its lag leave where the keyframes are, in the median: how far the base is known.
-    """
-
-    calibration: SessionCalibration | None
-    reason: str
-    keyframes: int
-    alone: Mapping[str, Result]
-    base: int = 0
-    tip_mm: float = np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class KeyframeProblem:
-    """Keyframes and all that is needed to solve them together, in this or in another process.
-
-    ``alone`` are results of keyframes that were solved by themselves before, by name; ``base`` is as in `Solution`.
-    """
-
-    keyframes: tuple[Keyframe, ...]
-    series: ReadingSeries
-    rig: Rig
-    arm: Arm
-    config: EstimateConfig
-    alone: Mapping[str, Result] = field(default_factory=dict)
-    base: int = 0
-
-    def solve(self, body: Body, threads: int = 1) -> Solution:
-        """Estimate the keyframes by themselves, and find base, lag and offsets from all of them.
-
-        The solution does not depend on the number of threads.
-
-        Parameters
-        ----------
-        body
-            The instrument.
-        threads
-            Number of threads.
-        """
-        session, refine = replace(self.config.session, shadows=True), self.config.refine
-        refine = replace(refine, outline=replace(refine.outline, lines_per_pixel=_LINES_PER_PIXEL))
-        config = replace(self.config, threads=threads, session=session, refine=refine)
-        alone: dict[str, Result] = {}
-        frames = []
-        for keyframe in self.keyframes:
-            result = self.alone.get(keyframe.name)
-            if result is None:
-                result = KeyframeTask(keyframe, self.rig, self.config).estimate(body, threads)
-            alone[keyframe.name] = result
-            data = keyframe.data(self.rig)
-            frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time, brief=True))
-        try:
-            solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=config)
-        except InputError as error:
-            return Solution(None, str(error), len(frames), alone, self.base)
-        found = SessionCalibration.from_dict(solved.calibration.to_dict())  # in the digits of its document
-        tip_mm = self._tip_error(found, body.instrument)
-        return Solution(found, found.doubt, len(frames), alone, self.base, tip_mm)
-
-    def _tip_error(self, calibration: SessionCalibration, instrument: Instrument) -> float:
-        """Return the expected error of the tips, mm, in the median of the keyframes by the calibration alone."""
-        names, errors = (*OUTER_JOINTS, *instrument.joint_names), []
-        _, std = lag_and_std(calibration, self.config.track.lag_std)
-        for keyframe in self.keyframes:
-            values = np.array([keyframe.readings.get(name, np.nan) for name in names])
-            rates = np.array([keyframe.rates.get(name, 0.0) for name in names])
-            outer = len(OUTER_JOINTS)
-            at, by_lag = predicted_with_lag(calibration, values[:outer], values[outer:], rates, instrument)
-            model, own = calibration.model(values[None, :outer], values[None, outer:], instrument.joint_names)
-            jacobian = model.jacobian(own)[0]
-            late = std * by_lag
-            covariance = jacobian @ calibration_covariance(calibration) @ jacobian.T + np.outer(late, late)
-            errors.append(expected_error(instrument, at, covariance).of_tips_mm)
-        return float(np.median(errors)) if errors else np.inf
 
 
 class KeyframeStore:
@@ -269,7 +115,7 @@ class KeyframeStore:
             return False
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
             return False
-        self._kept.append(Keyframe(time, _packed(masks), _packed(ignored), dict(readings), dict(rates)))
+        self._kept.append(Keyframe(time, packed(masks), packed(ignored), dict(readings), dict(rates)))
         self._places = np.vstack([self._places, place])
         self.taken += 1
         return True
@@ -350,11 +196,6 @@ class KeyframeStore:
         self._rows = [row for row, keep in zip(self._rows, kept, strict=True) if keep]
 
 
-def _packed(masks: Mapping[str, Bool]) -> dict[str, NDArray[np.uint8]]:
-    """Return masks (H, W) by view as packed bits."""
-    return {name: np.packbits(mask) for name, mask in masks.items()}
-
-
 def _written(masks: Mapping[str, NDArray[np.uint8]]) -> dict[str, str]:
     """Return packed bits by view as text."""
     return {name: b64encode(zlib.compress(bits.tobytes())).decode("ascii") for name, bits in masks.items()}
@@ -363,13 +204,3 @@ def _written(masks: Mapping[str, NDArray[np.uint8]]) -> dict[str, str]:
 def _read(masks: Mapping[str, str]) -> dict[str, NDArray[np.uint8]]:
     """Return packed bits by view of their text."""
     return {name: np.frombuffer(zlib.decompress(b64decode(text)), np.uint8) for name, text in masks.items()}
-
-
-def _unpacked(masks: Mapping[str, NDArray[np.uint8]], rig: Rig) -> dict[str, Bool]:
-    """Return masks (H, W) by view of packed bits."""
-    found = {}
-    for name, bits in masks.items():
-        camera = rig.view(name).camera
-        flat = np.unpackbits(bits, count=camera.height * camera.width)
-        found[name] = flat.reshape(camera.height, camera.width).astype(np.bool_)
-    return found

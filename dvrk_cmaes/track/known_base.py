@@ -21,14 +21,8 @@ from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.calibration_lag import lag_and_std, lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.keyframe_store import (
-    NEW_AT_MOST,
-    SOLVED_AT,
-    KeyframeProblem,
-    KeyframeStore,
-    KeyframeTask,
-    Solution,
-)
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight

@@ -38,7 +38,9 @@ Float64 = NDArray[np.float64]
 
 _LEAST_SHOWN = 40  # px of mask, from which on an image is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
-_LINES_PER_PIXEL: Final = 1
+LINES_PER_PIXEL: Final = 1
+"""Lines of the image, for each row of pixels, by which silhouettes are drawn while a recording runs."""
+
 _STRIDE: Final = 2  # of the outline's points from which the covariance is found
 _FOLLOWED, _FOUND = 2, 6  # drawings of a fit from the image before, and of one from the prediction alone
 _INNER = 4  # steps on what was drawn
@@ -76,7 +78,7 @@ def quick_fit(
     shown = shown_views(seen)
     if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
         return None
-    outline = replace(config.refine.outline, lines_per_pixel=_LINES_PER_PIXEL, cauchy=config.session.cauchy)
+    outline = replace(config.refine.outline, lines_per_pixel=LINES_PER_PIXEL, cauchy=config.session.cauchy)
     views = [_frame_view(view, body) for view in shown]
     margins = margins_of(masks, [view.name for view in views])
     sized = [SizedView(view, blur=outline.blur, margin=margin) for view, margin in zip(views, margins, strict=True)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.tracker import Tracker
 
 _FEW: Final = 20

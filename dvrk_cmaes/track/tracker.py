@@ -28,7 +28,7 @@ from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel

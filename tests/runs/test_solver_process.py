@@ -14,7 +14,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.track.keyframe_store import Keyframe, KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
 
 
 def started_since(before: set[int]) -> list[psutil.Process]:

@@ -20,7 +20,8 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.calibration_lag import lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, Solution
+from dvrk_cmaes.track.keyframe_problem import Solution
+from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
 from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.predicted_image import PredictedImage

@@ -37,8 +37,8 @@ class Fit(Candidate):
 
     ``information`` (D, D) is that of the small changes from all terms. ``score`` is a negative log-likelihood up to a
     constant that is the same for all modes of a frame, ``outline_score`` the part of it that comes from the outline.
-    ``drawn`` is what the outline's term drew last, of the pose ``drawn_at``, of which a step within the tolerance leads
-    to the refined pose.
+    ``drawn`` is what the outline's term drew last, of the pose ``drawn_at``, from which at most one step that was not
+    tested leads to the refined pose.
     """
 
     outline_score: float
@@ -100,8 +100,8 @@ class _Part(Generic[A]):
 class _State:
     """State of the refinement of one pose: what was drawn there, and the last approximation that was computed.
 
-    ``others`` is the sum of squares of the other terms, ``weight`` the factor on that of the outline. ``stale`` tells
-    that the state moved on from where it was drawn, ``drawn_at``.
+    ``others`` is the sum of squares of the other terms, ``weight`` the factor on that of the outline. ``drawn_at`` is
+    where the state was drawn last: elsewhere after a step that was not tested.
     """
 
     at: Posed
@@ -113,12 +113,16 @@ class _State:
     information: Float64 = field(init=False)
     damping: float = _DAMPING[1]
     moved: bool = True
-    stale: bool = False
     finished: bool = False
     drawn_at: Posed = field(init=False)
 
     def __post_init__(self) -> None:
         self.drawn_at = self.at
+
+    @property
+    def stale(self) -> bool:
+        """Whether the state moved on from where it was drawn."""
+        return self.at is not self.drawn_at
 
 
 def refine(
@@ -168,7 +172,7 @@ class _Refinement:
             return
         stale = [state for state in states if state.stale]
         for state, drawn in zip(stale, self.outline.draw(_poses(stale)) if stale else (), strict=True):
-            state.drawn, state.drawn_at, state.stale = drawn, state.at, False
+            state.drawn, state.drawn_at = drawn, state.at
         at = _poses(states)
         near = self.outline.near([state.drawn for state in states], at)
         others = sum_of_locals(self.terms, at).padded(near.dimension)
@@ -202,7 +206,7 @@ class _Refinement:
                 tested.append(k)
             else:
                 state.at, state.others, state.finished = at[k], others[k], small[k]
-                state.moved = state.stale = True
+                state.moved = True
         if not tested:
             return
         for k, drawn in zip(tested, self.outline.draw(at[tested], derivatives=not last), strict=True):
@@ -217,8 +221,8 @@ class _Refinement:
             state.finished = small or state.damping > _DAMPING[2]
             return
         state.finished = small or gain < _SMALL_GAIN * self.steps.tolerance
-        state.at, state.drawn, state.others, state.moved = at, drawn, others, True
-        state.drawn_at = at
+        state.at = state.drawn_at = at
+        state.drawn, state.others, state.moved = drawn, others, True
         state.damping = max(state.damping / _DAMPING_STEP, _DAMPING[0])
 
     def _is_small(self, state: _State, change: Float64) -> bool:

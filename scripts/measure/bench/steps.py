@@ -29,7 +29,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.silhouette.sliced_call import counted_work
 from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.keyframe_store import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 from measure.accuracy.track import recordings_to_follow
 from measure.places import SHARED
