@@ -25,6 +25,7 @@ from dvrk_cmaes.track.recovery import (
     explains,
     has_jumped,
     is_certain,
+    is_likely,
     same_base,
     search_around,
 )
@@ -276,11 +277,13 @@ class Following:
         if self._search.is_weak(main and main[1], source, self.config.track):
             self.searched_around += 1
             nearby = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
+            lost = main is None or not is_supported(main[1], self.config.track)
             certain = nearby is not None and is_certain(nearby[1], source)
-            if nearby is not None and certain and (main is None or is_better(nearby[1], main[1])):
+            likely = certain or (nearby is not None and lost and is_likely(nearby[1], source, self.config.track))
+            if nearby is not None and likely and (main is None or is_better(nearby[1], main[1])):
                 main, away = nearby, anchor.moves_from(before.anchor)
                 self.last_step = None
-                if has_jumped(self.follower, before, nearby[0]):
+                if not certain or has_jumped(self.follower, before, nearby[0]):
                     self._confirmation.doubt()
         if self._search.is_led_astray(away=away) and main is not None:
             main = rebased(self.follower, self.config, main[0], anchor, self.readings.lag.std), main[1]

@@ -16,7 +16,7 @@ from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.appearance import Appearance
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
@@ -98,7 +98,7 @@ class Seen:
 
 
 class Sight:
-    """Turns the arrays of the views' images into evidence, and keeps the models of their colours.
+    """Turns the arrays of the views' images into evidence, and keeps how the instrument looks in them.
 
     ``kind`` is the evidence that is used; None for the mask of an image that has one, and else its colours. ``hints``
     state where the instrument is in the first image of the first view, if that is segmented.
@@ -114,7 +114,7 @@ class Sight:
             raise InputError(f"evidence: expected one of {', '.join(nearest_first(str(kind), KINDS))}, got {kind!r}")
         self._names = rig.names
         self._checks = [ImageCheck(view.camera, config.black_level) for view in rig.views]
-        self._colours: list[ColourModel | None] = [None] * len(rig.views)
+        self._appearances: list[Appearance | None] = [None] * len(rig.views)
         self._colour_share = config.colour_share
         self._kind = kind
         self._hints = hints or Hints()
@@ -166,16 +166,16 @@ class Sight:
 
     def _is_ready(self, seen: Seen, view: int) -> bool:
         """Whether a view's image has evidence without being segmented."""
-        return seen.masks[view] is not None or (seen.images[view] is not None and self._colours[view] is not None)
+        return seen.masks[view] is not None or (seen.images[view] is not None and self._appearances[view] is not None)
 
     def _sources(self, seen: Seen, view: int) -> tuple[MaskEvidence | ImageEvidence, ...]:
         """Return the evidence of a view; none if it has no mask, and neither colours nor a mask are found in it."""
-        mask, image, ignored, colours = seen.masks[view], seen.images[view], seen.ignored[view], self._colours[view]
-        if mask is None and colours is None:
+        mask, image, ignored, known = seen.masks[view], seen.images[view], seen.ignored[view], self._appearances[view]
+        if mask is None and known is None:
             mask = self._mask(seen, view, Hints(), hinted=False)
         sources: list[MaskEvidence | ImageEvidence] = [] if mask is None else [MaskEvidence(mask, ignored)]
-        if image is not None and colours is not None and (mask is None or self._kind == "both"):
-            sources.append(ImageEvidence(image, colours, ignored))
+        if image is not None and known is not None and (mask is None or self._kind == "both"):
+            sources.append(ImageEvidence(image, known, ignored))
         return tuple(sources)
 
     def _mask(self, seen: Seen, view: int, hints: Hints, *, hinted: bool) -> Mask | None:
@@ -219,10 +219,11 @@ class Sight:
         """
         now = outline.split(pixels)
         for view, drawn in outline.by_view.items():
-            image, before = seen.images[view], self._colours[view]
+            image, before = seen.images[view], self._appearances[view]
             if image is not None:
                 latest = learned(image, now[view], drawn, seen.ignored[view])
-                self._colours[view] = latest if anew or before is None else before.mixed(latest, self._colour_share)
+                mixed = latest if anew or before is None else before.mixed(latest, self._colour_share)
+                self._appearances[view] = mixed
 
     def boxes_of(self, outline: DrawnOutline) -> dict[int, Box]:
         """Return a box around the outline in each view with a margin."""
@@ -238,13 +239,13 @@ class Sight:
     def checkpoint(self) -> list[dict[str, Any]]:
         """Return what is kept of the images of each view so far as plain values."""
         return [
-            {"last": check.last, "colours": None if colours is None else colours.checkpoint()}
-            for check, colours in zip(self._checks, self._colours, strict=True)
+            {"last": check.last, "appearance": None if known is None else known.checkpoint()}
+            for check, known in zip(self._checks, self._appearances, strict=True)
         ]
 
     def restore(self, saved: Sequence[Mapping[str, Any]]) -> None:
         """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
         for view, (check, values) in enumerate(zip(self._checks, saved, strict=True)):
-            last, colours = values["last"], values["colours"]
+            last, known = values["last"], values["appearance"]
             check.last = None if last is None else int(last)
-            self._colours[view] = None if colours is None else ColourModel.restored(colours)
+            self._appearances[view] = None if known is None else Appearance.restored(known)
