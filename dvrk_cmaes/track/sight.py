@@ -18,6 +18,7 @@ from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
 from dvrk_cmaes.track.appearance import Appearance
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.edges import OWN_VARIANCE
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
@@ -33,6 +34,7 @@ Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
 EvidenceKind = Literal["masks", "images", "both"]
 KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
+_LEAST_WORTH, _MOST_WORTH = 0.05, 9.0  # px^2, bounds of the variance of one kind of edges
 _MARGIN = 0.04  # of the image's width, around an expected silhouette
 
 
@@ -116,6 +118,8 @@ class Sight:
         self._checks = [ImageCheck(view.camera, config.black_level) for view in rig.views]
         self._appearances: list[Appearance | None] = [None] * len(rig.views)
         self._colour_share = config.colour_share
+        self._reach = config.reach_px
+        self._worth = [(OWN_VARIANCE, OWN_VARIANCE)] * len(rig.views)
         self._kind = kind
         self._hints = hints or Hints()
 
@@ -162,7 +166,7 @@ class Sight:
         """
         ready = [view for view in seen.clear if self._is_ready(seen, view)]
         of_views = {view: sources for view in ready or seen.clear if (sources := self._sources(seen, view))}
-        return Evidence(of_views) if of_views else None
+        return Evidence(of_views, dict(enumerate(self._worth))) if of_views else None
 
     def _is_ready(self, seen: Seen, view: int) -> bool:
         """Whether a view's image has evidence without being segmented."""
@@ -213,17 +217,33 @@ class Sight:
         return {name: ignored for name, ignored in zip(self._names, seen.ignored, strict=True) if ignored is not None}
 
     def learn(self, seen: Seen, outline: DrawnOutline, pixels: Float64, *, anew: bool) -> None:
-        """Learn the colours of the images along an outline whose points are at ``pixels`` (N, 2) of their views.
+        """Learn how the instrument looks along an outline whose points are at ``pixels`` (N, 2) of their views.
 
-        ``anew`` forgets the colours before.
+        Where masks and colours are used, it is also learned how far the edges of each lie from the outline. ``anew``
+        forgets what was learned before.
         """
         now = outline.split(pixels)
         for view, drawn in outline.by_view.items():
+            self._judge(view, self._sources(seen, view) if self._kind == "both" else (), now[view], drawn)
             image, before = seen.images[view], self._appearances[view]
             if image is not None:
                 latest = learned(image, now[view], drawn, seen.ignored[view])
                 mixed = latest if anew or before is None else before.mixed(latest, self._colour_share)
                 self._appearances[view] = mixed
+
+    def _judge(
+        self, view: int, sources: Sequence[MaskEvidence | ImageEvidence], pixels: Float64, outline: DrawnOutline
+    ) -> None:
+        """Learn how far the edges of two kinds lie from an outline whose points are at ``pixels`` (N, 2) of a view."""
+        if len(sources) < len(self._worth[view]):
+            return
+        latest = [source.distances(pixels, outline, self._reach).robust_variance for source in sources]
+        keep, share = 1 - self._colour_share, self._colour_share
+        mask, image = (
+            keep * before + share * min(max(now, _LEAST_WORTH), _MOST_WORTH) if now is not None else before
+            for before, now in zip(self._worth[view], latest, strict=True)
+        )
+        self._worth[view] = (mask, image)
 
     def boxes_of(self, outline: DrawnOutline) -> dict[int, Box]:
         """Return a box around the outline in each view with a margin."""
@@ -239,8 +259,8 @@ class Sight:
     def checkpoint(self) -> list[dict[str, Any]]:
         """Return what is kept of the images of each view so far as plain values."""
         return [
-            {"last": check.last, "appearance": None if known is None else known.checkpoint()}
-            for check, known in zip(self._checks, self._appearances, strict=True)
+            {"last": check.last, "appearance": None if known is None else known.checkpoint(), "worth": list(worth)}
+            for check, known, worth in zip(self._checks, self._appearances, self._worth, strict=True)
         ]
 
     def restore(self, saved: Sequence[Mapping[str, Any]]) -> None:
@@ -248,4 +268,6 @@ class Sight:
         for view, (check, values) in enumerate(zip(self._checks, saved, strict=True)):
             last, known = values["last"], values["appearance"]
             check.last = None if last is None else int(last)
+            mask, image = (float(variance) for variance in values["worth"])
+            self._worth[view] = (mask, image)
             self._appearances[view] = None if known is None else Appearance.restored(known)
