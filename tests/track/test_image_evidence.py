@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
@@ -147,6 +147,28 @@ def test_change_of_a_shadow_is_another_one_than_that_to_the_instrument() -> None
     to_shadow, to_tool = changes_along(row)[:, place]
     assert to_shadow != to_tool
     assert changes_along(brighter)[1, place] == to_tool
+
+
+def test_kind_whose_edges_lie_farther_from_the_poses_so_far_counts_less() -> None:
+    image, outline = bar(60, 100), outline_of(60, 100)
+    mask = np.zeros((HEIGHT, WIDTH), np.bool_)
+    for row in range(HEIGHT):  # a ragged mask, three pixels off on either side in turns of two rows
+        mask[row, 60 + 3 * (row // 2 % 2) : 101 + 3 * (row // 2 % 2)] = True
+    sight = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
+
+    def off() -> float:
+        evidence = sight.evidence(sight.look(mask, image, None))
+        assert evidence is not None
+        return float(np.abs(evidence.distances(outline.pixels, outline, 12.0).distance).max())
+
+    sight.learn(sight.look(mask, image, None), outline, outline.pixels, anew=True)
+    before = off()
+    for _ in range(30):
+        sight.learn(sight.look(mask, image, None), outline, outline.pixels, anew=False)
+    assert off() < 0.5 * before
+    restored = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
+    restored.restore(sight.checkpoint())
+    assert restored.checkpoint() == sight.checkpoint()
 
 
 # the models of colours and changes
