@@ -218,6 +218,10 @@ class Following:
             if result is not None:
                 return result
         if supported:
+            if any(len(sources) > 1 for sources in evidence.of_views.values()):
+                drawn = self.follower.outline(predicted[0], evidence.views)
+                if drawn is not None:
+                    self.sight.judge(evidence, *drawn)
             result = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
             if self._confirmation.needed and result.status == "ok":
                 result = self._confirmed(time, anchor, seen, result, search_later)

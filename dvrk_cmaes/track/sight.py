@@ -34,7 +34,7 @@ Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
 EvidenceKind = Literal["masks", "images", "both"]
 KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
-_LEAST_WORTH, _MOST_WORTH = 0.05, 9.0  # px^2, bounds of the variance of one kind of edges
+_WORTH_RANGE = (0.05, 9.0)  # px^2, bounds of the variance of one kind of edges
 _MARGIN = 0.04  # of the image's width, around an expected silhouette
 
 
@@ -219,31 +219,29 @@ class Sight:
     def learn(self, seen: Seen, outline: DrawnOutline, pixels: Float64, *, anew: bool) -> None:
         """Learn how the instrument looks along an outline whose points are at ``pixels`` (N, 2) of their views.
 
-        Where masks and colours are used, it is also learned how far the edges of each lie from the outline. ``anew``
-        forgets what was learned before.
+        ``anew`` forgets what was learned before.
         """
         now = outline.split(pixels)
         for view, drawn in outline.by_view.items():
-            self._judge(view, self._sources(seen, view) if self._kind == "both" else (), now[view], drawn)
             image, before = seen.images[view], self._appearances[view]
             if image is not None:
                 latest = learned(image, now[view], drawn, seen.ignored[view])
                 mixed = latest if anew or before is None else before.mixed(latest, self._colour_share)
                 self._appearances[view] = mixed
 
-    def _judge(
-        self, view: int, sources: Sequence[MaskEvidence | ImageEvidence], pixels: Float64, outline: DrawnOutline
-    ) -> None:
-        """Learn how far the edges of two kinds lie from an outline whose points are at ``pixels`` (N, 2) of a view."""
-        if len(sources) < len(self._worth[view]):
-            return
-        latest = [source.distances(pixels, outline, self._reach).robust_variance for source in sources]
-        keep, share = 1 - self._colour_share, self._colour_share
-        mask, image = (
-            keep * before + share * min(max(now, _LEAST_WORTH), _MOST_WORTH) if now is not None else before
-            for before, now in zip(self._worth[view], latest, strict=True)
-        )
-        self._worth[view] = (mask, image)
+    def judge(self, evidence: Evidence, outline: DrawnOutline, pixels: Float64) -> None:
+        """Learn in views with two kinds of edges how far each lie from a predicted outline, at ``pixels`` (N, 2)."""
+        now, share = outline.split(pixels), self._colour_share
+        for view, drawn in outline.by_view.items():
+            sources = evidence.of_views[view]
+            if len(sources) < len(self._worth[view]):
+                continue
+            latest = [source.distances(now[view], drawn, self._reach).robust_variance for source in sources]
+            mask, image = (
+                before if found is None else (1 - share) * before + share * float(np.clip(found, *_WORTH_RANGE))
+                for before, found in zip(self._worth[view], latest, strict=True)
+            )
+            self._worth[view] = (mask, image)
 
     def boxes_of(self, outline: DrawnOutline) -> dict[int, Box]:
         """Return a box around the outline in each view with a margin."""

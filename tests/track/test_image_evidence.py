@@ -156,15 +156,18 @@ def test_kind_whose_edges_lie_farther_from_the_poses_so_far_counts_less() -> Non
         mask[row, 60 + 3 * (row // 2 % 2) : 101 + 3 * (row // 2 % 2)] = True
     sight = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
 
-    def off() -> float:
+    def seen_now() -> Evidence:
         evidence = sight.evidence(sight.look(mask, image, None))
         assert evidence is not None
-        return float(np.abs(evidence.distances(outline.pixels, outline, 12.0).distance).max())
+        return evidence
+
+    def off() -> float:
+        return float(np.abs(seen_now().distances(outline.pixels, outline, 12.0).distance).max())
 
     sight.learn(sight.look(mask, image, None), outline, outline.pixels, anew=True)
     before = off()
     for _ in range(30):
-        sight.learn(sight.look(mask, image, None), outline, outline.pixels, anew=False)
+        sight.judge(seen_now(), outline, outline.pixels)
     assert off() < 0.5 * before
     restored = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
     restored.restore(sight.checkpoint())
