@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Float64 = NDArray[np.float64]
 
-_OWN_VARIANCE = 0.25  # px^2, of an edge's place, where two kinds of evidence are weighed
+OWN_VARIANCE: Final = 0.25
+"""px^2, variance of the edges of either kind of evidence, until poses have told more of it."""
+
+NORMAL_MEDIAN: Final = 1.4826
+"""Standard deviations of a normal distribution for each median of its absolute values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +29,11 @@ class EdgeDistances:
     found: NDArray[np.bool_]
     variance: Float64
 
+    @property
+    def robust_variance(self) -> float | None:
+        """Variance, px^2, of the distances that were found, by their median absolute value; None without any."""
+        return (NORMAL_MEDIAN * float(np.median(np.abs(self.distance[self.found])))) ** 2 if self.found.any() else None
+
     @staticmethod
     def joined(parts: Sequence[EdgeDistances]) -> EdgeDistances:
         """Return the distances of several groups of points, one after another."""
@@ -33,9 +43,14 @@ class EdgeDistances:
             np.concatenate([part.variance for part in parts]),
         )
 
-    def with_other(self, other: EdgeDistances) -> EdgeDistances:
-        """Return the edges of the same points that are in either of two kinds of evidence; of both, their mean."""
-        shares = [edges.found / (_OWN_VARIANCE + edges.variance) for edges in (self, other)]
+    def with_other(
+        self, other: EdgeDistances, own: tuple[float, float] = (OWN_VARIANCE, OWN_VARIANCE)
+    ) -> EdgeDistances:
+        """Return the edges of the same points that are in either of two kinds of evidence; of both, their mean.
+
+        ``own``, px^2, are the variances of the two kinds of edges beyond those of single points.
+        """
+        shares = [edges.found / (kind + edges.variance) for edges, kind in zip((self, other), own, strict=True)]
         total = np.maximum(shares[0] + shares[1], 1e-12)
         mean = (shares[0] * self.distance + shares[1] * other.distance) / total
         apart = np.where(self.found & other.found, (self.distance - other.distance) ** 2 / 4, 0.0)

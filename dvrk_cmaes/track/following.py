@@ -25,6 +25,7 @@ from dvrk_cmaes.track.recovery import (
     explains,
     has_jumped,
     is_certain,
+    is_likely,
     same_base,
     search_around,
 )
@@ -217,6 +218,10 @@ class Following:
             if result is not None:
                 return result
         if supported:
+            if any(len(sources) > 1 for sources in evidence.of_views.values()):
+                drawn = self.follower.outline(predicted[0], evidence.views)
+                if drawn is not None:
+                    self.sight.judge(evidence, *drawn)
             result = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
             if self._confirmation.needed and result.status == "ok":
                 result = self._confirmed(time, anchor, seen, result, search_later)
@@ -276,11 +281,13 @@ class Following:
         if self._search.is_weak(main and main[1], source, self.config.track):
             self.searched_around += 1
             nearby = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
+            lost = main is None or not is_supported(main[1], self.config.track)
             certain = nearby is not None and is_certain(nearby[1], source)
-            if nearby is not None and certain and (main is None or is_better(nearby[1], main[1])):
+            believed = certain or (lost and self._is_likely(nearby, source))
+            if nearby is not None and believed and (main is None or is_better(nearby[1], main[1])):
                 main, away = nearby, anchor.moves_from(before.anchor)
                 self.last_step = None
-                if has_jumped(self.follower, before, nearby[0]):
+                if not certain or has_jumped(self.follower, before, nearby[0]):
                     self._confirmation.doubt()
         if self._search.is_led_astray(away=away) and main is not None:
             main = rebased(self.follower, self.config, main[0], anchor, self.readings.lag.std), main[1]
@@ -355,7 +362,8 @@ class Following:
         """Search an image globally, and go on from what is found; None if that does not explain the image.
 
         What is found must be clearly better supported than the followed pose, whose ``fit`` is given if the image
-        supports it at all. ``solved`` is the result of the search, if it was done before.
+        supports it at all. Otherwise an image must support it by the colours that were learned at confirmed poses.
+        ``solved`` is the result of the search, if it was done before.
         """
         result = self.solve(seen, anchor) if solved is None else solved
         reason = "found again by a global search"
@@ -363,11 +371,13 @@ class Following:
             return None
         on_same_base = same_base(self.follower, self.hypotheses[0], result, evidence)
         starts = [] if on_same_base is not None else self.starts(anchor, result)
+        other = self.follower.corrected(starts[0], evidence) if on_same_base is None else on_same_base
         if fit is not None:
-            other = self.follower.corrected(starts[0], evidence) if on_same_base is None else on_same_base
             if other is None or not is_better(other[1], fit) or not self._is_known(result):
                 self._search.settle(fit)
                 return None
+        elif seen.source == "image" and not self._confirmation.needed and not self._is_likely(other, seen.source):
+            return None
         if on_same_base is not None:
             self.hypotheses = [on_same_base[0]]
             self.last_step = None
@@ -375,6 +385,10 @@ class Following:
             self._begin_anew(seen, result, starts)
             reason += ", away from where the readings say: readings jumped, or the base moved"
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
+
+    def _is_likely(self, found: tuple[Hypothesis, Fit] | None, source: str) -> bool:
+        """Whether a mask or image supports a pose that was found well enough to be followed, though not to be ok."""
+        return found is not None and is_likely(found[1], source, self.config.track)
 
     def _is_known(self, result: Result) -> bool:
         """Whether a single frame tells where the tips are nearly as well as the followed pose does."""

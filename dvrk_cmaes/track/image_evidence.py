@@ -1,8 +1,8 @@
 """An image's colours as evidence about the outline, by lines across it.
 
 On each line, every place of the edge explains the colours on either side with some probability: those of the instrument
-within, those of the surroundings without. The edge's distribution follows, and near its mean the exact place, from
-the line's own colours on both sides.
+within, those of the surroundings without; and the change between them. The edge's distribution follows, and near its
+mean the exact place, from the line's own colours on both sides.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.silhouette.sliced_call import worked
+from dvrk_cmaes.track.appearance import Appearance
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.edge_model import REACH, EdgeModel, changes_along
 from dvrk_cmaes.track.edges import EdgeDistances, Pass
 from dvrk_cmaes.track.image_lines import pixels_along
 
@@ -33,8 +35,11 @@ _PASSES = ((1.0, 2), (0.5, 1))  # for each drawing, farthest distance as a share
 _WIDER = ((4.0, 2), (4.0, 2), (2.0, 2), (2.0, 2))  # the same before these, in a search around the prediction
 _FARTHEST = 12.0  # pixels of the image as it is sampled; to look farther, the image is reduced
 _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
+_CHANGE_SCORE = 1.0 / _DEPENDENT  # weight of the log-odds of a change relative to those of a pixel
 _LEAST_CLEARANCE = 3.0  # px within the instrument and beside it
 _LEAST_ODDS = 0.4  # mean log-odds of the pixels on either side of an edge
+_CHANGE_WEIGHT = 0.5  # of the log-odds of a change beside those means, and the least of their sum, by which an edge
+_LEAST_CLEAR = 1.0  # is told where the outer side's colours do not tell, as in a shadow that is as dark as the shaft
 _LARGEST_STD = 3.0  # px
 _REFINEMENTS = 2  # of the exact place of an edge
 _WINDOW = 1  # px on either side of an edge within which its exact place is found
@@ -71,10 +76,10 @@ class _Level:
 
 
 class ImageEvidence:
-    """The colours of an image (H, W, 3), BGR, given a model of colours; ``ignore`` (H, W) are pixels without a say."""
+    """The colours of an image (H, W, 3), BGR, given an appearance; ``ignore`` (H, W) are pixels without a say."""
 
     def __init__(
-        self, image: NDArray[np.uint8], model: ColourModel, ignore: Bool | None = None, *, wide: bool = False
+        self, image: NDArray[np.uint8], model: Appearance, ignore: Bool | None = None, *, wide: bool = False
     ) -> None:
         self._image = np.ascontiguousarray(image)
         self._model = model
@@ -112,7 +117,8 @@ class ImageEvidence:
         """Measure the distances in the image reduced by a scale, in its pixels."""
         count, clearance, level = int(np.ceil(reach)), outline.clearance.at_scale(scale), self._level(scale)
         along = np.arange(-count - MOST_CLEARANCE, count + MOST_CLEARANCE + 1, dtype=np.float32)
-        odds, _ = self._odds(level, pixels, outline, along)
+        colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
+        odds = self._odds(colours, valid, outline)
         total = np.zeros((len(pixels), odds.shape[1] + 1), np.float32)
         np.cumsum(odds, axis=1, out=total[:, 1:])
         # an edge at place k lies between samples k - 1 and k
@@ -121,16 +127,19 @@ class ImageEvidence:
         at_edge = total[:, MOST_CLEARANCE : MOST_CLEARANCE + 2 * count + 1]
         within = at_edge - total[rows, place - inside]
         beside = total[rows, place + outside] - at_edge
-        score = within - beside
+        about = np.s_[:, MOST_CLEARANCE - REACH : MOST_CLEARANCE + 2 * count + REACH]
+        change = self._edge_odds(colours[about], valid[about], outline)
+        score = within - beside + _CHANGE_SCORE * change
         best = score.argmax(axis=1)[:, None]
         chance = np.exp(_DEPENDENT * (score - np.take_along_axis(score, best, axis=1)))
         chance /= chance.sum(axis=1, keepdims=True)
         at = np.arange(-count, count + 1, dtype=np.float32) - 0.5
         mean = chance @ at
         variance = np.maximum(chance @ at**2 - mean**2, 0)
-        told = (np.take_along_axis(within, best, axis=1) > _LEAST_ODDS * inside) & (
-            np.take_along_axis(beside, best, axis=1) < -_LEAST_ODDS * outside
-        )
+        inner, outer, changed = (np.take_along_axis(values, best, axis=1) for values in (within, beside, change))
+        inner, outer = inner / np.maximum(inside, 1), outer / np.maximum(outside, 1)
+        clear = (inner - outer) / 2 + _CHANGE_WEIGHT * changed > _LEAST_CLEAR
+        told = (inner > _LEAST_ODDS) & ((outer < -_LEAST_ODDS) | clear)
         told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_CLEARANCE)
         found = told[:, 0] & (variance < _LARGEST_STD**2)
         mean, fine = _refined(level.image, pixels, outline.normals, mean)
@@ -140,21 +149,37 @@ class ImageEvidence:
     def unexplained(self, pixels: Float64, outline: DrawnOutline, reach: int) -> float:
         """Return the share of the outline beside which there are the instrument's colours."""
         along = np.arange(_BESIDE, MOST_CLEARANCE + 1, dtype=np.float32)
-        odds, valid = self._odds(self._level(1), pixels, outline, along)
+        level = self._level(1)
+        colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
+        odds = self._odds(colours, valid, outline)
         valid &= along <= outline.clearance.outside[:, None] - 1
         count = valid.sum(axis=1)
         told = count >= _LEAST_CLEARANCE
         like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
         return float(outline.lengths[like].sum() / outline.lengths[told].sum()) if told.any() else 1.0
 
-    def _odds(self, level: _Level, pixels: Float64, outline: DrawnOutline, along: Float32) -> tuple[Float32, Bool]:
-        """Return the log-odds of instrument (N, K) at distances along lines, and where there are any, (N, K)."""
-        colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
-        bins = bins_of(colours)
-        bins += (_parts_of(outline) * self._model.bins).astype(np.int32)[:, None]
-        odds = self._model.log_odds.ravel().take(bins)
+    def _odds(self, colours: NDArray[np.uint8], valid: Bool, outline: DrawnOutline) -> Float32:
+        """Return the log-odds of instrument (N, K) of colours (N, K, 3) on lines, 0 where they are not ``valid``."""
+        odds = _odds_of(self._model.colours, bins_of(colours), outline)
         odds *= valid
-        return odds, valid
+        return odds
+
+    def _edge_odds(self, colours: NDArray[np.uint8], valid: Bool, outline: DrawnOutline) -> Float32:
+        """Return the log-odds of the outline (N, K + 1 - 2 `REACH`) of the changes along lines of colours (N, K, 3)."""
+        odds = _odds_of(self._model.edges, changes_along(colours), outline)
+        odds *= _both_seen(valid)
+        return odds
+
+
+def _both_seen(valid: Bool) -> Bool:
+    """Return whether both samples of a change are ``valid`` (N, K), as `changes_along` returns the changes."""
+    return valid[:, 2 * REACH - 1 :] & valid[:, : 1 - 2 * REACH]
+
+
+def _odds_of(model: ColourModel | EdgeModel, bins: NDArray[np.int32], outline: DrawnOutline) -> Float32:
+    """Return the log-odds (N, K) of bins (N, K) on the lines of an outline, by the part of the instrument."""
+    bins += (_parts_of(outline) * model.bins).astype(np.int32)[:, None]
+    return np.asarray(model.log_odds.ravel().take(bins))
 
 
 def _refined(image: NDArray[np.uint8], pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
@@ -178,14 +203,24 @@ def _refined(image: NDArray[np.uint8], pixels: Float64, normals: Float64, place:
     return place, fine
 
 
-def learned(
-    image: NDArray[np.uint8], pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None
-) -> ColourModel:
-    """Return the model of the colours along the lines of an outline whose points are at ``pixels`` (N, 2)."""
+def learned(image: NDArray[np.uint8], pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None) -> Appearance:
+    """Return what is seen along the lines of an outline whose points are at ``pixels`` (N, 2)."""
     along = np.arange(-MOST_CLEARANCE, MOST_CLEARANCE + 1, dtype=np.float32)
     seen = None if ignore is None else ~ignore
     colours, valid = pixels_along(np.ascontiguousarray(image), pixels, outline.normals, along, seen)
-    bins, parts = bins_of(colours), _parts_of(outline)
-    inside = valid & (along < -_BLUR) & (along > _BLUR - outline.clearance.inside[:, None])
-    outside = valid & (along > _BLUR) & (along < outline.clearance.outside[:, None] - _BLUR)
-    return ColourModel.learned([bins[inside & (parts == part)[:, None]] for part in range(PARTS)], bins[outside])
+    parts = _parts_of(outline)
+    within, beside = outline.clearance.inside[:, None], outline.clearance.outside[:, None]
+
+    def of_parts(bins: NDArray[np.int32], which: Bool) -> list[NDArray[np.int32]]:
+        return [bins[which & (parts == part)[:, None]] for part in range(PARTS)]
+
+    bins = bins_of(colours)
+    inside = valid & (along < -_BLUR) & (along > _BLUR - within)
+    outside = valid & (along > _BLUR) & (along < beside - _BLUR)
+    at, changes, seen_both = along[REACH : 1 - REACH] - 0.5, changes_along(colours), _both_seen(valid)
+    edge = seen_both & (np.abs(at) < 1)
+    elsewhere = seen_both & (np.abs(at) > REACH + _BLUR) & (at > REACH - within) & (at < beside - REACH)
+    return Appearance(
+        ColourModel.learned(of_parts(bins, inside), bins[outside]),
+        EdgeModel.learned(of_parts(changes, edge), changes[elsewhere]),
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.config import EstimateConfig, TrustConfig
+from dvrk_cmaes.config import EstimateConfig, TrackConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Posed, inverse, moved
@@ -39,6 +39,7 @@ _PASSES = 2  # further corrections of the best pose that was found
 _JOINT_PENALTY = 0.3  # of agreement for each rad that the joints are changed
 _SAME_BASE = 60.0  # squared deviation from the prediction up to which a pose found again is of the same base
 _CERTAIN = {"mask": 0.85, "image": 0.6}  # least agreement of a pose that was found around a wrong prediction
+_LIKELY = {"mask": 0.85, "image": 0.4}  # the same where the image does not support the prediction at all
 
 
 def _widened(
@@ -194,3 +195,8 @@ def explains(result: Result, trust: TrustConfig) -> bool:
 def is_certain(fit: Fit, source: str) -> bool:
     """Whether a pose that was found around a wrong prediction fits its mask or image too well for a local optimum."""
     return fit.agreement >= _CERTAIN[source]
+
+
+def is_likely(fit: Fit, source: str, config: TrackConfig) -> bool:
+    """Whether a pose that was found fits well enough to be followed, doubtful, where the predicted one is lost."""
+    return is_supported(fit, config) and fit.agreement >= _LIKELY[source]

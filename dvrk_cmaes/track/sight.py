@@ -16,8 +16,9 @@ from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.appearance import Appearance
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.edges import OWN_VARIANCE
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
@@ -33,6 +34,7 @@ Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
 EvidenceKind = Literal["masks", "images", "both"]
 KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
+_WORTH_RANGE = (0.05, 9.0)  # px^2, bounds of the variance of one kind of edges
 _MARGIN = 0.04  # of the image's width, around an expected silhouette
 
 
@@ -98,7 +100,7 @@ class Seen:
 
 
 class Sight:
-    """Turns the arrays of the views' images into evidence, and keeps the models of their colours.
+    """Turns the arrays of the views' images into evidence, and keeps how the instrument looks in them.
 
     ``kind`` is the evidence that is used; None for the mask of an image that has one, and else its colours. ``hints``
     state where the instrument is in the first image of the first view, if that is segmented.
@@ -114,8 +116,10 @@ class Sight:
             raise InputError(f"evidence: expected one of {', '.join(nearest_first(str(kind), KINDS))}, got {kind!r}")
         self._names = rig.names
         self._checks = [ImageCheck(view.camera, config.black_level) for view in rig.views]
-        self._colours: list[ColourModel | None] = [None] * len(rig.views)
+        self._appearances: list[Appearance | None] = [None] * len(rig.views)
         self._colour_share = config.colour_share
+        self._reach = config.reach_px
+        self._worth = [(OWN_VARIANCE, OWN_VARIANCE)] * len(rig.views)
         self._kind = kind
         self._hints = hints or Hints()
 
@@ -162,20 +166,20 @@ class Sight:
         """
         ready = [view for view in seen.clear if self._is_ready(seen, view)]
         of_views = {view: sources for view in ready or seen.clear if (sources := self._sources(seen, view))}
-        return Evidence(of_views) if of_views else None
+        return Evidence(of_views, dict(enumerate(self._worth))) if of_views else None
 
     def _is_ready(self, seen: Seen, view: int) -> bool:
         """Whether a view's image has evidence without being segmented."""
-        return seen.masks[view] is not None or (seen.images[view] is not None and self._colours[view] is not None)
+        return seen.masks[view] is not None or (seen.images[view] is not None and self._appearances[view] is not None)
 
     def _sources(self, seen: Seen, view: int) -> tuple[MaskEvidence | ImageEvidence, ...]:
         """Return the evidence of a view; none if it has no mask, and neither colours nor a mask are found in it."""
-        mask, image, ignored, colours = seen.masks[view], seen.images[view], seen.ignored[view], self._colours[view]
-        if mask is None and colours is None:
+        mask, image, ignored, known = seen.masks[view], seen.images[view], seen.ignored[view], self._appearances[view]
+        if mask is None and known is None:
             mask = self._mask(seen, view, Hints(), hinted=False)
         sources: list[MaskEvidence | ImageEvidence] = [] if mask is None else [MaskEvidence(mask, ignored)]
-        if image is not None and colours is not None and (mask is None or self._kind == "both"):
-            sources.append(ImageEvidence(image, colours, ignored))
+        if image is not None and known is not None and (mask is None or self._kind == "both"):
+            sources.append(ImageEvidence(image, known, ignored))
         return tuple(sources)
 
     def _mask(self, seen: Seen, view: int, hints: Hints, *, hinted: bool) -> Mask | None:
@@ -213,16 +217,31 @@ class Sight:
         return {name: ignored for name, ignored in zip(self._names, seen.ignored, strict=True) if ignored is not None}
 
     def learn(self, seen: Seen, outline: DrawnOutline, pixels: Float64, *, anew: bool) -> None:
-        """Learn the colours of the images along an outline whose points are at ``pixels`` (N, 2) of their views.
+        """Learn how the instrument looks along an outline whose points are at ``pixels`` (N, 2) of their views.
 
-        ``anew`` forgets the colours before.
+        ``anew`` forgets what was learned before.
         """
         now = outline.split(pixels)
         for view, drawn in outline.by_view.items():
-            image, before = seen.images[view], self._colours[view]
+            image, before = seen.images[view], self._appearances[view]
             if image is not None:
                 latest = learned(image, now[view], drawn, seen.ignored[view])
-                self._colours[view] = latest if anew or before is None else before.mixed(latest, self._colour_share)
+                mixed = latest if anew or before is None else before.mixed(latest, self._colour_share)
+                self._appearances[view] = mixed
+
+    def judge(self, evidence: Evidence, outline: DrawnOutline, pixels: Float64) -> None:
+        """Learn in views with two kinds of edges how far each lie from a predicted outline, at ``pixels`` (N, 2)."""
+        now, share = outline.split(pixels), self._colour_share
+        for view, drawn in outline.by_view.items():
+            sources = evidence.of_views[view]
+            if len(sources) < len(self._worth[view]):
+                continue
+            latest = [source.distances(now[view], drawn, self._reach).robust_variance for source in sources]
+            mask, image = (
+                before if found is None else (1 - share) * before + share * float(np.clip(found, *_WORTH_RANGE))
+                for before, found in zip(self._worth[view], latest, strict=True)
+            )
+            self._worth[view] = (mask, image)
 
     def boxes_of(self, outline: DrawnOutline) -> dict[int, Box]:
         """Return a box around the outline in each view with a margin."""
@@ -238,13 +257,15 @@ class Sight:
     def checkpoint(self) -> list[dict[str, Any]]:
         """Return what is kept of the images of each view so far as plain values."""
         return [
-            {"last": check.last, "colours": None if colours is None else colours.checkpoint()}
-            for check, colours in zip(self._checks, self._colours, strict=True)
+            {"last": check.last, "appearance": None if known is None else known.checkpoint(), "worth": list(worth)}
+            for check, known, worth in zip(self._checks, self._appearances, self._worth, strict=True)
         ]
 
     def restore(self, saved: Sequence[Mapping[str, Any]]) -> None:
         """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
         for view, (check, values) in enumerate(zip(self._checks, saved, strict=True)):
-            last, colours = values["last"], values["colours"]
+            last, known = values["last"], values["appearance"]
             check.last = None if last is None else int(last)
-            self._colours[view] = None if colours is None else ColourModel.restored(colours)
+            mask, image = (float(variance) for variance in values["worth"])
+            self._worth[view] = (mask, image)
+            self._appearances[view] = None if known is None else Appearance.restored(known)

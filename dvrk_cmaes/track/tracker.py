@@ -67,8 +67,9 @@ class Tracker:
         Lag of the images behind the readings, s; if it is not given, it is that of the calibration, or it is found
         while following.
     evidence
-        What of an image is used: ``masks``, ``images`` or ``both``; if it is not given, the mask of an image that has
-        one, else its colours, which are learned wherever a pose is trusted.
+        What of an image is used: ``masks``, ``images`` or ``both``, weighed by how far the edges of each have lain from
+        the predictions so far; if it is not given, the mask of an image that has one, else its colours, which are
+        learned wherever a pose is trusted.
     hints
         Where the instrument is in the first image, of the first view, if that has no mask.
     record

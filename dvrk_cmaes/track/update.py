@@ -14,7 +14,7 @@ from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.edges import EdgeDistances
+from dvrk_cmaes.track.edges import NORMAL_MEDIAN, EdgeDistances
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
@@ -24,7 +24,6 @@ Float64 = NDArray[np.float64]
 
 _STILL_PX = 0.05  # largest motion of an outline's point up to which a correction is the last
 _KEPT_WITHIN_IMAGE = 0.01  # rad, rotation of the root or of a joint up to which an outline is not drawn again
-_NORMAL_MEDIAN = 1.4826  # standard deviations of a normal distribution for each median of its absolute values
 _FARTHEST_BEYOND = 4.0  # standard deviations of a joint's limit
 
 
@@ -165,7 +164,7 @@ class OutlineUpdate:
             for view, length in lengths.items()
         }
         missing = float(np.mean(list(unexplained.values())))
-        return Fit(supported, missing, total, _NORMAL_MEDIAN * typical, cost, of_views)
+        return Fit(supported, missing, total, NORMAL_MEDIAN * typical, cost, of_views)
 
 
 def _variances(jacobian: Float64, covariance: Float64) -> Float64:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.track.appearance import Appearance
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE, Clearance
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
+from dvrk_cmaes.track.edge_model import REACH, EdgeModel, changes_along
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
 from dvrk_cmaes.track.mask_evidence import MaskEvidence
@@ -46,8 +50,8 @@ def outline_of(left: float, right: float) -> DrawnOutline:
     return DrawnOutline((0,), at, {0: slice(None)}, {0: pixels}, zero, points, normals, lengths, pixels)
 
 
-def model_of(left: float = 60, right: float = 100) -> ColourModel:
-    """Learn the colours of such a bar."""
+def model_of(left: float = 60, right: float = 100) -> Appearance:
+    """Learn what such a bar looks like."""
     outline = outline_of(left, right)
     return learned(bar(left, right), outline.pixels, outline)
 
@@ -118,7 +122,59 @@ def test_mask_and_image_together_are_nearer_than_the_worse_of_them() -> None:
     assert found.variance[60:].min() > found.variance[:60].max()
 
 
-# the model of colours
+SHADOW = (20, 23, 57)  # of the tissue
+
+
+def test_edge_to_a_shadow_of_a_colour_that_the_instrument_has_too_is_told_by_the_change() -> None:
+    outline, image, seen = outline_of(60, 100), bar(60, 100), bar(60, 100)
+    seen[:, 101:106] = SHADOW
+    seen[:, 90:95] = SHADOW  # a dark stripe on the instrument
+    seen[:, 51:56] = TOOL  # another instrument beside it
+    image[:, 101:120] = SHADOW
+    moved = outline_of(62, 102)
+    known = learned(seen, outline.pixels, outline)
+    unknown = replace(known, edges=EdgeModel.of(known.edges.inside * 0, known.edges.outside * 0))
+    found, without = (ImageEvidence(image, one).distances(moved.pixels, moved, 12.0) for one in (known, unknown))
+    assert found.found[60:].mean() > 0.9
+    assert np.median(found.distance[60:]) == pytest.approx(2, abs=0.8)
+    assert without.found[60:].mean() < 0.1
+
+
+def test_change_of_a_shadow_is_another_one_than_that_to_the_instrument() -> None:
+    row = np.array([[TISSUE] * 4 + [SHADOW] * 4, [TISSUE] * 4 + [TOOL] * 4], np.uint8)
+    brighter = np.clip(row.astype(int) * 3 // 2, 0, 255).astype(np.uint8)
+    place = 4 - REACH
+    to_shadow, to_tool = changes_along(row)[:, place]
+    assert to_shadow != to_tool
+    assert changes_along(brighter)[1, place] == to_tool
+
+
+def test_kind_whose_edges_lie_farther_from_the_poses_so_far_counts_less() -> None:
+    image, outline = bar(60, 100), outline_of(60, 100)
+    mask = np.zeros((HEIGHT, WIDTH), np.bool_)
+    for row in range(HEIGHT):  # a ragged mask, three pixels off on either side in turns of two rows
+        mask[row, 60 + 3 * (row // 2 % 2) : 101 + 3 * (row // 2 % 2)] = True
+    sight = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
+
+    def seen_now() -> Evidence:
+        evidence = sight.evidence(sight.look(mask, image, None))
+        assert evidence is not None
+        return evidence
+
+    def off() -> float:
+        return float(np.abs(seen_now().distances(outline.pixels, outline, 12.0).distance).max())
+
+    sight.learn(sight.look(mask, image, None), outline, outline.pixels, anew=True)
+    before = off()
+    for _ in range(30):
+        sight.judge(seen_now(), outline, outline.pixels)
+    assert off() < 0.5 * before
+    restored = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
+    restored.restore(sight.checkpoint())
+    assert restored.checkpoint() == sight.checkpoint()
+
+
+# the models of colours and changes
 
 
 def test_mixing_changes_the_model_slowly() -> None:
@@ -128,17 +184,20 @@ def test_mixing_changes_the_model_slowly() -> None:
     other = learned(bar(60, 100, of=UNKNOWN), outline.pixels, outline)
     model = model_of()
     mixed = model.mixed(other, 0.15)
-    assert other.log_odds[0, bin_] <= 0 < mixed.log_odds[0, bin_] <= model.log_odds[0, bin_]
+    odds = [one.colours.log_odds[0, bin_] for one in (other, mixed, model)]
+    assert odds[0] <= 0 < odds[1] <= odds[2]
 
 
 def test_model_is_restored_from_its_checkpoint() -> None:
     model = model_of()
-    assert np.array_equal(ColourModel.restored(model.checkpoint()).log_odds, model.log_odds)
+    restored = Appearance.restored(model.checkpoint())
+    assert np.array_equal(restored.colours.log_odds, model.colours.log_odds)
+    assert np.array_equal(restored.edges.log_odds, model.edges.log_odds)
 
 
 def test_damaged_checkpoint_is_refused() -> None:
     with pytest.raises(ValueError, match="expected"):
-        ColourModel.restored(model_of().checkpoint() | {"inside": "AAAA"})
+        ColourModel.restored(model_of().colours.checkpoint() | {"inside": "AAAA"})
 
 
 def test_unknown_evidence_is_refused() -> None:

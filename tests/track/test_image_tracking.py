@@ -113,6 +113,22 @@ def test_instrument_that_is_gone_is_never_ok_and_is_found_again(
     assert world.error_mm(FRAMES - 1, followed[-1]) < 2.5
 
 
+def test_pose_that_a_search_finds_elsewhere_must_show_the_learned_colours(
+    world: MovingWorld, first: Result, images: list[np.ndarray], tissue: np.ndarray
+) -> None:
+    tracker, gone, results = started(world, first, images[0], evidence="images"), range(8, 12), []
+    for k in range(1, FRAMES):
+        tracker.add_readings(world.time(k), world.readings[k])
+        # where the instrument is gone, a search is led astray by a mask of another place
+        mask = np.ascontiguousarray(world.masks[k][:, ::-1]) if k in gone else None
+        shown = np.roll(tissue, k % 2, axis=1) if k in gone else images[k]
+        results.append(tracker.step(world.time(k), mask=mask, image=shown))
+    assert any(results[k - 1].searched for k in gone)
+    assert {results[k - 1].status for k in gone} == {"lost"}
+    assert results[-1].status == "ok"
+    assert world.error_mm(FRAMES - 1, results[-1]) < 2.5
+
+
 def test_image_that_stands_still_is_not_believed(world: MovingWorld, first: Result, images: list[np.ndarray]) -> None:
     still = [images[min(k, 6)] for k in range(FRAMES)]
     followed = follow(world, started(world, first, images[0]), range(1, 14), still)

@@ -1,0 +1,97 @@
+"""Probabilities of something seen, on the instrument and elsewhere, as histograms that are learned and forgotten."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import prod
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+_FLOOR = 0.05  # of the probability, spread evenly over all bins: what was not seen tells nothing
+_LARGEST = 3.0  # log-odds of a single pixel
+
+
+@cache
+def _smoothing(count: int, std: float) -> Float32:
+    """Return the matrix (N, N) that smooths a histogram along one axis, by a standard deviation in bins."""
+    at = np.arange(count)
+    kernel = np.exp(-0.5 * ((at[:, None] - at) / std) ** 2)
+    return np.asarray(kernel / kernel.sum(axis=0), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class HistogramRatio:
+    """Histograms ``inside`` (P, B), of each of P parts of the instrument, and ``outside`` (B,), of all else.
+
+    ``log_odds`` (P, B) is the logarithm of the ratio of their probabilities. The bins of a subclass have a ``shape``
+    with the product B; histograms are smoothed along each axis by ``smoothing`` bins, a standard deviation.
+    """
+
+    inside: Float32
+    outside: Float32
+    log_odds: Float32
+
+    shape: ClassVar[tuple[int, ...]]
+    smoothing: ClassVar[float]
+
+    @property
+    def bins(self) -> int:
+        """Number of bins of a histogram."""
+        return int(self.log_odds.shape[1])
+
+    @classmethod
+    def of(cls, inside: Float32, outside: Float32) -> Self:
+        """Return the model of histograms."""
+        floor = np.float32(_FLOOR / outside.size)
+        odds = np.log((inside + floor) / (outside + floor))
+        return cls(inside, outside, np.clip(odds, -_LARGEST, _LARGEST))
+
+    @classmethod
+    def learned(cls, inside: Sequence[NDArray[np.int32]], outside: NDArray[np.int32]) -> Self:
+        """Return the model of the bins that were seen, within each part and elsewhere."""
+        return cls.of(np.stack([cls._histogram(bins) for bins in inside]), cls._histogram(outside))
+
+    @classmethod
+    def _histogram(cls, bins: NDArray[np.int32]) -> Float32:
+        """Return the smoothed histogram (B,) of bins, of sum one."""
+        count = np.bincount(bins, minlength=prod(cls.shape)).astype(np.float32)
+        for size in cls.shape:  # each time along the first axis, which then becomes the last
+            count = (_smoothing(size, cls.smoothing) @ count.reshape(size, -1)).T
+        return np.asarray(count.ravel() / max(float(count.sum()), 1e-9), np.float32)
+
+    def mixed(self, other: Self, share: float) -> Self:
+        """Return the model with a share of another one's histograms."""
+        keep, new = np.float32(1 - share), np.float32(share)
+        return self.of(keep * self.inside + new * other.inside, keep * self.outside + new * other.outside)
+
+    def checkpoint(self) -> dict[str, str]:
+        """Return the histograms as text."""
+        sides = {"inside": self.inside, "outside": self.outside}
+        return {name: base64.b64encode(zlib.compress(side.tobytes())).decode() for name, side in sides.items()}
+
+    @classmethod
+    def restored(cls, saved: Mapping[str, str]) -> Self:
+        """Return the model of the texts of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
+        inside, outside = (_numbers(saved[name]).reshape(-1, prod(cls.shape)) for name in ("inside", "outside"))
+        if len(outside) != 1 or not len(inside):
+            raise ValueError("expected one histogram of the surroundings")
+        return cls.of(inside, outside[0])
+
+
+def _numbers(text: str) -> Float32:
+    """Return the numbers of a text of `HistogramRatio.checkpoint`."""
+    try:
+        values = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.float32)
+    except zlib.error:
+        raise ValueError("expected histograms") from None
+    if not (np.isfinite(values) & (values >= 0)).all():
+        raise ValueError("expected finite shares")
+    return values
