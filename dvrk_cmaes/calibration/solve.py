@@ -82,6 +82,12 @@ class FrameFits:
         lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
         return cls(at, without_lasting(stacked, most - own, common.size), constants, lasting, common.by_lag)
 
+    def at_constants(self) -> FrameFits:
+        """Return the fits with the further unknowns at their values, as functions of poses and joints alone."""
+        own = self.outlines.dimension - len(self.further)
+        outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
+        return FrameFits(self.at, outlines)
+
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
 
