@@ -5,6 +5,11 @@ therefore Ornstein-Uhlenbeck processes: normal, with standard deviations in prop
 `dvrk_cmaes.pose.terms.shared_errors`, and a correlation of exp(-dt / T) between frames that are dt apart. A calibration
 takes the frames as independent, which makes it hardly less accurate, but its covariance counts the correlation.
 
+Frames of less than a second share more than that: what no joint explains, the readings' errors at one place of the arm,
+the rest of a segmenter's mistakes. Those of a second therefore count as one, however many they are: else the frames of
+a recording would outweigh what is known beforehand, the more of them are used the more, and the result would be stated
+better than it is.
+
 The usual size is that at the true poses of followed recordings, three hard and one easy one: standard deviations of 0.2
 to 0.6 of those of single frames, whose loss is less robust against shadows, and autocorrelations of 0.3 to 0.6 after
 0.1 s, 0 to 0.4 after 0.3 s.
@@ -42,6 +47,9 @@ class LastingSize:
 USUAL_SIZE = LastingSize(0.4, 0.2)
 """Size of the errors that last in a session's fits where nothing else is known."""
 
+ALIKE_SECONDS = 1.0
+"""Time, s, in which frames err alike, so that all of them count as one."""
+
 SINGLE_SIZE = LastingSize(1.0, 0.2)
 """Size of the errors that last in frames that count as independent although they follow each other closely."""
 
@@ -57,6 +65,21 @@ class CommonErrors:
     size: LastingSize
     times: Float64
     by_lag: Float64
+
+
+def frames_alike(times: Float64) -> Float64:
+    """Return the number of frames (N,), itself included, that err like each frame and count as one with it.
+
+    Parameters
+    ----------
+    times : (N,)
+        Times of the frames, s; frames without one (NaN) count by themselves.
+    """
+    known, out = np.isfinite(times), np.ones(len(times))
+    in_order, half = np.sort(times[known]), ALIKE_SECONDS / 2
+    first = np.searchsorted(in_order, times[known] - half, side="left")
+    out[known] = np.searchsorted(in_order, times[known] + half, side="right") - first
+    return out
 
 
 @dataclass(frozen=True, eq=False)
