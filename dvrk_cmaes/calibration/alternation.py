@@ -434,7 +434,7 @@ class Alternation:
     def _common(self) -> CommonErrors:
         """The errors that the frames share."""
         by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
-        return CommonErrors(self._imaging.size, self._times, by_lag)
+        return CommonErrors(self._imaging.size, self._times, by_lag, self._config.session.alike_seconds)
 
     @property
     def masks(self) -> SessionMasks | None:

@@ -15,6 +15,7 @@ from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
 Float64 = NDArray[np.float64]
 
 _ROLL = 3  # index among the outer joints
+_ALIKE_SECONDS = 1.0  # over which masks err alike, so that their frames count as one
 
 
 class CableEstimate:
@@ -61,7 +62,7 @@ class CableEstimate:
         ``fits`` and ``solution`` are of the same frames as the model, ``lag`` has their times and readings.
         """
         times = lag.seconds()
-        weights = solution.weights if times is None else solution.weights / frames_alike(times)
+        weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
         information, vector = observe_errors(model, fits, solution.calibration, weights)
         readings = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1)
         session = CableSession(

@@ -84,7 +84,7 @@ class FrameFits:
         lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
         outlines = without_lasting(stacked, most - own, common.size)
         counted = stacked.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
-        shares = 1 / frames_alike(np.where(counted, common.times, np.nan))
+        shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
         return cls(at, outlines, constants, lasting, common.by_lag, shares)
 
     def at_constants(self) -> FrameFits:

@@ -162,7 +162,7 @@ def test_more_consecutive_frames_tell_no_more_than_every_fourth_of_them() -> Non
         for every, known in ((1, True), (4, True), (1, False)):
             index = np.arange(0, 240, every)
             own = times[index] if known else np.full(len(index), np.nan)
-            common = CommonErrors(USUAL_SIZE, own, np.zeros((len(index), SIZE)))
+            common = CommonErrors(USUAL_SIZE, own, np.zeros((len(index), SIZE)), alike_seconds=1.0)
             fits = FrameFits.with_lasting(world.at[index], [terms[k] for k in index], common)
             solution = solve(world.model.subset(index), fits, world.truth, PRIOR)
             found = solution.calibration
@@ -180,5 +180,7 @@ def test_more_consecutive_frames_tell_no_more_than_every_fourth_of_them() -> Non
     assert np.sqrt(np.mean(np.square(apart))) < 0.5
 
 
-def test_frames_of_a_second_count_as_one() -> None:
-    np.testing.assert_array_equal(frames_alike(np.array([0.0, 0.4, 5.0, np.nan, 0.8, np.nan])), [2, 3, 1, 1, 2, 1])
+def test_frames_near_each_other_count_as_one() -> None:
+    times = np.array([0.0, 0.4, 5.0, np.nan, 0.8, np.nan])
+    np.testing.assert_array_equal(frames_alike(times, 1.0), [2, 3, 1, 1, 2, 1])
+    np.testing.assert_array_equal(frames_alike(times, 0.0), np.ones(6))
