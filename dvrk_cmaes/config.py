@@ -351,6 +351,9 @@ class SessionConfig:
     shadows
         Whether stretches of a mask that lie off the silhouette of a fit count less the farther off they are, as where a
         shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
+    alike_seconds
+        Time in which consecutive frames err alike, s, so that all of them count as one in base, offsets, camera and
+        margin; 0 to count each. Keyframes, which are chosen far from each other, count each.
     test_camera
         Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is
         followed as it comes do so only once as many as are kept have been solved.
@@ -379,6 +382,7 @@ class SessionConfig:
     cables: bool = True
     masks_again: bool = True
     shadows: bool = False
+    alike_seconds: float = 0.5
     test_camera: bool = True
 
 

@@ -20,7 +20,13 @@ from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_reports import check_agreement, describe_disagreements, report_tasks, with_readings
+from dvrk_cmaes.calibration.frame_reports import (
+    check_agreement,
+    check_count,
+    describe_disagreements,
+    report_tasks,
+    with_readings,
+)
 from dvrk_cmaes.calibration.frame_task import (
     FitTask,
     FrameReport,
@@ -259,8 +265,10 @@ class Alternation:
     def _solve_round(self, calibration: Calibration, *, keep_all: bool) -> FrameFits:
         """Estimate the calibration, the cables and the lag from the current fits, which are returned.
 
-        ``keep_all`` is whether fits that do not explain the mask count as well.
+        ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
         """
+        if not keep_all:
+            check_count(sum(fit.explains_mask for fit in self.fits), len(self.fits), LEAST_FRAMES)
         fits = self._frame_fits(keep_all=keep_all)
         self._solve(fits, calibration)
         if not keep_all and self._config.session.cables:
@@ -426,7 +434,7 @@ class Alternation:
     def _common(self) -> CommonErrors:
         """The errors that the frames share."""
         by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
-        return CommonErrors(self._imaging.size, self._times, by_lag)
+        return CommonErrors(self._imaging.size, self._times, by_lag, self._config.session.alike_seconds)
 
     @property
     def masks(self) -> SessionMasks | None:

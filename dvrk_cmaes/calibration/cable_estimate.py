@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cables import CableFit, CableSession, fit_cables, observe_errors
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solution
 from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
@@ -14,7 +15,7 @@ from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
 Float64 = NDArray[np.float64]
 
 _ROLL = 3  # index among the outer joints
-_MASK_SECONDS = 1.0  # over which masks err alike, so that their frames count as one
+_ALIKE_SECONDS = 1.0  # over which masks err alike, so that their frames count as one
 
 
 class CableEstimate:
@@ -61,7 +62,7 @@ class CableEstimate:
         ``fits`` and ``solution`` are of the same frames as the model, ``lag`` has their times and readings.
         """
         times = lag.seconds()
-        weights = solution.weights if times is None else solution.weights / _frames_alike(times)
+        weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
         information, vector = observe_errors(model, fits, solution.calibration, weights)
         readings = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1)
         session = CableSession(
@@ -77,10 +78,3 @@ class CableEstimate:
         )
         self.fit, self.alone = fit_cables(session, self.prior)
         return model.with_correction(self.fit.correction)
-
-
-def _frames_alike(times: Float64) -> Float64:
-    """Return the number of frames (N,), itself included, whose masks err like that of each frame; times (N,), s."""
-    sorted_times, half = np.sort(times), _MASK_SECONDS / 2
-    first = np.searchsorted(sorted_times, times - half, side="left")
-    return np.asarray(np.searchsorted(sorted_times, times + half, side="right") - first, dtype=np.float64)

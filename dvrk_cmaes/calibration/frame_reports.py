@@ -39,6 +39,14 @@ def describe_disagreements(fits: Sequence[FrameFit], solution: Solution, config:
     return texts
 
 
+def check_count(agree: int, count: int, least: int) -> None:
+    """Raise InputError if fewer than ``least`` of ``count`` frames agree."""
+    if agree < least:
+        raise InputError(
+            f"session: expected at least {least} frames that agree on where the arm's base is, got {agree} of {count}"
+        )
+
+
 def check_agreement(disagreements: Sequence[str], least: int) -> list[str]:
     """Return a warning if only few of N frames agree, whose texts are those of `describe_disagreements`.
 
@@ -48,10 +56,7 @@ def check_agreement(disagreements: Sequence[str], least: int) -> list[str]:
         Fewer than ``least`` frames agree.
     """
     count, agree = len(disagreements), sum(not text for text in disagreements)
-    if agree < least:
-        raise InputError(
-            f"session: expected at least {least} frames that agree on where the arm's base is, got {agree} of {count}"
-        )
+    check_count(agree, count, least)
     if agree >= _TRUSTED_SHARE * count:
         return []
     return [

@@ -5,6 +5,12 @@ therefore Ornstein-Uhlenbeck processes: normal, with standard deviations in prop
 `dvrk_cmaes.pose.terms.shared_errors`, and a correlation of exp(-dt / T) between frames that are dt apart. A calibration
 takes the frames as independent, which makes it hardly less accurate, but its covariance counts the correlation.
 
+Frames near each other share more than that: what no joint explains, the readings' errors at one place of the arm,
+the rest of a segmenter's mistakes. Those of half a second (`SessionConfig.alike_seconds`) therefore count as one,
+however many they are: else the frames of
+a recording would outweigh what is known beforehand, the more of them are used the more, and the result would be stated
+better than it is.
+
 The usual size is that at the true poses of followed recordings, three hard and one easy one: standard deviations of 0.2
 to 0.6 of those of single frames, whose loss is less robust against shadows, and autocorrelations of 0.3 to 0.6 after
 0.1 s, 0 to 0.4 after 0.3 s.
@@ -51,12 +57,31 @@ class CommonErrors:
     """Errors that N frames share: of the masks, those that last from frame to frame, and of the lag.
 
     ``size`` is that of the masks' errors, ``times`` (N,), s, are those of the frames, NaN where unknown. ``by_lag``
-    (N, D) are the changes of what is predicted of the frames by one standard deviation of the lag.
+    (N, D) are the changes of what is predicted of the frames by one standard deviation of the lag. Frames within
+    ``alike_seconds`` err alike, and count as one.
     """
 
     size: LastingSize
     times: Float64
     by_lag: Float64
+    alike_seconds: float = 0.0
+
+
+def frames_alike(times: Float64, seconds: float) -> Float64:
+    """Return the number of frames (N,), itself included, that err like each frame and count as one with it.
+
+    Parameters
+    ----------
+    times : (N,)
+        Times of the frames, s; frames without one (NaN) count by themselves.
+    seconds
+        Time in which frames err alike.
+    """
+    known, out = np.isfinite(times), np.ones(len(times))
+    in_order, half = np.sort(times[known]), seconds / 2
+    first = np.searchsorted(in_order, times[known] - half, side="left")
+    out[known] = np.searchsorted(in_order, times[known] + half, side="right") - first
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,12 +25,16 @@ _CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
 _PASSES = 5  # largest number of linearisations of the outlines
+_MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
 _SETTLED = 0.5  # standard deviations of the margin, below which the outlines are not linearised again
 
 
 @dataclass(frozen=True, eq=False)
 class MarginEstimate:
-    """The margin of a view's masks, the ``calibration`` with it, and ``at``, where the N frames are with it."""
+    """The margin of a view's masks, the ``calibration`` with it, and ``at``, where the N frames are with it.
+
+    Both are those with the camera of the file.
+    """
 
     margin: Margin
     calibration: Calibration
@@ -62,14 +66,32 @@ def estimate_margin(
     """
     further = np.array([*file_deviations(config), MARGIN_STD])
     padded = np.pad(prior, (0, 4)) + np.diag([*np.zeros(len(prior)), *further**-2])
-    there = replace(calibration, further=np.array([*np.zeros(3), outlines.margin]))
+    there, poses = replace(calibration, further=np.array([*np.zeros(3), outlines.margin])), at
     for _ in range(_PASSES):
         before = there.further
-        fits = outlines.near(at, before)
+        fits = outlines.near(poses, before)
         solution = solve(model, fits, there, padded)
-        there, at = solution.calibration, at.moved(marginalise(model, fits, solution.calibration).own)
+        there, poses = solution.calibration, poses.moved(marginalise(model, fits, solution.calibration).own)
         margin, std = float(there.further[3]), float(np.hypot(np.sqrt(solution.covariance[-1, -1]), _LEAST_STD))
         if abs(margin - before[3]) < _SETTLED * std:
             break
     clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
-    return MarginEstimate(Margin(margin, std, clear), replace(there, further=np.zeros(0)), at)
+    if clear:
+        calibration, at = _with_margin(model, calibration, prior, at, outlines, margin)
+    return MarginEstimate(Margin(margin, std, clear), calibration, at)
+
+
+def _with_margin(
+    model: SessionModel, calibration: Calibration, prior: Float64, at: Posed, outlines: SessionOutlines, margin: float
+) -> tuple[Calibration, Posed]:
+    """Return the calibration and the poses of the N frames with the camera of the file and masks less a margin, px.
+
+    The other arguments are as in `estimate_margin`. Beside the margin, a change of the camera is estimated that is not
+    used: poses with that may be many pixels off with the camera of the file.
+    """
+    constants = np.array([0.0, 0.0, 0.0, margin])
+    for _ in range(_MARGIN_STEPS):
+        fits = outlines.near(at, constants).at_constants()
+        calibration = solve(model, fits, calibration, prior).calibration
+        at = at.moved(marginalise(model, fits, calibration).own)
+    return calibration, at

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, without_lasting
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, frames_alike, without_lasting
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
@@ -42,7 +42,8 @@ class FrameFits:
     J, and for changes of E further unknowns from their values ``further`` (E,); most often there are none. The slope
     is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks that last
     from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of the lag
-    between images and readings; none by default.
+    between images and readings; none by default. ``shares`` (N,) are the shares of one frame as which each counts,
+    because others err like it; 1 by default.
     """
 
     at: Posed
@@ -50,6 +51,7 @@ class FrameFits:
     further: Float64 = field(default_factory=lambda: np.zeros(0))
     lasting: LastingSlopes | None = None
     by_lag: Float64 | None = None
+    shares: Float64 | float = 1.0
 
     @classmethod
     def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
@@ -80,7 +82,16 @@ class FrameFits:
         most = max(of_frame.dimension for of_frame in terms)
         stacked = Quadratic.joined([of_frame.padded(most) for of_frame in terms])
         lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
-        return cls(at, without_lasting(stacked, most - own, common.size), constants, lasting, common.by_lag)
+        outlines = without_lasting(stacked, most - own, common.size)
+        counted = stacked.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
+        shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
+        return cls(at, outlines, constants, lasting, common.by_lag, shares)
+
+    def at_constants(self) -> FrameFits:
+        """Return the fits with the further unknowns at their values, as functions of poses and joints alone."""
+        own = self.outlines.dimension - len(self.further)
+        outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
+        return FrameFits(self.at, outlines, shares=self.shares)
 
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
@@ -102,7 +113,9 @@ class FrameFits:
         """Return the fits of the frames at some indices."""
         lasting = None if self.lasting is None else self.lasting.subset(index)
         by_lag = None if self.by_lag is None else self.by_lag[index]
-        return FrameFits(self.at[index], self.outlines.select([int(i) for i in index]), self.further, lasting, by_lag)
+        outlines = self.outlines.select([int(i) for i in index])
+        shares = np.broadcast_to(self.shares, len(self.at))[index]
+        return FrameFits(self.at[index], outlines, self.further, lasting, by_lag, shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +124,11 @@ class Solution:
 
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
     outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
-    information matrix and to the gradient of half the sum of squares at the solution. The frames are in the order they
-    were taken. ``lasting`` are the changes of these gradients by errors of the masks that last from frame to frame,
-    ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
+    information matrix and to the gradient of half the sum of squares at the solution, less where frames count as a
+    share of one. The frames are in the order they were taken. ``independent`` (K, K) is the covariance of the sum of
+    these gradients and of the prior's if the frames were independent; it is the information matrix where each counts as
+    one. ``lasting`` are the changes of the gradients by errors of the masks that last from frame to frame, ``by_lag``
+    (K,) is the change of their sum by one standard deviation of the lag.
     """
 
     calibration: Calibration
@@ -122,6 +137,7 @@ class Solution:
     misfit: Float64
     frame_information: Float64
     frame_slopes: Float64
+    independent: Float64
     lasting: LastingSlopes
     by_lag: Float64
 
@@ -129,19 +145,20 @@ class Solution:
     def covariance(self) -> Float64:
         """Covariance (K, K) of the calibration, in the order of its steps.
 
-        Frames share errors, which do not average out as those of independent frames do. Those of the masks that last
-        from frame to frame are counted with their correlation, and so is that of the lag, which is the same for all.
-        What else they share, of cables for example, is told by how much the slopes of successive parts of the recording
-        scatter (the covariance for clustered errors): standard deviations grow where these scatter more than expected.
+        Frames share errors, which do not average out as those of independent frames do. Those that are near each other
+        in time count as one, and that of the lag is the same for all. Standard deviations grow where more is expected
+        of the errors of the masks that last from frame to frame, with their correlation, and where the slopes of
+        successive parts of the recording scatter more (the covariance for clustered errors), as those of cables do.
         """
         return self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance for a given inverse (K, K) of the information, as of a matrix with something added."""
-        shared = self.lasting.between_frames + np.outer(self.by_lag, self.by_lag)
-        expected = inverse + inverse @ shared @ inverse
-        ratio = np.diag(inverse @ scatter(self.frame_slopes) @ inverse) / np.diag(expected)
-        factor = np.sqrt(np.maximum(ratio, 1.0))
+        of_lag = np.outer(self.by_lag, self.by_lag)
+        lasting = self.independent + self.lasting.between_frames + of_lag
+        expected = inverse + inverse @ of_lag @ inverse
+        others = [np.diag(inverse @ slopes @ inverse) for slopes in (lasting, scatter(self.frame_slopes))]
+        factor = np.sqrt(np.maximum(np.max(others, axis=0) / np.diag(expected), 1.0))
         return np.asarray(factor[:, None] * expected * factor)
 
 
@@ -202,15 +219,19 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
     misfit = _misfit(frames, fits.optimum(calibration.further))
     weights = robust_weights(misfit, 6 + len(model.names))
-    weighted = np.swapaxes(jacobian, 1, 2) * weights[:, None, None]
+    shares = np.broadcast_to(fits.shares, len(weights))
+    weighted = np.swapaxes(jacobian, 1, 2) * (shares * weights)[:, None, None]
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
     information = prior + frame_information.sum(axis=0)
+    independent = prior + np.einsum("n,nij->ij", shares, frame_information)
     lasting, own = _of_calibration(fits, frames, weighted), fits.outlines.dimension - len(fits.further)
     by_lag = np.zeros(len(information))
     if fits.by_lag is not None:
         by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
-    return Solution(calibration, information, weights, misfit, frame_information, frame_slopes, lasting, by_lag)
+    return Solution(
+        calibration, information, weights, misfit, frame_information, frame_slopes, independent, lasting, by_lag
+    )
 
 
 def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:

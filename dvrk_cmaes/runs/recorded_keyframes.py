@@ -236,6 +236,7 @@ def solve_together(
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     progress("estimating keyframes", len(keyframes))
     frames = _estimated(recorded, keyframes, body, arm, config, run)
+    config = replace(config, session=replace(config.session, alike_seconds=0.0))
     try:
         solved = calibrate_session(
             frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress

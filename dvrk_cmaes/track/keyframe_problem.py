@@ -134,7 +134,8 @@ class KeyframeProblem:
         threads
             Number of threads.
         """
-        session, refine = replace(self.config.session, shadows=True), self.config.refine
+        session = replace(self.config.session, shadows=True, alike_seconds=0.0)
+        refine = self.config.refine
         refine = replace(refine, outline=replace(refine.outline, lines_per_pixel=LINES_PER_PIXEL))
         config = replace(self.config, threads=threads, session=session, refine=refine)
         alone: dict[str, Result] = {}

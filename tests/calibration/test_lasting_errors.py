@@ -15,6 +15,7 @@ from dvrk_cmaes.calibration.lasting_errors import (
     CommonErrors,
     LastingSize,
     LastingSlopes,
+    frames_alike,
     without_lasting,
 )
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
@@ -138,3 +139,48 @@ def test_masks_are_described_with_what_lasts() -> None:
     untimed = SessionMasks.of(margins, replace(lasting, timed=False))
     assert untimed.lasting_seconds is None
     assert untimed.describe().endswith("(std 0.2)")
+
+
+def seen_consecutively(frames: int, seed: int) -> tuple[World, list[Quadratic], np.ndarray]:
+    """Sample outlines of a recording of 30 images a second, all of whose errors last for a third of a second."""
+    times = np.arange(frames) / 30
+    world, rng = make_world(frames, noise=0.0), np.random.default_rng(seed)
+    jacobian, weight = np.column_stack([np.eye(SIZE), np.zeros(SIZE)]), np.diag(SEEN**-2.0)
+    errors = np.linalg.cholesky(LastingSize(1.0, 0.3).correlation(times)) @ rng.standard_normal((frames, SIZE)) * SEEN
+    terms = [Quadratic((jacobian.T @ weight @ jacobian)[None], (-jacobian.T @ weight @ seen)[None]) for seen in errors]
+    return world, terms, times
+
+
+def test_more_consecutive_frames_tell_no_more_than_every_fourth_of_them() -> None:
+    """What frames near each other in time share is counted as shared; taken for independent, they are trusted."""
+    rms: dict[tuple[int, bool], list[np.ndarray]] = {}
+    stds: dict[int, np.ndarray] = {}
+    apart = []
+    for seed in range(12):
+        world, terms, times = seen_consecutively(240, seed)
+        steps = {}
+        for every, known in ((1, True), (4, True), (1, False)):
+            index = np.arange(0, 240, every)
+            own = times[index] if known else np.full(len(index), np.nan)
+            common = CommonErrors(USUAL_SIZE, own, np.zeros((len(index), SIZE)), alike_seconds=1.0)
+            fits = FrameFits.with_lasting(world.at[index], [terms[k] for k in index], common)
+            solution = solve(world.model.subset(index), fits, world.truth, PRIOR)
+            found = solution.calibration
+            base = change_between(world.truth.camera_from_base, found.camera_from_base)
+            step = np.concatenate([base, found.offsets - world.truth.offsets])
+            std = np.sqrt(np.diag(np.linalg.inv(solution.information)))
+            rms.setdefault((every, known), []).append(step / std)
+            if known:
+                steps[every], stds[every] = step, std
+        apart.append((steps[1] - steps[4]) / stds[4])
+    size = {case: np.sqrt(np.mean(np.square(values))) for case, values in rms.items()}
+    assert max(size[1, True], size[4, True]) < 1.2
+    assert size[1, False] > 1.5
+    np.testing.assert_allclose(stds[1], stds[4], rtol=0.15)
+    assert np.sqrt(np.mean(np.square(apart))) < 0.5
+
+
+def test_frames_near_each_other_count_as_one() -> None:
+    times = np.array([0.0, 0.4, 5.0, np.nan, 0.8, np.nan])
+    np.testing.assert_array_equal(frames_alike(times, 1.0), [2, 3, 1, 1, 2, 1])
+    np.testing.assert_array_equal(frames_alike(times, 0.0), np.ones(6))

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import cast
 
 import cv2
 import numpy as np
 import pytest
-from helpers.session_worlds import make_frames_in_memory
+from helpers.session_worlds import PRIOR, SEEN, World, make_frames_in_memory, make_world
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.camera_change import SessionOutlines
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.mask_margin import estimate_margin
 from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body
 
 FRAMES = 10
@@ -63,3 +70,37 @@ def test_margin_is_described_in_words() -> None:
         "masks are 0.40 px (std 0.10) too wide all round; taken off"
     )
     assert "0.05 px (std 0.10) too narrow all round; left as they are" in SessionMasks(-0.05, 0.1, False).describe()
+
+
+@dataclass(frozen=True, eq=False)
+class FarCamera:
+    """Outlines of a session that fit a focal length 10 % shorter than the file's and masks 0.8 px too wide."""
+
+    world: World
+    margin: float = 0.0
+
+    def near(self, at: Posed, constants: np.ndarray) -> FrameFits:
+        """Linearise the outlines as `SessionOutlines.near`: a longer focal length looks like a depth.
+
+        A margin moves what is seen to alternate sides, so that it is told.
+        """
+        depth = self.world.at.pose[:, 2, 3]
+        jacobian = np.zeros((len(depth), len(SEEN), len(SEEN) + 4))
+        jacobian[:] = np.eye(len(SEEN), len(SEEN) + 4)
+        jacobian[:, 2, -4], jacobian[:, 0, -1] = depth, 1e-3 * (-1.0) ** np.arange(len(depth))
+        jacobian[:, 0, -3] = jacobian[:, 1, -2] = depth / 1000
+        off = np.array([-0.1, 0.0, 0.0, 0.8]) - constants
+        seen = self.world.at.minus(at) + jacobian[:, :, -4:] @ off
+        weighted = np.swapaxes(jacobian, 1, 2) * (0.1 * SEEN) ** -2
+        return FrameFits(at, Quadratic(weighted @ jacobian, -(weighted @ seen[:, :, None])[:, :, 0]), constants)
+
+
+def test_poses_with_a_margin_are_those_with_the_camera_of_the_file() -> None:
+    """A change of the camera that is estimated beside it is not used: poses with that would be centimetres off."""
+    world = make_world(80)
+    outlines = cast("SessionOutlines", FarCamera(world))
+    found = estimate_margin(world.model, world.truth, PRIOR, SessionConfig(), world.at, outlines)
+    assert found.margin.applied
+    with_file = FarCamera(world).near(found.at, np.array([0.0, 0.0, 0.0, found.margin.px])).at_constants()
+    off = 1e3 * np.abs(with_file.optimum(np.zeros(0))[:, 2])
+    assert np.quantile(off, 0.9) < 1.5
