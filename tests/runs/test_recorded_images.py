@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
+from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
@@ -29,11 +31,20 @@ FRAMES = 13
 GONE, OTHER = "0005", "0009"
 SETTINGS = TrackSettings(EstimateConfig(), evidence="images", workers=1)
 
+pytestmark = pytest.mark.usefixtures("tasks_shared")
+
 Recording = tuple[Path, dict[str, Truth]]
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def tasks_shared() -> Iterator[None]:
+    """Let masks that were found and frames that were fitted for one test be used for others with the same inputs."""
+    with shared_estimates():
+        yield
+
+
+@pytest.fixture(scope="module")
+def made(tasks_shared: None, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A session with masks that are too wide, and images; one shows tissue alone, one another instrument's shaft."""
     folder = tmp_path_factory.mktemp("recorded") / "session"
     _, truths, frames = make_frames_in_memory(prepare("lnd"), FRAMES, seed=5)
