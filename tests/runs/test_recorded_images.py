@@ -14,7 +14,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
@@ -29,7 +29,7 @@ from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 13
 GONE, OTHER = "0005", "0009"
-SETTINGS = TrackSettings(EstimateConfig(), evidence="images", workers=1)
+SETTINGS = TrackSettings(EstimateConfig(session=SessionConfig(rounds=2)), evidence="images", workers=1)
 
 pytestmark = pytest.mark.usefixtures("tasks_shared")
 

@@ -6,7 +6,7 @@ import contextlib
 import io
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,8 +23,8 @@ IN_TURNS = ("estimate", "batch")
 
 
 @pytest.fixture
-def commands_here(scripts_on_path: None, tasks_here: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
-    """Run the commands `IN_TURNS` in this process, and yield their names; all else starts processes of the checkouts.
+def commands_here(scripts_on_path: None, tasks_here: None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Run the commands `IN_TURNS` in this process, and give their names; all else starts processes of the checkouts.
 
     The seconds of this process count as theirs.
     """
@@ -45,7 +45,7 @@ def commands_here(scripts_on_path: None, tasks_here: None, monkeypatch: pytest.M
 
     monkeypatch.setattr(Checkout, "run_python", run)
     monkeypatch.setattr(os, "times", all_times)
-    yield ran
+    return ran
 
 
 def two_frames(folder: Path) -> Path:

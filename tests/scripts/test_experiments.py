@@ -80,9 +80,7 @@ def test_table_1_reproduces_published_figures(shared: Path) -> None:
     assert in_time["base_rotation_deg_median"] < 0.6 * late["base_rotation_deg_median"]
 
 
-def test_figure_4_finds_better_candidates_on_shaft_axis(
-    options: Options, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figure_4_finds_better_candidates_on_shaft_axis(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
     import figure4
 
     monkeypatch.setattr(figure4, "COUNTS", (25, 50, 100, 200, 300))
