@@ -27,7 +27,7 @@ from dvrk_cmaes.runs import processes
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.silhouette import Body, Renderer
 
-pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
+pytestmark = pytest.mark.usefixtures("tasks_here")
 
 Command = Callable[..., Ran]
 

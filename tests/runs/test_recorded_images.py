@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +10,9 @@ import cv2
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
-from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
@@ -29,22 +27,13 @@ from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 13
 GONE, OTHER = "0005", "0009"
-SETTINGS = TrackSettings(EstimateConfig(session=SessionConfig(rounds=2)), evidence="images", workers=1)
-
-pytestmark = pytest.mark.usefixtures("tasks_shared")
+SETTINGS = TrackSettings(EstimateConfig(), evidence="images", workers=1)
 
 Recording = tuple[Path, dict[str, Truth]]
 
 
 @pytest.fixture(scope="module")
-def tasks_shared() -> Iterator[None]:
-    """Let masks that were found and frames that were fitted for one test be used for others with the same inputs."""
-    with shared_estimates():
-        yield
-
-
-@pytest.fixture(scope="module")
-def made(tasks_shared: None, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A session with masks that are too wide, and images; one shows tissue alone, one another instrument's shaft."""
     folder = tmp_path_factory.mktemp("recorded") / "session"
     _, truths, frames = make_frames_in_memory(prepare("lnd"), FRAMES, seed=5)

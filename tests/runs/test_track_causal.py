@@ -13,7 +13,7 @@ import pytest
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.config import EstimateConfig, SessionConfig, TrustConfig
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import digests, solver_process
@@ -27,10 +27,7 @@ from dvrk_cmaes.synth.session import SessionPlan
 
 FRAMES, INTERRUPTED_AFTER = 72, 24
 SETTINGS = TrackSettings(
-    EstimateConfig(trust=TrustConfig(tip_mm=3.0), session=SessionConfig(rounds=2)),
-    causal=True,
-    evidence="masks",
-    workers=1,
+    EstimateConfig(trust=TrustConfig(tip_mm=3.0)), causal=True, evidence="masks", workers=1
 )  # small images tell less about the depth
 
 

@@ -14,7 +14,7 @@ import pytest
 from helpers.session_worlds import make_frames_in_memory, write_folder
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
@@ -35,7 +35,7 @@ from dvrk_cmaes.track.sight import EvidenceKind
 
 FRAMES = 14
 EMPTY = "0005"
-SETTINGS = TrackSettings(EstimateConfig(session=SessionConfig(rounds=2)), evidence="masks", workers=1)
+SETTINGS = TrackSettings(EstimateConfig(), evidence="masks", workers=1)
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +185,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     recorded = RecordedFrames.of(
         session.frames, session.rig, series_of(session), np.array([clock.times[own.name] for own in session.frames])
     )
-    config = replace(SETTINGS.config, threads=1)
+    config = replace(EstimateConfig(), threads=1)
 
     def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
         return [function(body, config, task) for task in tasks]
