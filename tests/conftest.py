@@ -64,6 +64,7 @@ def in_ci() -> bool:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[DESELECTED] = {}
+    gc.disable()  # until the tests are collected: what is made meanwhile stays
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a shell; commands would inherit it
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -104,6 +105,7 @@ def pytest_collection_finish() -> None:
     """Let garbage collections pass over the modules and the collected tests, which stay until the end."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -46,7 +46,7 @@ def _sessions(folder: Path) -> None:
     for command in (
         "batch session --out results",
         "calibrate session --results results --out calibrated",
-        "track session --causal",
+        "track session",
         f"synth eyes --stereo --level easy --frames 1 --seed 4 --no-images --camera {small}",
     ):
         _run(command)

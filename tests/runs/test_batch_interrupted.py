@@ -18,9 +18,10 @@ COMMAND = [sys.executable, "-m", "dvrk_cmaes", "batch"]
 
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
+    """A batch of eight frames, to which the number of workers is still to be added."""
     session = make_session(tmp_path / "session", [f"{k:02d}" for k in range(8)])
     (tmp_path / "quick.toml").write_text(QUICK)
-    options = ["--config", tmp_path / "quick.toml", "--out", tmp_path / "out", "--workers", "2"]
+    options = ["--config", tmp_path / "quick.toml", "--out", tmp_path / "out"]
     return [*COMMAND, str(session), *map(str, options)]
 
 
@@ -39,7 +40,9 @@ def wait_for_results(batch: subprocess.Popen[str], count: int, tmp_path: Path) -
 
 
 def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -> None:
-    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    pipe = subprocess.PIPE
+    two = [*command, "--workers", "2"]
+    batch = subprocess.Popen(two, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
     wait_for_results(batch, 2, tmp_path)
     os.killpg(batch.pid, signal.SIGINT)  # to the workers as well, as from a terminal
     out, said = batch.communicate(timeout=60)
@@ -53,7 +56,7 @@ def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -
     ]
     assert f"8 frames: {there} ok, {8 - there} missing" in out.splitlines() or "doubtful" in out
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["missing"] == 8 - there
-    again = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    again = subprocess.run([*command, "--workers", "1", "--json"], capture_output=True, text=True, check=False)
     assert again.returncode in (0, 3)
     assert json.loads(again.stdout)["timing"]["run"]["frames"] == 8 - there
     assert again.stderr.splitlines()[0] == (
@@ -62,7 +65,8 @@ def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -
 
 
 def test_second_interrupt_ends_at_once(command: list[str], tmp_path: Path) -> None:
-    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    one = [*command, "--workers", "1"]
+    batch = subprocess.Popen(one, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     wait_for_results(batch, 1, tmp_path)
     batch.send_signal(signal.SIGINT)
     time.sleep(0.02)

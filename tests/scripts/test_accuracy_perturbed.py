@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,19 @@ from dvrk_cmaes.results.result import Result
 
 JOINTS = {"wrist_pitch": 0.1, "wrist_yaw": -0.2, "jaw": 0.6}
 POSE = np.array([[1.0, 0, 0, 0.01], [0, 1, 0, 0.02], [0, 0, 1, 0.1], [0, 0, 0, 1]])
+
+
+def first_frames(folder: Path, count: int) -> Path:
+    """Write the first of the bundled frames as a session."""
+    demo = bundled_path("demo")
+    header, *rows = (demo / "joints.csv").read_text(encoding="utf-8").splitlines()
+    for part, suffix in (("masks", "png"), ("images", "jpg")):
+        (folder / part).mkdir(parents=True)
+        for row in rows[:count]:
+            shutil.copy(demo / part / f"{row.split(',')[0]}.{suffix}", folder / part)
+    shutil.copy(demo / "camera.yaml", folder)
+    (folder / "joints.csv").write_text("\n".join([header, *rows[:count]]) + "\n", encoding="utf-8")
+    return folder
 
 
 @pytest.mark.usefixtures("scripts_on_path")
@@ -28,13 +43,13 @@ def test_poses_are_moved_by_what_is_said() -> None:
 
 
 @pytest.mark.usefixtures("scripts_on_path")
-def test_figures_of_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
-
+def test_figures_of_a_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from measure.accuracy import perturbed
     from measure.cases import Measurement
 
     monkeypatch.setattr(perturbed, "TRIALS", 1)
-    (followed,), (fitted,) = perturbed.perturbed_report(Measurement([str(bundled_path("demo"))], frames=2)).values()
+    session = first_frames(tmp_path / "three", 3)
+    (followed,), (fitted,) = perturbed.perturbed_report(Measurement([str(session)], frames=2)).values()
     for row in (followed, fitted):
         assert (row["images"], row["trials"]) == (2, 2)
         assert row["back"] <= row["back across the view"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import io
 import json
 import shutil
 import subprocess
@@ -17,6 +19,7 @@ from helpers.batch_sessions import QUICK, make_session
 from helpers.commands import Ran
 from helpers.places import ROOT, SCRIPTS
 
+from dvrk_cmaes.cli import main
 from dvrk_cmaes.io.bundled import bundled_path
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
@@ -178,8 +181,21 @@ def answers(*options: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.usefixtures("compiled_before")
-def test_checkout_compared_with_itself(run_here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checkout_compared_with_itself(
+    run_here: Callable[..., Ran], tasks_here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the commands of this checkout run in the tests' process, those of the other one in processes of their own
     import answers
+
+    run = answers.Checkout.run
+
+    def run_this_here(checkout: Any, arguments: list[str], folder: Path, **variables: str) -> int:
+        if checkout.name == "other":
+            return int(run(checkout, arguments, folder, **variables))
+        with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
+            return main(arguments)
+
+    monkeypatch.setattr(answers.Checkout, "run", run_this_here)
 
     def write(folder: Path) -> None:
         make_session(folder, ["0000", "0001", "0002"])

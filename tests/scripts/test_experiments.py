@@ -28,8 +28,13 @@ def experiments_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def options(tmp_path: Path) -> Options:
+def options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Options:
+    """A quick run, with images of half the usual size."""
+    import made_sessions
     from experiment import Options
+
+    camera = made_sessions.default_camera
+    monkeypatch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
 
     return Options(out=tmp_path, quick=True, shared=tmp_path / "nowhere", seed=0)
 
@@ -75,9 +80,10 @@ def test_table_1_reproduces_published_figures(shared: Path) -> None:
     assert in_time["base_rotation_deg_median"] < 0.6 * late["base_rotation_deg_median"]
 
 
-def test_figure_4_finds_better_candidates_on_shaft_axis(options: Options) -> None:
+def test_figure_4_finds_better_candidates_on_shaft_axis(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
     import figure4
 
+    monkeypatch.setattr(figure4, "COUNTS", (25, 50, 100, 200, 300))
     figure4.run(options, figure4.Size(frames=2, draws=1))
     document = written(options.out, "figure4")
     median = {space: found[1] for space, found in document["loss_percentiles_25_50_75"].items()}

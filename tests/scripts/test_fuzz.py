@@ -108,7 +108,8 @@ def test_live_that_repeats_its_lines_is_a_violation(monkeypatch: pytest.MonkeyPa
     from measure.fuzz import live_faults
 
     monkeypatch.setattr(live_faults, "RepeatedLines", lambda report: report)
-    (violation,) = live_faults.fuzz_live(1, 60, only=("time of zero",)).violations
+    monkeypatch.setattr(live_faults, "BACK_WITHIN", 10)
+    (violation,) = live_faults.fuzz_live(1, 10, only=("time of zero",)).violations
     assert violation.startswith("  fault 1, time of zero: 5 lines: /left/mask: header.stamp: expected the time")
 
 

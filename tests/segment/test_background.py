@@ -64,23 +64,27 @@ def drawn_on(ground: str) -> list[Drawing]:
     return [GROUNDS[ground](number) for number in range(16)]
 
 
+@cache
+def learned_on(ground: str) -> np.ndarray:
+    """Learn the background from all these drawings."""
+    background = learn_background([each.image for each in drawn_on(ground)])
+    assert background is not None
+    background.setflags(write=False)
+    return background
+
+
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_moving_instrument_is_told_from_what_stands_still(ground: str) -> None:
-    drawn = drawn_on(ground)
-    background = learn_background([each.image for each in drawn])
-    assert background is not None
-    for each in drawn[::3]:
-        found = segment(each.image, background=background)
+    for each in drawn_on(ground)[::3]:
+        found = segment(each.image, background=learned_on(ground))
         assert each.overlap(found.mask) > 0.93
         assert found.confidence > 0.7
 
 
 def test_learned_background_shows_no_instrument() -> None:
     drawn = drawn_on("textured cloth")
-    background = learn_background([each.image for each in drawn])
-    assert background is not None
     free = np.stack([np.where(each.mask[..., None], np.nan, each.image.astype(float)) for each in drawn])
-    assert np.abs(np.nanmedian(free, axis=0) - background).mean() < 3
+    assert np.abs(np.nanmedian(free, axis=0) - learned_on("textured cloth")).mean() < 3
 
 
 def test_single_image_is_told_from_a_smooth_background() -> None:
@@ -119,9 +123,7 @@ def test_instrument_on_tissue_is_found_by_colours_as_before() -> None:
 
 
 def test_prompts_hold_before_a_background() -> None:
-    drawn = drawn_on("paper")[3]
-    background = learn_background([each.image for each in drawn_on("paper")])
-    assert background is not None
+    drawn, background = drawn_on("paper")[3], learned_on("paper")
     v, u = np.argwhere(drawn.mask)[5000]
     found = segment(drawn.image, background=background, not_points=[(float(u), float(v))])
     assert not found.mask[v, u]
@@ -141,8 +143,7 @@ def test_image_without_a_smooth_background_has_none() -> None:
 
 
 def test_empty_table_has_no_instrument() -> None:
-    background = learn_background([each.image for each in drawn_on("paper")])
-    assert background is not None
+    background = learned_on("paper")
     found = segment_before(background, background, Prompts())
     assert not found.mask.any()
     assert found.confidence == 0

@@ -17,6 +17,7 @@ import traceback
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -115,6 +116,7 @@ class World:
     readings: list[dict[str, float]]
 
     @staticmethod
+    @cache
     def made() -> World:
         """Return the world, which is always the same."""
         body, rng = prepare("lnd"), np.random.default_rng(3)
