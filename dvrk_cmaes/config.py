@@ -382,7 +382,7 @@ class SessionConfig:
     cables: bool = True
     masks_again: bool = True
     shadows: bool = False
-    alike_seconds: float = 0.5
+    alike_seconds: float = field(default=0.5, metadata=_MAY_BE_ZERO)
     test_camera: bool = True
 
 

@@ -25,6 +25,7 @@ from dvrk_cmaes.track.recovery import (
     explains,
     has_jumped,
     is_certain,
+    is_followed_instead,
     is_likely,
     same_base,
     search_around,
@@ -281,13 +282,10 @@ class Following:
         if self._search.is_weak(main and main[1], source, self.config.track):
             self.searched_around += 1
             nearby = search_around(self.follower, before, self.hypotheses[0], main and main[0], evidence)
-            lost = main is None or not is_supported(main[1], self.config.track)
-            certain = nearby is not None and is_certain(nearby[1], source)
-            believed = certain or (lost and self._is_likely(nearby, source))
-            if nearby is not None and believed and (main is None or is_better(nearby[1], main[1])):
+            if nearby is not None and is_followed_instead(nearby[1], main and main[1], source, self.config.track):
                 main, away = nearby, anchor.moves_from(before.anchor)
                 self.last_step = None
-                if not certain or has_jumped(self.follower, before, nearby[0]):
+                if not is_certain(nearby[1], source) or has_jumped(self.follower, before, nearby[0]):
                     self._confirmation.doubt()
         if self._search.is_led_astray(away=away) and main is not None:
             main = rebased(self.follower, self.config, main[0], anchor, self.readings.lag.std), main[1]
@@ -369,14 +367,15 @@ class Following:
         reason = "found again by a global search"
         if result is None or not explains(result, self.config.trust):
             return None
-        on_same_base = same_base(self.follower, self.hypotheses[0], result, evidence)
+        on_same_base, track = same_base(self.follower, self.hypotheses[0], result, evidence), self.config.track
         starts = [] if on_same_base is not None else self.starts(anchor, result)
         other = self.follower.corrected(starts[0], evidence) if on_same_base is None else on_same_base
+        of_other = None if other is None else other[1]
         if fit is not None:
-            if other is None or not is_better(other[1], fit) or not self._is_known(result):
+            if of_other is None or not is_better(of_other, fit) or not self._is_known(result):
                 self._search.settle(fit)
                 return None
-        elif seen.source == "image" and not self._confirmation.needed and not self._is_likely(other, seen.source):
+        elif seen.source == "image" and not self._confirmation.needed and not is_likely(of_other, "image", track):
             return None
         if on_same_base is not None:
             self.hypotheses = [on_same_base[0]]
@@ -385,10 +384,6 @@ class Following:
             self._begin_anew(seen, result, starts)
             reason += ", away from where the readings say: readings jumped, or the base moved"
         return replace(self._result(time, "doubtful", (reason,)), searched=True)
-
-    def _is_likely(self, found: tuple[Hypothesis, Fit] | None, source: str) -> bool:
-        """Whether a mask or image supports a pose that was found well enough to be followed, though not to be ok."""
-        return found is not None and is_likely(found[1], source, self.config.track)
 
     def _is_known(self, result: Result) -> bool:
         """Whether a single frame tells where the tips are nearly as well as the followed pose does."""

@@ -23,6 +23,7 @@ from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis
 from dvrk_cmaes.track.judge import is_supported
 from dvrk_cmaes.track.motion import Anchor
+from dvrk_cmaes.track.searching import is_better
 from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.start import expected_pose
 from dvrk_cmaes.track.state import FilterState
@@ -197,6 +198,16 @@ def is_certain(fit: Fit, source: str) -> bool:
     return fit.agreement >= _CERTAIN[source]
 
 
-def is_likely(fit: Fit, source: str, config: TrackConfig) -> bool:
-    """Whether a pose that was found fits well enough to be followed, doubtful, where the predicted one is lost."""
-    return is_supported(fit, config) and fit.agreement >= _LIKELY[source]
+def is_likely(fit: Fit | None, source: str, config: TrackConfig) -> bool:
+    """Whether a mask or image supports a pose that was found, if any, well enough to follow it, but not to be ok."""
+    return fit is not None and is_supported(fit, config) and fit.agreement >= _LIKELY[source]
+
+
+def is_followed_instead(found: Fit, followed: Fit | None, source: str, config: TrackConfig) -> bool:
+    """Whether a pose that was found around a prediction is followed from then on, and not what that was corrected to.
+
+    It must be certain, or likely where the ``followed`` one is not supported at all, and fit better.
+    """
+    lost = followed is None or not is_supported(followed, config)
+    believed = is_certain(found, source) or (lost and is_likely(found, source, config))
+    return believed and (followed is None or is_better(found, followed))
