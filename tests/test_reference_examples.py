@@ -110,7 +110,7 @@ def test_every_block_is_known() -> None:
     known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES]
     shells = [each for each in EXAMPLES if each.block.text.startswith(OTHER_PROGRAMS)]
     assert [each.name for each in EXAMPLES if each not in [*known, *shells]] == []
-    assert (len(PYTHON), len(TOML), len(LISTINGS), len(LINES)) == (3, 2, 1, 2)
+    assert (len(PYTHON), len(TOML), len(LISTINGS), len(LINES)) == (4, 2, 1, 2)
     assert len(COMMANDS) > 20
     for each in COMMANDS:
         shell = each.block.text.startswith("$ ")  # followed by its output, which tests/test_readme.py compares
