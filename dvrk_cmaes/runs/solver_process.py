@@ -44,6 +44,7 @@ class SolverProcess:
         self._futures: deque[Future[Solution]] = deque()
         self._alone: dict[str, Result] = {}
         self._prepared: set[str] = set()  # names of unsolved keyframes that are or will be in `_alone`
+        self._solved_names: set[str] = set()  # of those of the last solution
         self._closed = False
 
     def __enter__(self) -> SolverProcess:
@@ -63,7 +64,8 @@ class SolverProcess:
     def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
         """Estimate keyframes by themselves after what was begun before, each once; returns at once.
 
-        ``tasks`` are all that no solution has estimated yet.
+        ``tasks`` are all that no solution has estimated yet. Those before that are not among them any more, as where
+        others were kept instead, are not estimated, and forgotten.
         """
         new = [task for task in tasks if task.keyframe.name not in self._prepared]
         self._prepared = {task.keyframe.name for task in tasks}
@@ -118,7 +120,9 @@ class SolverProcess:
     def _estimated(self, task: KeyframeTask) -> None:
         """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
         name = task.keyframe.name
-        process = None if name in self._alone else self._process or self._start()
+        wanted = self._prepared | self._solved_names
+        self._alone = {other: result for other, result in self._alone.items() if other in wanted}
+        process = None if name in self._alone or name not in wanted else self._process or self._start()
         if process is None:
             return
         try:
@@ -144,6 +148,7 @@ class SolverProcess:
             with contextlib.suppress(ProcessDiedError):
                 solution = process.call(_solve, self._key, problem, self._threads)
                 self._alone = dict(solution.alone)
+                self._solved_names = set(solution.alone)
                 return solution
             self._process = None
         raise DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?")

@@ -130,13 +130,17 @@ class KeyframeStore:
         self._places = np.delete(self._places, closest, axis=0)
         return True
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the keyframes that are kept."""
+        return [keyframe.name for keyframe in self._kept]
+
     def unsolved(self, config: EstimateConfig, alone: Mapping[str, Result]) -> list[KeyframeTask]:
         """Return the keyframes without a result of their own among ``alone``, by name, as tasks."""
         return [KeyframeTask(one, self._rig, config) for one in self._kept if one.name not in alone]
 
     def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result], base: int = 0) -> KeyframeProblem:
         """Return what the keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
-        names = [keyframe.name for keyframe in self._kept]
         rows: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in self._names}
         for time, _, joints in self._rows:
             for name, value in joints.items():
@@ -154,7 +158,7 @@ class KeyframeStore:
             {keyframe.name: keyframe.time for keyframe in self._kept},
             float(np.median(self._interval)) if self._interval else 1 / 30,
         )
-        known_alone = {name: alone[name] for name in names if name in alone}
+        known_alone = {name: alone[name] for name in self.names if name in alone}
         return KeyframeProblem(tuple(self._kept), series, self._rig, arm, config, known_alone, base)
 
     def checkpoint(self) -> dict[str, Any]:

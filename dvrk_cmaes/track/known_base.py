@@ -141,7 +141,8 @@ class KnownBase:
         """
         if solution.base != self._bases or solution.keyframes < self._solved:
             return False
-        self._alone.update(solution.alone)
+        known = self._alone | dict(solution.alone)
+        self._alone = {name: known[name] for name in self.store.names if name in known}
         self._solved = max(self._solved, solution.keyframes)
         self._reason = solution.reason
         self._known_mm = solution.tip_mm

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, cast
@@ -85,3 +86,21 @@ def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
         {name: f"solved {name}" for name in names[:3]},
     ]
     assert (first.keyframes, second.keyframes) == (3, 4)
+
+
+def test_keyframes_that_others_replace_are_not_estimated_and_forgotten() -> None:
+    rig, config = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
+    tasks = [KeyframeTask(keyframe(0.1 * k), rig, config) for k in range(40)]
+    process, begin = FakeProcess(), threading.Event()
+    with SolverProcess(prepare("lnd").instrument) as solver:
+        solver._process = cast(Any, process)
+        solver._driver.submit(begin.wait, 30)  # the process is at something else
+        for k in range(30):  # of three that are kept, the oldest one is replaced
+            solver.prepare(tasks[k : k + 3])
+        begin.set()
+        solver._driver.submit(int).result(30)
+        assert process.estimated == [task.keyframe.name for task in tasks[29:32]]
+        for k in range(30, 38):
+            solver.prepare(tasks[k : k + 3])
+            solver._driver.submit(int).result(30)
+        assert set(solver._alone) == {task.keyframe.name for task in tasks[37:40]}
