@@ -7,9 +7,8 @@ takes the frames as independent, which makes it hardly less accurate, but its co
 
 Frames near each other share more than that: what no joint explains, the readings' errors at one place of the arm,
 the rest of a segmenter's mistakes. Those of half a second (`SessionConfig.alike_seconds`) therefore count as one,
-however many they are: else the frames of
-a recording would outweigh what is known beforehand, the more of them are used the more, and the result would be stated
-better than it is.
+however many they are: else the frames of a recording would outweigh what is known beforehand, the more of them are used
+the more, and the result would be stated better than it is.
 
 The usual size is that at the true poses of followed recordings, three hard and one easy one: standard deviations of 0.2
 to 0.6 of those of single frames, whose loss is less robust against shadows, and autocorrelations of 0.3 to 0.6 after

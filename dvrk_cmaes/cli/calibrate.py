@@ -123,8 +123,10 @@ def calibrate(
 
     target = session / "calibration" if out is None else out
     settings = method.resolve()
-    if keyframes is not None:  # they are far from each other
-        settings = replace(settings, session=replace(settings.session, alike_seconds=0.0))
+    if keyframes is not None:
+        from dvrk_cmaes.track.keyframes import solved_with
+
+        settings = solved_with(settings)
     arms: dict[str, ArmInSession] = {}
     solved: dict[str, SolvedSession] = {}
     for name, tool in session_tools(session, instrument, only).items():

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.distance_field import distance_within, rounded_distance, transformed
-from dvrk_cmaes.evidence.quantiles import median
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.evidence.shaft_edges import Contour
 
 Float64 = NDArray[np.float64]
@@ -193,7 +193,7 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoi
     if len(contour.pixels) < 40 or silhouette.all() or not silhouette.any():
         return OutlineNoise(sigma=2.0, length=_LENGTHS[1])
     error = distances_to(silhouette, contour.pixels)
-    sigma = max(1.4826 * median(np.abs(error)), _LEAST_SIGMA)
+    sigma = max(NORMAL_MEDIAN * median(np.abs(error)), _LEAST_SIGMA)
     error = np.clip(error, -_CLIP * sigma, _CLIP * sigma)
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
     spacing = median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1))

@@ -6,8 +6,13 @@ processor time of a whole command.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+NORMAL_MEDIAN: Final = 1.4826
+"""Standard deviations of a normal distribution for each median of its absolute values."""
 
 Values = NDArray[np.floating] | NDArray[np.integer]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.quantiles import median
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import cross
 
 Float64 = NDArray[np.float64]
@@ -185,7 +185,7 @@ def _fit_line(contour: Contour, line: Float64, iterations: int = 3) -> tuple[Flo
         normal = np.array([-math.sin(direction), math.cos(direction)])
         normal *= np.sign(normal @ line[:2])
         line = np.array([*normal, -normal @ mean])
-        deviation = 1.4826 * median(np.abs(points @ normal + line[2]))
+        deviation = NORMAL_MEDIAN * median(np.abs(points @ normal + line[2]))
         sigma = min(max(deviation, 0.3), _NEAR_LINE)
         index = _on_line(contour, line, max(3 * sigma, 1.5))
     return line, index, sigma

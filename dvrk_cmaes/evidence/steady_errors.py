@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.quantiles import median
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 
 Float64 = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def steady_stretches(contour: Float64, distances: Float64) -> NDArray[np.bool_]:
     """
     if not len(distances):
         return np.zeros(0, dtype=np.bool_)
-    noise = 1.4826 * median(np.abs(distances))
+    noise = NORMAL_MEDIAN * median(np.abs(distances))
     side = np.where(np.abs(distances) > max(_OFF * noise, _LEAST_OFF), np.sign(distances), 0.0)
     apart = np.linalg.norm(np.diff(contour, axis=0), axis=1) > _LARGEST_GAP
     stretch = np.concatenate([[0], np.cumsum((np.diff(side) != 0) | apart)])

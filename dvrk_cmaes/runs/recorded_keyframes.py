@@ -38,6 +38,7 @@ from dvrk_cmaes.track.keyframes import (
     MaskShape,
     choose_keyframes,
     has_outer_joints,
+    solved_with,
     well_in_view,
 )
 from dvrk_cmaes.track.still_readings import frozen_frames
@@ -236,7 +237,7 @@ def solve_together(
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     progress("estimating keyframes", len(keyframes))
     frames = _estimated(recorded, keyframes, body, arm, config, run)
-    config = replace(config, session=replace(config.session, alike_seconds=0.0))
+    config = solved_with(config)
     try:
         solved = calibrate_session(
             frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress

@@ -13,6 +13,7 @@ from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
@@ -34,7 +35,6 @@ _CONTOUR_FACTOR, _LARGEST_PX = 3.0, 9.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
-_MEDIAN_TO_STD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ def describe(
     """Return a frame's result with the error that is expected of its tips; ``judged`` is how the pose was judged."""
     tips, _ = locate_tips(instrument, camera, at)
     error = expected_error(instrument, at, covariance) if judged is None else judged.error
-    residual = None if judged is None else _MEDIAN_TO_STD * judged.quality.contour_px_median
+    residual = None if judged is None else NORMAL_MEDIAN * judged.quality.contour_px_median
     return TrackResult(
         time=time,
         status=status,

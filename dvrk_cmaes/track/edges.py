@@ -9,13 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
+
 Float64 = NDArray[np.float64]
 
 OWN_VARIANCE: Final = 0.25
 """px^2, variance of the edges of either kind of evidence, until poses have told more of it."""
-
-NORMAL_MEDIAN: Final = 1.4826
-"""Standard deviations of a normal distribution for each median of its absolute values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class EdgeDistances:
     @property
     def robust_variance(self) -> float | None:
         """Variance, px^2, of the distances that were found, by their median absolute value; None without any."""
-        return (NORMAL_MEDIAN * float(np.median(np.abs(self.distance[self.found])))) ** 2 if self.found.any() else None
+        return (NORMAL_MEDIAN * median(np.abs(self.distance[self.found]))) ** 2 if self.found.any() else None
 
     @staticmethod
     def joined(parts: Sequence[EdgeDistances]) -> EdgeDistances:
@@ -43,9 +42,7 @@ class EdgeDistances:
             np.concatenate([part.variance for part in parts]),
         )
 
-    def with_other(
-        self, other: EdgeDistances, own: tuple[float, float] = (OWN_VARIANCE, OWN_VARIANCE)
-    ) -> EdgeDistances:
+    def with_other(self, other: EdgeDistances, own: tuple[float, float]) -> EdgeDistances:
         """Return the edges of the same points that are in either of two kinds of evidence; of both, their mean.
 
         ``own``, px^2, are the variances of the two kinds of edges beyond those of single points.

@@ -367,16 +367,17 @@ class Following:
         reason = "found again by a global search"
         if result is None or not explains(result, self.config.trust):
             return None
-        on_same_base, track = same_base(self.follower, self.hypotheses[0], result, evidence), self.config.track
+        on_same_base = same_base(self.follower, self.hypotheses[0], result, evidence)
         starts = [] if on_same_base is not None else self.starts(anchor, result)
-        other = self.follower.corrected(starts[0], evidence) if on_same_base is None else on_same_base
-        of_other = None if other is None else other[1]
-        if fit is not None:
-            if of_other is None or not is_better(of_other, fit) or not self._is_known(result):
+        if fit is not None or (seen.source == "image" and not self._confirmation.needed):
+            other = self.follower.corrected(starts[0], evidence) if on_same_base is None else on_same_base
+            found = None if other is None else other[1]
+            if fit is None:
+                if not is_likely(found, seen.source, self.config.track):
+                    return None
+            elif found is None or not is_better(found, fit) or not self._is_known(result):
                 self._search.settle(fit)
                 return None
-        elif seen.source == "image" and not self._confirmation.needed and not is_likely(of_other, "image", track):
-            return None
         if on_same_base is not None:
             self.hypotheses = [on_same_base[0]]
             self.last_step = None

@@ -25,6 +25,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.calibration_lag import lag_and_std, predicted_with_lag
+from dvrk_cmaes.track.keyframes import solved_with
 from dvrk_cmaes.track.quick_fit import LINES_PER_PIXEL
 
 Bool = NDArray[np.bool_]
@@ -134,10 +135,9 @@ class KeyframeProblem:
         threads
             Number of threads.
         """
-        session = replace(self.config.session, shadows=True, alike_seconds=0.0)
-        refine = self.config.refine
+        session, refine = replace(self.config.session, shadows=True), self.config.refine
         refine = replace(refine, outline=replace(refine.outline, lines_per_pixel=LINES_PER_PIXEL))
-        config = replace(self.config, threads=threads, session=session, refine=refine)
+        config = solved_with(replace(self.config, threads=threads, session=session, refine=refine))
         alone: dict[str, Result] = {}
         frames = []
         for keyframe in self.keyframes:

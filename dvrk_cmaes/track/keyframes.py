@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 
 Bool = NDArray[np.bool_]
@@ -23,6 +24,11 @@ _MOST_BORDER = 0.3  # share of a mask's contour that may lie on the image's bord
 _UNITS = {"insertion": 0.01, "roll": 0.5, "yaw": 0.05, "pitch": 0.05}  # m and rad, of as different poses as
 _JOINT_UNIT = 0.4  # rad, of the instrument's own joints
 _TIME_UNITS = 8.0  # of the whole recording
+
+
+def solved_with(config: EstimateConfig) -> EstimateConfig:
+    """Return the settings with which keyframes are solved: they are far from each other, so each counts."""
+    return replace(config, session=replace(config.session, alike_seconds=0.0))
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import TrackConfig
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.edges import NORMAL_MEDIAN, EdgeDistances
+from dvrk_cmaes.track.edges import EdgeDistances
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.motion import Anchor, MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel

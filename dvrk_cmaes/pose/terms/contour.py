@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled
-from dvrk_cmaes.evidence.quantiles import median
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -108,7 +108,7 @@ def _of_view(view: SizedView, at: Posed, reach: int) -> DrawnContour:
     if known.sum() < _LEAST_POINTS:
         count = 6 + len(at.joints)
         return DrawnContour(np.zeros((count, count)), np.zeros(count), 0.0)
-    sigma = max(1.4826 * median(np.abs(error[known])), 0.5)
+    sigma = max(NORMAL_MEDIAN * median(np.abs(error[known])), 0.5)
     index = np.flatnonzero(known & (np.abs(error) < _CLIP * sigma))
     error, lengths, pixels = error[index], lengths[index], outline.pixels[index]
     jacobian = jacobian[index] / lengths[:, None]
