@@ -1,17 +1,14 @@
 """Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
 
-Each instrument is one .npz file of arrays and JSON values, without pickled objects, in the folder of
-`io.cache_folder`. A cached file is used only if the same version of the package wrote it and the URDF and mesh files
-still have the digests recorded in it.
+Each instrument is one file of arrays and JSON values (`io.mapped_arrays`) in the folder of `io.cache_folder`. A cached
+file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
+recorded in it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
-import json
-import zipfile
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -23,34 +20,30 @@ from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument.kinematics import Chain, Joint
 from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft
-from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.io.cache_folder import cache_folder
 from dvrk_cmaes.io.files import file_digest
+from dvrk_cmaes.io.mapped_arrays import UNUSABLE, map_arrays, write_arrays
 
-_LARGEST = 500_000_000  # bytes
-_FORMAT = 2
+_FORMAT = 3
 
 
 def cache_file(*arguments: object) -> Path | None:
-    """Return the path of the cache file for these loading arguments; None if the cache is off or has no folder."""
+    """Return the path of the cache file for what follows from arguments; None if the cache is off or has no folder."""
     folder = cache_folder()
     if folder is None:
         return None
     key = hashlib.sha256(repr((_FORMAT, __version__, *arguments)).encode()).hexdigest()[:24]
-    return folder / f"{key}.npz"
+    return folder / f"{key}.arrays"
 
 
 def read_cached(path: Path) -> Instrument | None:
     """Read a cached instrument; None if the file is missing or damaged, or its source files have changed."""
     try:
-        if path.stat().st_size > _LARGEST:
+        document, arrays = map_arrays(path)
+        if any(file_digest(Path(name)) != digest for name, digest in document["files"].items()):
             return None
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
-            document = json.loads(str(arrays["document"]))
-            if any(file_digest(Path(name)) != digest for name, digest in document["files"].items()):
-                return None
-            return _instrument(document, arrays)
-    except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile):
+        return _instrument(document, arrays)
+    except UNUSABLE:
         return None
 
 
@@ -78,10 +71,8 @@ def write_cached(path: Path, instrument: Instrument, files: Iterable[Path]) -> N
     if shaft is not None:
         arrays |= {"shaft_point": shaft.point, "shaft_direction": shaft.direction}
         document["shaft"] = [shaft.radius, shaft.distal_end, shaft.proximal_end]
-    data = io.BytesIO()
-    np.savez(data, document=np.array(json.dumps(document)), **arrays)
     with contextlib.suppress(DvrkCmaesError, OSError):
-        write_bytes(path, data.getvalue())
+        write_arrays(path, document, arrays)
 
 
 def _plain_fields(joint: Joint) -> dict[str, Any]:
@@ -111,4 +102,5 @@ def _instrument(document: dict[str, Any], arrays: Any) -> Instrument:
         chain=Chain(joints),
         link_joints=tuple(document["link_joints"]),
         has_twin=document["has_twin"],
+        kept=True,
     )

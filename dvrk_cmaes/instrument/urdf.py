@@ -74,7 +74,8 @@ def load_instrument(
     shaft_axis
         Point (3,), m, and distal direction (3,) in the root link's frame, to use instead of the measured axis.
     use_cache
-        Read the instrument from the disk cache if it is there, otherwise write it (see `dvrk_cmaes.instrument.cache`).
+        Read the instrument from the disk cache if it is there, otherwise write it (see `dvrk_cmaes.instrument.cache`),
+        and do so with what is prepared of its meshes.
 
     Raises
     ------
@@ -121,6 +122,7 @@ def load_instrument(
             jaw_tips=(),
             chain=chain,
             link_joints=tuple(parent_joint[link.name] for link in links),
+            kept=cached is not None,
         ),
         radius=shaft_radius,
         axis=axis,

@@ -66,7 +66,7 @@ class OutlineEdges:
         front_words = as_words(self._front_facing)
         outline = front_words.take(topology.edge_faces[0], axis=0, mode="clip")
         outline ^= front_words.take(topology.edge_faces[1], axis=0, mode="clip")
-        outline ^= topology.flip[self._batch_size]
+        outline ^= topology.flip_words(self._batch_size)
         self._outline = outline
         self._projection = Projection(camera)
         self._vertices = ProjectedVertices(topology, self._projection, camera_from_link)

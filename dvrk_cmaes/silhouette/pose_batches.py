@@ -83,9 +83,9 @@ def as_flags(words: Words) -> NDArray[np.bool_]:
     return words.view(np.bool_)
 
 
-def repeated_words(flags: NDArray[np.bool_]) -> dict[int, Words]:
-    """Repeat flags (N,) for every pose of a batch: words (N, 1 or more) by batch size."""
-    return {size: as_words(np.repeat(flags[:, None], size, axis=1)) for size in _WORD_TYPES}
+def repeated_words(flags: NDArray[np.bool_], batch_size: int) -> Words:
+    """Repeat flags (N,) for every pose of a batch: words (N, 1 or more)."""
+    return as_words(np.repeat(flags[:, None], batch_size, axis=1))
 
 
 def check_poses(names: Sequence[str], camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> None:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.arguments import check_type
-from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.grid import LineGrid
+from dvrk_cmaes.silhouette.kept import decimated, topology_of
 from dvrk_cmaes.silhouette.outline import OutlinePoints, outline_points
 from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
 from dvrk_cmaes.silhouette.pose_batches import (
@@ -34,7 +34,7 @@ from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.shortened import ShortenedShaft
 from dvrk_cmaes.silhouette.sliced_call import worked
 from dvrk_cmaes.silhouette.spans import Spans, covered_spans
-from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
+from dvrk_cmaes.silhouette.topology import MeshTopology
 
 T = TypeVar("T")
 
@@ -71,7 +71,7 @@ class Body:
     @cached_property
     def topology(self) -> MeshTopology:
         """The edge topology of the whole instrument."""
-        return build_topology(self.instrument)
+        return topology_of(self.instrument)
 
     @cached_property
     def shortened(self) -> ShortenedShaft:
@@ -86,7 +86,7 @@ class Body:
         cell
             Width of the grid's cells, m.
         """
-        instrument, error = decimate(self.instrument, cell)
+        instrument, error = decimated(self.instrument, cell)
         return Body(instrument, LinkScenes(instrument), self.error_m + error, self.method)
 
     def camera_from_links(

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import frame_along
 from dvrk_cmaes.instrument import Instrument, Link
+from dvrk_cmaes.silhouette.kept import topology_of
 from dvrk_cmaes.silhouette.scenes import NEAR
-from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
+from dvrk_cmaes.silhouette.topology import MeshTopology
 
 Float64 = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ class ShortenedShaft:
             return self._whole()
         index = int(outside.argmax())
         if index not in self._built:
-            self._built[index] = build_topology(self._cut(float(_KEPT[index])))
+            self._built[index] = topology_of(self._cut(float(_KEPT[index])))
         return self._built[index]
 
     def _corners_of_cut_parts(self) -> Float64:

@@ -8,7 +8,7 @@ of faces; this is exact, because the change of the layer count across an edge is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -39,14 +39,22 @@ class MeshTopology:
     """(2, E) first and second vertex, in the winding order of the first of ``edge_faces``."""
     edge_faces: NDArray[np.intp]
     """(2, E) the edge's two faces; a boundary edge has the same face twice."""
-    flip: dict[int, Words]
-    """By batch size, (E, words): an edge is outline where front(first face) xor front(second face) xor flip."""
+    flip: NDArray[np.bool_]
+    """(E,) an edge is outline where front(first face) xor front(second face) xor flip."""
     weight: NDArray[np.int8]
     """(E,) magnitude of the change of the layer count across an outline edge: 2, or 1 for a boundary edge."""
     same_direction: NDArray[np.bool_]
     """(E,) whether the second face, too, has the edge's vertices in the order first, second."""
     corners: NDArray[np.float64]
     """(L, 8, 4) homogeneous corners of each link's bounding box, m."""
+
+    _flip_words: dict[int, Words] = field(init=False, repr=False, default_factory=dict)
+
+    def flip_words(self, batch_size: int) -> Words:
+        """Return ``flip`` repeated for every pose of a batch, (E, words); computed once for each batch size."""
+        if batch_size not in self._flip_words:
+            self._flip_words[batch_size] = repeated_words(self.flip, batch_size)
+        return self._flip_words[batch_size]
 
     @property
     def links(self) -> int:
@@ -130,7 +138,7 @@ def build_topology(instrument: Instrument) -> MeshTopology:
         edge_start=np.array(edge_start, dtype=np.int32),
         edge_ends=np.stack([edge_from, edge_to]),
         edge_faces=np.stack([left, right]),
-        flip=repeated_words(np.concatenate(flips)),
+        flip=np.concatenate(flips),
         weight=np.concatenate(weights).astype(np.int8),
         same_direction=np.concatenate(same_directions),
         corners=np.array(corners, dtype=np.float64),
