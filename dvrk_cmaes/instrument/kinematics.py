@@ -2,7 +2,8 @@
 
 The transform of a revolute joint is affine in (sin q, cos q) by Rodrigues' formula,
 ``R = I + sin q K + (1 - cos q) K^2`` with ``K`` the cross-product matrix of the axis; that of a prismatic joint is
-affine in q. The constant matrices are computed once; each batch needs one matrix sum and one matrix product per joint.
+affine in q. The constant matrices are computed once; each batch needs one sum of matrices for all joints together, and
+one matrix product for each.
 """
 
 from __future__ import annotations
@@ -66,44 +67,82 @@ def _cross_matrix(axis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
+class _Moving:
+    """The K joints of a chain whose transforms change: ``at`` are their indices in the chain.
+
+    Their values are ``multiplier * joints[..., driver] + offset``, (..., K), their transforms the sums of the constant
+    matrices ``terms`` (3, K, 4, 4), the second of which is multiplied by the sine of the value, or by the value itself
+    for ``sliding`` joints, and the third by the cosine.
+    """
+
+    at: tuple[int, ...]
+    driver: NDArray[np.intp]
+    multiplier: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    sliding: NDArray[np.bool_]
+    terms: NDArray[np.float64]
+
+    @staticmethod
+    def of(joints: Sequence[Joint]) -> _Moving:
+        """Select those joints that move with one of the independent joints, and compute their constant matrices."""
+        chosen = [(index, joint, joint.driver) for index, joint in enumerate(joints)]
+        moving = [(index, joint, driver) for index, joint, driver in chosen if joint.moves and driver is not None]
+        return _Moving(
+            tuple(index for index, _, _ in moving),
+            np.array([driver for _, _, driver in moving], dtype=np.intp),
+            np.array([joint.multiplier for _, joint, _ in moving]),
+            np.array([joint.offset for _, joint, _ in moving]),
+            np.array([joint.motion == "prismatic" for _, joint, _ in moving], dtype=np.bool_),
+            np.array([_constant_terms(joint) for _, joint, _ in moving]).reshape(-1, 3, 4, 4).swapaxes(0, 1),
+        )
+
+    def transforms(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute parent_from_child (..., K, 4, 4) of these joints from the values of the independent ones (..., J)."""
+        value = self.multiplier * joints.take(self.driver, axis=-1) + self.offset
+        constant, first, second = self.terms
+        of_first, of_second = np.sin(value), np.cos(value)
+        if self.sliding.any():
+            of_first = np.where(self.sliding, value, of_first)
+        out = of_first[..., None, None] * first
+        out += constant
+        out += of_second[..., None, None] * second
+        return np.asarray(out)
+
+
+def _constant_terms(joint: Joint) -> NDArray[np.float64]:
+    """Compute the matrices (3, 4, 4) whose sum with weights 1, sin q (or q) and cos q is the joint's transform."""
+    origin = np.asarray(joint.parent_from_joint, dtype=np.float64)
+    moving, cosine, constant = np.zeros((4, 4)), np.zeros((4, 4)), np.eye(4)
+    if joint.motion == "prismatic":
+        moving[:3, 3] = joint.axis
+    elif joint.motion == "revolute":
+        cross = _cross_matrix(joint.axis)
+        moving[:3, :3] = cross
+        cosine[:3, :3] = -(cross @ cross)
+        constant[:3, :3] -= cosine[:3, :3]
+    return np.stack([origin @ constant, origin @ moving, origin @ cosine])
+
+
+def _at_rest(joint: Joint) -> NDArray[np.float64]:
+    """Compute the transform (4, 4) of a joint that no independent joint moves."""
+    constant, first, second = _constant_terms(joint)
+    value = joint.offset
+    of_first = value if joint.motion == "prismatic" else np.sin(value)
+    return np.asarray(constant + of_first * first + np.cos(value) * second)
+
+
+@dataclass(frozen=True, eq=False)
 class Chain:
     """A tree of joints below a root link, ordered so that every parent precedes its children."""
 
     joints: tuple[Joint, ...]
-    _terms: tuple[tuple[NDArray[np.float64], ...], ...] = field(init=False, repr=False)
+    _moving: _Moving = field(init=False, repr=False)
+    _still: dict[int, NDArray[np.float64]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_terms", tuple(self._constant_terms(joint) for joint in self.joints))
-
-    @staticmethod
-    def _constant_terms(joint: Joint) -> tuple[NDArray[np.float64], ...]:
-        """Compute the matrices whose sum with weights 1, sin q, cos q (or 1, q) is the joint's transform."""
-        origin = np.asarray(joint.parent_from_joint, dtype=np.float64)
-        if joint.motion == "fixed":
-            return (origin,)
-        moving = np.zeros((4, 4))
-        if joint.motion == "prismatic":
-            moving[:3, 3] = joint.axis
-            return (origin, origin @ moving)
-        cross = _cross_matrix(joint.axis)
-        constant, cosine = np.eye(4), np.zeros((4, 4))
-        moving[:3, :3] = cross
-        cosine[:3, :3] = -(cross @ cross)
-        constant[:3, :3] -= cosine[:3, :3]
-        return (origin @ constant, origin @ moving, origin @ cosine)
-
-    def joint_transform(self, index: int, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute parent_from_child of one joint: (4, 4) for a fixed value, else (..., 4, 4)."""
-        joint, terms = self.joints[index], self._terms[index]
-        value: NDArray[np.float64] = np.asarray(joint.offset)
-        if joint.driver is not None:
-            value = joint.multiplier * joints[..., joint.driver] + joint.offset
-        if joint.motion == "fixed":
-            return terms[0]
-        value = value[..., None, None]
-        if joint.motion == "prismatic":
-            return np.asarray(terms[0] + value * terms[1])
-        return np.asarray(terms[0] + np.sin(value) * terms[1] + np.cos(value) * terms[2])
+        object.__setattr__(self, "_moving", _Moving.of(self.joints))
+        still = {index: _at_rest(joint) for index, joint in enumerate(self.joints) if index not in self._moving.at}
+        object.__setattr__(self, "_still", still)
 
     def forward(self, joints: ArrayLike, selected: Sequence[int]) -> NDArray[np.float64]:
         """Compute the poses of selected links in the root link's frame.
@@ -121,10 +160,11 @@ class Chain:
             root_from_link of each.
         """
         values = np.asarray(joints, dtype=np.float64)
+        transforms = self._moving.transforms(values)
+        local = self._still | {index: transforms[..., k, :, :] for k, index in enumerate(self._moving.at)}
         poses: list[NDArray[np.float64]] = []
         for index, joint in enumerate(self.joints):
-            local = self.joint_transform(index, values)
-            poses.append(local if joint.parent < 0 else poses[joint.parent] @ local)
+            poses.append(local[index] if joint.parent < 0 else poses[joint.parent] @ local[index])
         out = np.empty((*values.shape[:-1], len(selected), 4, 4))
         for column, index in enumerate(selected):
             out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
