@@ -163,7 +163,7 @@ def fit_frame(
     at, count = Posed.stacked(starts), 0
     selection = Selection(config.refine.small_share, config.refine.small_gap, least=_KEPT)
     for shrink in shrinks:
-        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected, shrink=shrink)
+        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
         coverage = _coverage(views, config, own_estimate, shrink, margins)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None

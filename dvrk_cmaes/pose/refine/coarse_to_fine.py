@@ -100,9 +100,10 @@ class LocalSearch:
         self._sized += sized
         return Coverage(sized, outline)
 
-    def _terms(self, shrink: int = 1) -> list[Term]:
-        """Return the terms beside the coverage at 1 / ``shrink`` of the main view's size."""
-        return terms_of_frame(self._views, self._readings, self._config.refine.outline, shrink=shrink)
+    @cached_property
+    def _terms(self) -> list[Term]:
+        """The terms beside the coverage."""
+        return terms_of_frame(self._views, self._readings, self._config.refine.outline)
 
     def _refine(
         self,
@@ -118,11 +119,11 @@ class LocalSearch:
             return []
         shrink = coverage.views[0].shrink
         steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
-        return refine(coverage, self._terms(shrink), Posed.stacked([mode.at for mode in modes]), steps, selection)
+        return refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
         """Score modes without refining them."""
-        return [assess(coverage, self._terms(), mode.at) for mode in modes]
+        return [assess(coverage, self._terms, mode.at) for mode in modes]
 
     def _twin(self, mode: Candidate) -> Candidate:
         return Candidate(twin_of(self._instrument, mode.at), mode.score)
@@ -190,14 +191,14 @@ class LocalSearch:
         if self._config.refine.method == "gauss-newton" and all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)
         views = [ViewAtFullSize(*pair) for pair in zip(self._views, coverage.views, strict=True)]
-        of_views = information_of_views(views, self._terms(), first.at)
-        rotations = rotations_of_views(views, self._terms(), first.at, of_views)
+        of_views = information_of_views(views, self._terms, first.at)
+        rotations = rotations_of_views(views, self._terms, first.at, of_views)
         return [replace(first, information=np.sum(of_views, axis=0)), *others], rotations
 
     def _with_correlated_noise(self, coverage: Coverage, mode: Fit) -> Fit:
         """Return a mode where generalised least squares put it; where it was, if that is clearly worse by its score."""
-        (fit,) = refine(CorrelatedContour(coverage.views), self._terms(), Posed.stacked([mode.at]), _OF_CONTOUR)
-        is_as_good = assess(coverage, self._terms(), fit.at).score < mode.score + _AS_GOOD
+        (fit,) = refine(CorrelatedContour(coverage.views), self._terms, Posed.stacked([mode.at]), _OF_CONTOUR)
+        is_as_good = assess(coverage, self._terms, fit.at).score < mode.score + _AS_GOOD
         return replace(mode, at=fit.at) if is_as_good else mode
 
     def _last(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
@@ -226,6 +227,6 @@ class LocalSearch:
             at, count = refine_direct(
                 config.refine.method, loss, mode.at, scale, config.refine.evaluations, config.seed
             )
-            fits.append(assess(coverage, self._terms(), at))
+            fits.append(assess(coverage, self._terms, at))
             self._direct_silhouettes += count
         return fits

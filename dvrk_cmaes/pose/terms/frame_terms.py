@@ -12,15 +12,10 @@ from dvrk_cmaes.pose.terms.tips_term import TipsTerm
 from dvrk_cmaes.pose.views import FrameView
 
 
-def terms_of_frame(
-    views: Sequence[FrameView], readings: Readings, config: OutlineConfig, *more: Term, shrink: int = 1
-) -> list[Term]:
-    """Return the terms of a frame's readings and given tips, and those of what else is expected of its pose.
-
-    ``shrink`` is that of the images that are drawn, as in `SizedView`.
-    """
+def terms_of_frame(views: Sequence[FrameView], readings: Readings, config: OutlineConfig, *more: Term) -> list[Term]:
+    """Return the terms of a frame's readings and given tips, and those of what else is expected of its pose."""
     return [
         ReadingsTerm(readings),
-        *TipsTerm.of_views(views, config, shrink),
+        *TipsTerm.of_views(views, config),
         *more,
     ]
