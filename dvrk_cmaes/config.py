@@ -28,7 +28,6 @@ class Limits:
 _SHARE, _SHARE_OR_ZERO = Limits(share=True).metadata, Limits(zero=True, share=True).metadata
 _MAY_BE_ZERO = Limits(zero=True).metadata
 _WIDTH = Limits(least=10, most=10_000).metadata
-_STEP = Limits(least=1e-7, most=1.0).metadata
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,10 @@ class SearchConfig:
     method
         Optimiser that runs from each start.
     samples
-        Number of random candidate poses that are scored first.
+        Number of random candidate poses that are scored first, by a coarse mesh in very small images.
+    screened
+        Number of these, the best ones, that are scored again in images of ``width_px``; a sixth as many of those drawn
+        without readings, the best without the readings' term, are as well.
     starts
         Number of distinct best candidates from which the optimiser runs.
     evaluations
@@ -74,6 +76,9 @@ class SearchConfig:
         Approximate width of the images in which losses are computed; up to twice that where the mask is small.
     detail_m
         Cell size of the mesh decimation for these images.
+    screen_shrink, screen_detail_m
+        By how much smaller the very small images are than those of ``width_px``, and the cell size of the mesh
+        decimation for them. Where a mask is too narrow for such images, less small ones are used.
     use_edges
         Whether candidates are drawn from the shaft's edges in the mask, where these are found.
     free_share
@@ -87,11 +92,14 @@ class SearchConfig:
 
     method: str = "cmaes"
     samples: int = 768
+    screened: int = 168
     starts: int = 4
     evaluations: int = 33
     spares: int = 22
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
+    screen_shrink: int = 3
+    screen_detail_m: float = field(default=2e-3, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
     free_share: float = field(default=0.15, metadata=_SHARE_OR_ZERO)
     unread_share: float = 0.25
@@ -183,9 +191,6 @@ class OutlineConfig:
         Least standard deviation of the outline, px.
     keypoint_sigma
         Standard deviation of given jaw tips, px.
-    translation_step, swing_step, turn_step, joint_step
-        Steps of the central differences at full image size: along the root's axes, m; about its x and y axes, rad;
-        about its z axis, rad; of the joints, rad.
     tolerance
         Length of a step, in standard deviations per parameter, below which the refinement stops.
     """
@@ -200,10 +205,6 @@ class OutlineConfig:
     correlation: float = 8.0
     noise_floor: float = field(default=0.15, metadata=_MAY_BE_ZERO)
     keypoint_sigma: float = 2.0
-    translation_step: float = field(default=1e-4, metadata=_STEP)
-    swing_step: float = field(default=2e-3, metadata=_STEP)
-    turn_step: float = field(default=1e-2, metadata=_STEP)
-    joint_step: float = field(default=1e-2, metadata=_STEP)
     tolerance: float = 0.05
 
 

@@ -103,8 +103,8 @@ def test_defaults_are_valid() -> None:
         ({"seed": -1}, "seed: expected a number of at least 0, got -1"),
         ({"threads": 0}, "threads: expected a number above 0, got 0"),
         (
-            {"refine": {"outline": {"translation_step": 1e-308}}},
-            "refine.outline.translation_step: expected a number from",
+            {"search": {"screen_detail_m": 1e-308}},
+            "search.screen_detail_m: expected a number from",
         ),
         (
             {"refine": {"outline": {"cauchy": 1e308}}},

@@ -73,10 +73,10 @@ def find_pose(
     if not candidates:
         searched = clearest_view(views)
         coarse = Renderer(decimated, searched.evidence.camera, threads=config.threads)
-        seen, objective = find_candidates(coarse, searched.evidence, readings, config)
+        seen, drawing = find_candidates(coarse, searched.evidence, readings, config)
         camera_from_view = inverse(searched.view_from_camera)
         candidates = [Candidate(each.at.seen_from(camera_from_view), each.score) for each in seen]
-        evaluations, rays = objective.evaluations, objective.renderer.rays
+        evaluations, rays = sum(each.poses for each in drawing), sum(each.rays for each in drawing)
     local = LocalSearch(views, decimated, readings, config)
     modes, rotations = local.refine(candidates)
     best = modes[0]

@@ -12,14 +12,17 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
 from dvrk_cmaes.pose.search.modes import Candidate, best_per_mode
 from dvrk_cmaes.pose.search.objective import Objective
+from dvrk_cmaes.pose.search.screening import screened, screening_size
 from dvrk_cmaes.pose.search.starts import draw_starts
-from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette.prepare import decimated_body
 
 Float64 = NDArray[np.float64]
 
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
 _LEAST_AREA = 150.0  # px of a mask in the search's image
+_RANKED, _RANKED_BY_IMAGE = 200, 60  # best candidates among which distinct ones are chosen
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
 
@@ -39,40 +42,50 @@ def search_size(evidence: Evidence, width: int) -> tuple[int, int]:
 
 def find_candidates(
     renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig
-) -> tuple[list[Candidate], Objective]:
+) -> tuple[list[Candidate], list[Renderer]]:
     """Search one frame for candidate poses.
 
-    Returns the candidates and the objective used. The candidates are the results of the optimiser from each start, then
+    Returns the candidates and the renderers used. The candidates are the results of the optimiser from each start, then
     the best of those drawn without readings, ranked without the readings term, then further distinct candidates that
     scored best (the spares); each of these groups is sorted by loss.
     """
     rng = np.random.default_rng(config.seed)
-    instrument = renderer.body.instrument
-    small = renderer.at(*search_size(evidence, config.search.width_px))
-    objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
-    drawn, unread = draw_starts(evidence, instrument, readings, config, rng)
-    terms = objective.terms(drawn)
-    losses = terms.total(config.weights)
-    ranked = [Candidate(drawn[i], float(losses[i])) for i in np.argsort(losses, kind="stable")[:200]]
-    image_losses = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
-    by_image = np.argsort(image_losses, kind="stable")[:60]
-    ranked_by_image = [Candidate(drawn[i], float(image_losses[i])) for i in by_image]
-    most = config.search.starts + config.search.spares
-    distinct = best_per_mode(ranked, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
-    starts, spares = distinct[: config.search.starts], distinct[config.search.starts :]
-    most = config.search.unread_spares
-    unread_spares = best_per_mode(ranked_by_image, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
+    search = config.search
+
+    def objective(body: Body, size: tuple[int, int]) -> Objective:
+        sized = Renderer(body, renderer.camera, threads=renderer.threads).at(*size)
+        return Objective(sized, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
+
+    size = search_size(evidence, search.width_px)
+    fine = objective(renderer.body, size)
+    coarse = []
+    if search.screened < search.samples and (smaller := screening_size(evidence, size, search)) is not None:
+        coarse.append(objective(decimated_body(renderer.body, search.screen_detail_m), smaller))
+    drawn, unread = draw_starts(evidence, renderer.body.instrument, readings, config, rng)
+    scored = screened(coarse, fine, drawn, unread, search.screened)
+    most = search.starts + search.spares
+    distinct = _distinct(scored.at, scored.losses, _RANKED, most)
+    starts, spares = distinct[: search.starts], distinct[search.starts :]
+    unread_spares = _distinct(scored.at, scored.by_image, _RANKED_BY_IMAGE, search.unread_spares)
     scale = scale_of_change(readings)
 
     begin = Posed.stacked([start.at for start in starts])
 
     def loss(index: NDArray[np.intp], change: Float64) -> Float64:
-        return objective.cost(begin[index].moved(change * scale))
+        return fine.cost(begin[index].moved(change * scale))
 
     known = [start.score for start in starts]
-    least = minimise_each(config.search.method, loss, known, len(scale), config.search.evaluations, config.seed)
+    least = minimise_each(search.method, loss, known, len(scale), search.evaluations, config.seed)
     searched = [
         start if found.loss >= start.score else Candidate(start.at.moved(found.best * scale), found.loss)
         for start, found in zip(starts, least, strict=True)
     ]
-    return [*sorted(searched, key=lambda candidate: candidate.score), *unread_spares, *spares], objective
+    found = [*sorted(searched, key=lambda candidate: candidate.score), *unread_spares, *spares]
+    return found, [each.renderer for each in (*coarse, fine)]
+
+
+def _distinct(at: Posed, losses: Float64, ranked: int, most: int) -> list[Candidate]:
+    """Return at most ``most`` distinct candidates among the best ``ranked``, the best first."""
+    best = np.argsort(losses, kind="stable")[:ranked]
+    candidates = [Candidate(at[i], float(losses[i])) for i in best if np.isfinite(losses[i])]
+    return best_per_mode(candidates, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)

@@ -67,11 +67,6 @@ class Objective:
         self._square = float((mask * mask * weight).sum())
         self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)
 
-    @property
-    def evaluations(self) -> int:
-        """Number of silhouettes evaluated so far."""
-        return self.renderer.poses
-
     def terms(self, at: Posed) -> Terms:
         """Compute all terms of C candidates."""
         sums = self.renderer.sums(at.pose, at.joints, self._images, lines_per_pixel=self.lines_per_pixel)
