@@ -32,6 +32,12 @@ def process_id_after_pause(task: int) -> int:
     return os.getpid()
 
 
+def sixteenth_of_a_second(task: int) -> int:
+    """Wait for a sixteenth of a second."""
+    time.sleep(1 / 16)
+    return task
+
+
 def library_threads(task: int) -> int:
     """Return the number of threads that OpenCV uses in the process that calls this."""
     return cv2.getNumThreads()
@@ -51,6 +57,15 @@ def squared_unless_three(task: int) -> int:
     """Square a number, but kill the process on 3."""
     if task == 3:
         die()
+    return task * task
+
+
+def squared_with_late_faults(task: int) -> int:
+    """Square a number, but kill the process on 150, and hang on 170."""
+    if task == 150:
+        die()
+    if task == 170:
+        time.sleep(100)
     return task * task
 
 

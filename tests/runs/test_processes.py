@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
@@ -22,9 +23,11 @@ from helpers.worker_tasks import (
     process_id,
     process_id_after_pause,
     refuse,
+    sixteenth_of_a_second,
     squared,
     squared_after_gate,
     squared_with_faults,
+    squared_with_late_faults,
 )
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -50,6 +53,42 @@ def test_dead_or_hanging_process_loses_its_task_only(tmp_path: Path) -> None:
     tries = {task: len((tmp_path / str(task)).read_text().split()) for task in range(1, 13)}
     assert tries == dict.fromkeys(range(1, 13), 1) | {5: 2, 7: 2}
     wait_until(lambda: not multiprocessing.active_children())
+
+
+@pytest.fixture
+def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Give a list to which each call of a worker process is appended."""
+    calls: list[object] = []
+    call = WorkerProcess.call
+
+    def counted(process: WorkerProcess, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        calls.append(arguments)
+        return call(process, function, *arguments, **options)
+
+    monkeypatch.setattr(WorkerProcess, "call", counted)
+    return calls
+
+
+def test_short_tasks_are_sent_together(count_calls: list[object]) -> None:
+    assert run(squared, range(1000)) == {task: task * task for task in range(1000)}
+    assert len(count_calls) < 400
+
+
+def test_longer_tasks_are_sent_one_by_one(count_calls: list[object]) -> None:
+    assert len(run(sixteenth_of_a_second, range(8))) == 8
+    assert len(count_calls) == 8 + 2  # and the start of each process
+
+
+def test_fault_among_short_tasks_loses_its_task_only() -> None:
+    found = run(squared_with_late_faults, range(200), time_limit=2.0)
+    lost = {task: value.reason for task, value in found.items() if isinstance(value, WorkerDied)}
+    assert lost == {
+        150: "its process died 2 times: out of memory, or a crash in a native library",
+        170: "no result after 2 s: its process was ended",
+    }
+    assert {task: value for task, value in found.items() if task not in lost} == {
+        task: task * task for task in range(200) if task not in lost
+    }
 
 
 def test_processes_dying_at_start_end_work_with_reason() -> None:
