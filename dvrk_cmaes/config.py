@@ -245,7 +245,7 @@ class RefineConfig:
 
     method: str = "gauss-newton"
     evaluations: int = 400
-    width_px: int = field(default=160, metadata=_WIDTH)
+    width_px: int = field(default=110, metadata=_WIDTH)
     first_steps: int = 3
     first_candidates: int = 12
     agreed_gap: float = 6.0
