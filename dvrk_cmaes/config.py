@@ -192,8 +192,8 @@ class OutlineConfig:
     keypoint_sigma
         Standard deviation of given jaw tips, px.
     tolerance
-        Length of a step, in standard deviations per parameter, below which the refinement stops; ten times this at half
-        the image size, and twenty times at smaller ones, from which a refinement at a larger size goes on.
+        Length of a step, in standard deviations per parameter, below which the refinement stops; four times this at half
+        the image size, and ten times at smaller ones, from which a refinement at a larger size goes on.
     """
 
     iterations: int = 20
@@ -234,8 +234,8 @@ class RefineConfig:
     first_gap, small_gap, last_gap
         Difference of the negative log-likelihood from the best pose beyond which a pose does not continue, if its
         outline alone is worse than the best outline by a third of that too.
-    half_size_modes, half_steps
-        Number of best modes that are refined at half the image size, and largest number of iterations there.
+    half_size_modes
+        Number of best modes that are refined at half the image size.
     modes, full_steps
         Number of best modes that are refined at full image size, and largest number of iterations there before the
         contour's noise is estimated. The last iterations follow.
@@ -257,7 +257,6 @@ class RefineConfig:
     small_gap: float = 50.0
     last_gap: float = 30.0
     half_size_modes: int = 3
-    half_steps: int = 8
     modes: int = 2
     full_steps: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)

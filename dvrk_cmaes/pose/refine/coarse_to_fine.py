@@ -154,8 +154,7 @@ class LocalSearch:
         modes = self._refine(coarse, modes, iterations=c.small_steps, selection=small)
         modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
-            half = self._coverage(_HALF)
-            refined = self._refine(half, modes, iterations=c.half_steps, selection=self._last_selection)
+            refined = self._refine(self._coverage(_HALF), modes, selection=self._last_selection)
             modes = self._last_selection.of(best_per_mode(refined))
         finest = self._coverage(1)
         final = self._finest(finest, modes[: c.modes])

@@ -27,7 +27,7 @@ A = TypeVar("A", bound=Approximation)
 _DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marquardt steps
 _DAMPING_STEP = 8.0  # factor on the damping by which it grows or falls
 _SMALL_GAIN = 0.1  # of the tolerance
-_AT_HALF_SIZE, _AT_SMALLER_SIZE = 10.0, 20.0  # factors on the tolerance where a refinement at a larger size follows
+_AT_HALF_SIZE, _AT_SMALLER_SIZE = 4.0, 10.0  # factors on the tolerance where a refinement at a larger size follows
 _SOLVED = 0.01  # length of a step, in standard deviations per parameter, below which an approximation's minimum is met
 _LEAST_DAMPING: Final = 1e-9, 1e-12  # of steps that are not damped: of each diagonal element, and of the largest one
 
