@@ -192,8 +192,8 @@ class OutlineConfig:
     keypoint_sigma
         Standard deviation of given jaw tips, px.
     tolerance
-        Length of a step, in standard deviations per parameter, below which the refinement stops; four times this at half
-        the image size, and ten times at smaller ones, from which a refinement at a larger size goes on.
+        Length of a step, in standard deviations per parameter, below which the refinement stops; four times this at
+        half the image size, and ten times at smaller ones, from which a refinement at a larger size goes on.
     """
 
     iterations: int = 20
