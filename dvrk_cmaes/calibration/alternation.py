@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
-from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
+from dvrk_cmaes.calibration.few_frames import few_of
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
     check_agreement,
@@ -48,7 +49,7 @@ from dvrk_cmaes.calibration.offset_check import describe_far_offsets
 from dvrk_cmaes.calibration.session_camera import SessionCamera, untested
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solve, solve_with_modes
+from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solution_at, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.calibration.variances import solve_with_variances
@@ -240,10 +241,11 @@ class Alternation:
         scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
         if self.change is not None:
             scales.append(1.0)  # with the camera that all rounds before have found
+        begun = self._begin_with_few(scales)
         calibration, moved = self.solution.calibration, None
-        for iteration, scale in enumerate(scales):
+        for iteration, scale in enumerate(scales[begun:], begun):
             last = iteration + 1 == len(scales)
-            self.progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
+            self.progress(_round_name(iteration, len(scales)), len(self.frames))
             expected = self.model.priors(calibration, scale=scale)
             self._fit(expected, self._starts(iteration, expected, moved, last=last), last=last)
             # Fits that do not explain the mask are only excluded once the prior is no longer widened.
@@ -261,6 +263,46 @@ class Alternation:
                     calibration, changed = self._use(self._fitted.with_margins(calibration, at))
                     moved = moved if changed is None else changed
         self._finish(fits)
+
+    def _begin_with_few(self, scales: Sequence[float]) -> int:
+        """Do the rounds whose predictions are widened with few of many frames; returns the number of these rounds.
+
+        They only serve to find the calibration from which all frames are then fitted. With another camera than the
+        file's, the frames' own modes are no starts after them, so all frames take part in all rounds.
+
+        Parameters
+        ----------
+        scales
+            The factors on the standard deviations of the predictions, one of each round.
+        """
+        index = few_of(len(self.frames)) if self.change is None else None
+        rounds = sum(scale != 1.0 for scale in scales)
+        if index is None or rounds == 0:
+            return 0
+        few = self._of_few(index.tolist())
+        for iteration, scale in enumerate(scales[:rounds]):
+            self.progress(_round_name(iteration, len(scales)), len(few.frames))
+            calibration = few.solution.calibration
+            expected = few.model.priors(calibration, scale=scale)
+            few._fit(expected, few._starts(iteration, expected, None, last=False), last=False)
+            few._solve_round(calibration, keep_all=True)
+        self.lag.take_from(few.lag)
+        self.model = self.lag.corrected(self.model.with_deviations(few.model.deviations))
+        calibration = few.solution.calibration
+        self._chosen = choose_modes(self.model, self._modes, calibration)
+        self.solution = solution_at(self.model, FrameFits.of_modes(self._chosen), calibration, self._prior)
+        return rounds
+
+    def _of_few(self, index: Sequence[int]) -> Alternation:
+        """Return the state of the frames at some indices, before their first fit."""
+        few = copy.copy(self)
+        few.lag, few.model = copy.copy(self.lag), self.model.subset(index)
+        few.lag.select(index)
+        few.frames, few.stored = [self.frames[i] for i in index], [self.stored[i] for i in index]
+        few._modes, few._chosen = [self._modes[i] for i in index], [self._chosen[i] for i in index]
+        modes = FrameFits.of_modes(few._chosen)
+        few.solution = solution_at(few.model, modes, self.solution.calibration, self._prior)
+        return few
 
     def _solve_round(self, calibration: Calibration, *, keep_all: bool) -> FrameFits:
         """Estimate the calibration, the cables and the lag from the current fits, which are returned.
@@ -332,7 +374,7 @@ class Alternation:
         """Return the starts of each frame in an iteration, none where its fit is settled; ``moved`` by a new camera."""
         angle = float(np.deg2rad(self._config.session.turn_deg))
         misfit = self.solution.misfit / (6 + len(self.model.names))
-        if iteration == 0:
+        if not self.fits:
             pairs = zip(self._modes, self._chosen, misfit, expected, strict=True)
             return [first_starts(*of_frame, angle) for of_frame in pairs]
         turn = angle if iteration < _ROLLED_ITERATIONS else None
@@ -493,3 +535,8 @@ class Alternation:
         tasks = report_tasks(frames, self.stored, self.fits, model, solution, disagreements, session, stated)
         tasks = [replace(task, first=self._first.get(i), change=self.change) for i, task in enumerate(tasks)]
         return self.run(report_task, tasks), reasons
+
+
+def _round_name(iteration: int, count: int) -> str:
+    """Return the name of one of ``count`` rounds as a stage of progress."""
+    return f"round {iteration + 1} of {count}"

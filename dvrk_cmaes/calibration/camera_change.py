@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.few_frames import few_of
 from dvrk_cmaes.calibration.frame_task import ConstantsTask, Run, constants_task
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
@@ -87,6 +88,16 @@ class SessionOutlines:
         terms = [nothing if view is None else next(found) for view in self.views]
         return FrameFits.with_lasting(at, terms, self.common, constants)
 
+    def subset(self, index: NDArray[np.intp]) -> SessionOutlines:
+        """Return the outlines of the frames at some indices."""
+        chosen = index.tolist()
+        return replace(
+            self,
+            stored=[self.stored[i] for i in chosen],
+            views=[self.views[i] for i in chosen],
+            common=self.common.subset(index),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class CameraEstimate:
@@ -96,6 +107,7 @@ class CameraEstimate:
     of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N frames with
     the changed camera. ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing
     about it. ``first_change`` (3,) and ``first_covariance`` (3, 3) are what the first linearisation told, at the start.
+    ``margin``, px, is that of the masks with the changed camera; ``passes`` is the number of linearisations.
     """
 
     change: Float64
@@ -106,6 +118,8 @@ class CameraEstimate:
     calibration: Calibration
     at: Posed
     plausible: bool = True
+    margin: float = 0.0
+    passes: int = 1
 
 
 def estimate_camera(
@@ -120,6 +134,8 @@ def estimate_camera(
     passes: int,
 ) -> CameraEstimate:
     """Estimate the change of the camera beside the calibration, by Gauss-Newton steps for all frames and both.
+
+    Of many frames, few lead to where the outlines of all are then linearised.
 
     Parameters
     ----------
@@ -143,14 +159,24 @@ def estimate_camera(
     InputError
         As `SessionOutlines.near`.
     """
+    index = few_of(len(at)) if passes > 1 else None
+    found: list[tuple[Float64, Float64]] = []
+    if index is not None:
+        own, of_few = at[index], outlines.subset(index)
+        few = estimate_camera(
+            model.subset(index), calibration, prior, config, own, of_few, start=start, passes=passes - 1
+        )
+        if few.plausible:
+            found = [(few.first_change, few.first_covariance)] * few.passes
+            at = shifted(model, at, calibration, few.calibration)
+            calibration, start, outlines = few.calibration, few.change, replace(outlines, margin=few.margin)
     constants = np.array([*(np.zeros(3) if start is None else start), outlines.margin])
     calibration = replace(calibration, further=constants)
     count, plausible = len(prior), True
     of_camera = slice(count, count + 3)
     prior = np.pad(prior, (0, 4)) + np.diag([*np.zeros(count), *WEAK_PRIOR**-2, MARGIN_STD**-2])
     weak = np.diag([*[_BASE_STD[0] ** -2] * 3, *[_BASE_STD[1] ** -2] * 3, *[0.0] * (count - 2)])
-    found: list[tuple[Float64, Float64]] = []
-    for _ in range(passes):
+    while len(found) < passes:
         before, fits = constants[:3], outlines.near(at, constants)
         model, solution = solve_with_variances(model, fits, calibration, prior, config, steps=_STEPS)
         calibration, constants = solution.calibration, solution.calibration.further
@@ -163,7 +189,25 @@ def estimate_camera(
             break
     sensitivity = -_inverse(information[:count, :count]) @ information[:count, of_camera]
     calibration = replace(calibration, further=np.zeros(0))
-    return CameraEstimate(change, covariance, *found[0], sensitivity, calibration, at, plausible=plausible)
+    margin, done = float(constants[3]), len(found)
+    return CameraEstimate(
+        change, covariance, *found[0], sensitivity, calibration, at, plausible=plausible, margin=margin, passes=done
+    )
+
+
+def shifted(model: SessionModel, at: Posed, before: Calibration, after: Calibration) -> Posed:
+    """Return N poses that differ from what a calibration predicts as they did from what another one predicts.
+
+    Parameters
+    ----------
+    model
+        The session's model.
+    at
+        The poses of the N frames.
+    before, after
+        The calibration that belongs to these poses, and the other one.
+    """
+    return model.predict(after).moved(at.minus(model.predict(before)))
 
 
 def _inverse(information: Float64) -> Float64:

@@ -74,7 +74,7 @@ class Consensus:
         return float(np.minimum(self.misfit, INLIER_MISFIT).mean())
 
 
-def _evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
+def evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
     """Return at most ``most`` evenly spaced indices below ``count``, in increasing order."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
@@ -100,8 +100,8 @@ def find_consensus(
     hypothesis_frames, test_frames
         Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
     """
-    proposing = _evenly_spaced(len(modes), hypothesis_frames).tolist()
-    tested = _evenly_spaced(len(modes), test_frames)
+    proposing = evenly_spaced(len(modes), hypothesis_frames).tolist()
+    tested = evenly_spaced(len(modes), test_frames)
     hypotheses = _Hypotheses(model, modes, offset_std)
     candidates = [(frame, k) for frame in proposing for k in range(len(modes[frame]))]
     best = min(candidates, key=lambda source: float(hypotheses.tested(source, tested).cost.sum()))

@@ -111,6 +111,18 @@ class LagEstimate:
         if self.applied is not None and not self._clock.has_readings(self._clock.delay_of(self.applied)).all():
             self.lag = before
 
+    def take_from(self, few: LagEstimate) -> None:
+        """Take the lag that some of the frames told, unless another frame would have no readings there.
+
+        Parameters
+        ----------
+        few
+            The estimate of these frames.
+        """
+        applied = few.applied
+        if applied is None or self._clock is None or self._clock.has_readings(self._clock.delay_of(applied)).all():
+            self.lag, self.undetermined = few.lag, few.undetermined
+
     def tell_by_fits(
         self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64
     ) -> float | None:

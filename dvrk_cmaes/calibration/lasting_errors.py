@@ -18,7 +18,7 @@ to 0.6 of those of single frames, whose loss is less robust against shadows, and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,10 @@ class CommonErrors:
     times: Float64
     by_lag: Float64
     alike_seconds: float = 0.0
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> CommonErrors:
+        """Return those of the frames at some indices."""
+        return replace(self, times=self.times[index], by_lag=self.by_lag[index])
 
 
 def frames_alike(times: Float64, seconds: float) -> Float64:

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.camera_change import MARGIN_STD, SessionOutlines
+from dvrk_cmaes.calibration.camera_change import MARGIN_STD, SessionOutlines, shifted
+from dvrk_cmaes.calibration.few_frames import few_of
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_camera import file_deviations
 from dvrk_cmaes.calibration.session_masks import Margin
@@ -66,19 +67,45 @@ def estimate_margin(
     """
     further = np.array([*file_deviations(config), MARGIN_STD])
     padded = np.pad(prior, (0, 4)) + np.diag([*np.zeros(len(prior)), *further**-2])
-    there, poses = replace(calibration, further=np.array([*np.zeros(3), outlines.margin])), at
-    for _ in range(_PASSES):
-        before = there.further
-        fits = outlines.near(poses, before)
-        solution = solve(model, fits, there, padded)
-        there, poses = solution.calibration, poses.moved(marginalise(model, fits, solution.calibration).own)
-        margin, std = float(there.further[3]), float(np.hypot(np.sqrt(solution.covariance[-1, -1]), _LEAST_STD))
-        if abs(margin - before[3]) < _SETTLED * std:
-            break
+    start, poses, passes = replace(calibration, further=np.array([*np.zeros(3), outlines.margin])), at, _PASSES
+    index = few_of(len(at))
+    if index is not None:
+        near = _linearised(model.subset(index), start, padded, at[index], outlines.subset(index), passes - 1)
+        poses = shifted(model, at, start, near.calibration)
+        start, passes = near.calibration, passes - near.passes
+    there = _linearised(model, start, padded, poses, outlines, passes)
+    margin, std = float(there.calibration.further[3]), there.std
     clear = abs(margin) > max(_CLEAR * std, _LEAST_MARGIN)
     if clear:
         calibration, at = _with_margin(model, calibration, prior, at, outlines, margin)
     return MarginEstimate(Margin(margin, std, clear), calibration, at)
+
+
+@dataclass(frozen=True)
+class _There:
+    """The calibration with the margin, its last constant, whose standard deviation is ``std``, px.
+
+    ``passes`` is the number of linearisations that led there.
+    """
+
+    calibration: Calibration
+    std: float
+    passes: int
+
+
+def _linearised(
+    model: SessionModel, there: Calibration, prior: Float64, at: Posed, outlines: SessionOutlines, passes: int
+) -> _There:
+    """Solve for calibration, camera and margin, linearising the outlines until the margin does not change any more."""
+    done, settled = 0, False
+    while not settled and done < passes:
+        done, before = done + 1, there.further
+        fits = outlines.near(at, before)
+        solution = solve(model, fits, there, prior)
+        there, at = solution.calibration, at.moved(marginalise(model, fits, solution.calibration).own)
+        std = float(np.hypot(np.sqrt(solution.covariance[-1, -1]), _LEAST_STD))
+        settled = abs(there.further[3] - before[3]) < _SETTLED * std
+    return _There(there, std, done)
 
 
 def _with_margin(
