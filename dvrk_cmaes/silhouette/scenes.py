@@ -54,7 +54,7 @@ class LinkScenes:
     def _scene_of(self, link: Link) -> Any:
         """Build the scene of a link."""
         scene = self._scene_type()
-        self._mesh_type(scene, np.ascontiguousarray(link.vertices[link.faces], dtype=np.float32))
+        self._mesh_type(scene, link.vertices.astype(np.float32), link.faces)  # twice as quick as by triangles' corners
         # The first query commits the scene without a lock, so it is made before threads share the scene.
         ray = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
         scene.run(ray, ray, query="OCCLUDED")

@@ -22,6 +22,8 @@ from dvrk_cmaes.silhouette import NEAR
 
 NOTHING = -1
 """Link index of a pixel that sees no link."""
+_SCENES = 4
+"""Scenes that are kept, which take 10 ms to build: a frame's mask and its image show the same, for each eye and arm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +61,8 @@ def trace_links(
     instrument: Instrument, camera: Camera, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
 ) -> LinkView:
     """Trace a ray through every pixel's centre, for a pose ``camera_from_root`` (4, 4) and joints (J,)."""
-    corners, owner = _triangles(instrument, camera_from_root, joints)
-    return _traced(corners, owner, pixel_rays(camera), _window(camera, corners.reshape(-1, 3)))
+    surface = _Surface.of(instrument, camera_from_root, joints)
+    return _traced(surface, pixel_rays(camera), _window(camera, surface.corners.reshape(-1, 3)))
 
 
 def links_at(
@@ -71,11 +73,11 @@ def links_at(
     where: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
     """Return the index (H, W) of the link that is seen at the pixels ``where`` (H, W); ``NOTHING`` at the others."""
-    corners, owner = _triangles(instrument, camera_from_root, joints)
+    surface = _Surface.of(instrument, camera_from_root, joints)
     links = np.full(where.shape, NOTHING, dtype=np.int32)
     rays = pixel_rays(camera)[where]
-    faces = _scene(corners).run(np.ascontiguousarray(NEAR * rays), rays)
-    links[where] = np.where(faces == NOTHING, NOTHING, owner[faces])
+    faces = surface.scene().run(np.ascontiguousarray(NEAR * rays), rays)
+    links[where] = np.where(faces == NOTHING, NOTHING, surface.owner[faces])
     return links
 
 
@@ -99,28 +101,48 @@ def trace_rays(
     joints: NDArray[np.float64],
 ) -> LinkView:
     """Trace rays (..., 3) from the camera's origin, as of `pixel_rays`, for a pose (4, 4) and joints (J,)."""
-    corners, owner = _triangles(instrument, camera_from_root, joints)
-    return _traced(corners, owner, rays, np.ones(rays.shape[:-1], dtype=np.bool_))
+    surface = _Surface.of(instrument, camera_from_root, joints)
+    return _traced(surface, rays, np.ones(rays.shape[:-1], dtype=np.bool_))
 
 
-def _triangles(
-    instrument: Instrument, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the corners (F, 3, 3) of all triangles in the camera's frame, m, and the index (F,) of their link."""
-    poses = camera_from_root @ instrument.forward(joints)
-    triangles, owner = [], []
-    for k, (link, pose) in enumerate(zip(instrument.links, poses, strict=True)):
-        triangles.append(apply(pose, link.vertices)[link.faces])
-        owner.append(np.full(len(link.faces), k, dtype=np.int32))
-    return np.concatenate(triangles), np.concatenate(owner)
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """The triangles of all links at a pose."""
+
+    points: NDArray[np.float64]
+    """The vertices (V, 3) in the camera's frame, m."""
+    faces: NDArray[np.int32]
+    """Indices (F, 3) of the triangles' corners."""
+    owner: NDArray[np.int32]
+    """Index (F,) of the link of each triangle."""
+
+    @classmethod
+    def of(cls, instrument: Instrument, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> _Surface:
+        """Place the links by ``camera_from_root`` (4, 4) and joints (J,)."""
+        poses = camera_from_root @ instrument.forward(joints)
+        points, faces, owner, before = [], [], [], 0
+        for k, (link, pose) in enumerate(zip(instrument.links, poses, strict=True)):
+            points.append(apply(pose, link.vertices))
+            faces.append((link.faces + before).astype(np.int32))
+            owner.append(np.full(len(link.faces), k, dtype=np.int32))
+            before += len(link.vertices)
+        return cls(np.concatenate(points), np.concatenate(faces), np.concatenate(owner))
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """The corners (F, 3, 3) of the triangles, m."""
+        return self.points[self.faces]
+
+    def scene(self) -> EmbreeScene:
+        """Return a scene of the triangles."""
+        return _scene(self.points.astype(np.float32).tobytes(), self.faces.tobytes())
 
 
-def _traced(
-    corners: NDArray[np.float64], owner: NDArray[np.int32], rays: NDArray[np.float32], inside: NDArray[np.bool_]
-) -> LinkView:
+def _traced(surface: _Surface, rays: NDArray[np.float32], inside: NDArray[np.bool_]) -> LinkView:
     """Trace the rays (..., 3) for which ``inside`` (...) is true; the others see nothing."""
+    corners = surface.corners
     traced = np.ascontiguousarray(rays[inside])
-    hits = _scene(corners).run(np.ascontiguousarray(NEAR * traced), traced, output=True)
+    hits = surface.scene().run(np.ascontiguousarray(NEAR * traced), traced, output=True)
     hit = hits["primID"] != NOTHING
     face, towards = hits["primID"][hit], traced[hit]
     seen = np.zeros(inside.shape, dtype=np.bool_)
@@ -133,17 +155,20 @@ def _traced(
         normal=np.zeros((*inside.shape, 3), dtype=np.float32),
         direction=np.zeros((*inside.shape, 3), dtype=np.float32),
     )
-    view.link[seen] = owner[face]
+    view.link[seen] = surface.owner[face]
     view.depth[seen] = hits["tfar"][hit] + NEAR
     view.normal[seen] = normals[face]
     view.direction[seen] = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
     return view
 
 
-def _scene(corners: NDArray[np.float64]) -> EmbreeScene:
-    """Return a scene of triangles with these corners (F, 3, 3)."""
+@lru_cache(maxsize=_SCENES)
+def _scene(points: bytes, faces: bytes) -> EmbreeScene:
+    """Return a scene of triangles between points (V, 3) float32, whose indices are (F, 3) int32."""
     scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
+    TriangleMesh(scene, np.frombuffer(points, np.float32).reshape(-1, 3), np.frombuffer(faces, np.int32).reshape(-1, 3))
+    ray = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    scene.run(ray, ray, query="OCCLUDED")  # commits the scene, before threads share it
     return scene
 
 
