@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Motion = Literal["fixed", "revolute", "prismatic"]
 
+_NO_CONTENT = {"content": False}  # of fields that follow from others
+
 
 @dataclass(frozen=True, eq=False)
 class Joint:
@@ -136,8 +138,8 @@ class Chain:
     """A tree of joints below a root link, ordered so that every parent precedes its children."""
 
     joints: tuple[Joint, ...]
-    _moving: _Moving = field(init=False, repr=False)
-    _still: dict[int, NDArray[np.float64]] = field(init=False, repr=False)
+    _moving: _Moving = field(init=False, repr=False, metadata=_NO_CONTENT)
+    _still: dict[int, NDArray[np.float64]] = field(init=False, repr=False, metadata=_NO_CONTENT)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_moving", _Moving.of(self.joints))

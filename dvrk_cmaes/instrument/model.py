@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,7 +127,7 @@ class Instrument:
     limits_from: str = "URDF"
     roll_offset: float = ROLL_OFFSET
     roll_limits: tuple[float, float] | None = None
-    kept: bool = False
+    kept: bool = field(default=False, metadata={"content": False})
 
     def __repr__(self) -> str:
         """Show name, links and joints."""

@@ -317,7 +317,7 @@ def outcomes(
         most = workers or max(1, usable_cores() // setup.config.threads)
         done = run_in_processes(
             todo,
-            functools.partial(run_task, packed.as_known),
+            call,
             start=functools.partial(prepare_process, packed),
             workers=min(most, len(todo)),
             time_limit=time_limit,

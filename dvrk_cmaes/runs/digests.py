@@ -96,14 +96,18 @@ def _digest(value: Any) -> str:
 
 
 def _parts(value: Any) -> Iterator[bytes]:
-    """Yield the content of such a tree as bytes: names of fields, keys, lengths and values."""
+    """Yield the content of such a tree as bytes: names of fields, keys, lengths and values.
+
+    Fields whose metadata say so are no content: what follows from others, or is kept of a file.
+    """
     if isinstance(value, np.ndarray):
         yield f"{value.dtype.str}{value.shape}".encode()
         yield np.ascontiguousarray(value).tobytes()
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         for field in dataclasses.fields(value):
-            yield field.name.encode()
-            yield from _parts(getattr(value, field.name))
+            if field.metadata.get("content", True):
+                yield field.name.encode()
+                yield from _parts(getattr(value, field.name))
     elif isinstance(value, Mapping):
         for key, part in value.items():
             yield str(key).encode()

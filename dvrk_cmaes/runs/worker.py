@@ -71,11 +71,6 @@ class PackedSetup:
         data = pickle.dumps(setup, protocol=pickle.HIGHEST_PROTOCOL)
         return PackedSetup(hashlib.sha256(data).hexdigest(), data, _here())
 
-    @property
-    def as_known(self) -> PackedSetup:
-        """The same setup without its data, for processes that have unpacked it by `prepare_process`."""
-        return replace(self, data=b"")
-
 
 @dataclass(frozen=True)
 class FrameOutcome:

@@ -33,7 +33,7 @@ CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
 
 @pytest.fixture(scope="module")
 def world() -> MovingWorld:
-    return moving_world()
+    return moving_world(right=0.004)
 
 
 @pytest.fixture(scope="module")

@@ -243,7 +243,7 @@ def test_roll_that_no_reading_tells_is_found_at_once(world: MovingWorld, first: 
 
 
 def test_first_image_in_doubt_is_never_ok_and_wrong() -> None:
-    world = moving_world(right=0.012)
+    world = moving_world(right=0.018)
     followed = world.follow(Tracker(world.camera, world.body, lag=0.0), frames=range(24))
     assert followed[0].status == "doubtful"
     assert world.error_mm(0, followed[0]) > 3  # the first image alone leads astray
