@@ -1,4 +1,4 @@
-"""The folder for what can be computed again, but takes long: loaded instruments and compiled templates.
+"""The folder for what can be computed again, but takes long: instruments, prepared meshes and compiled templates.
 
 It is ``dvrk-cmaes`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. The environment variable ``DVRK_CMAES_CACHE`` gives another
 folder; the value ``off`` disables it. Its files may be deleted at any time.
