@@ -108,11 +108,10 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     if camera.is_pinhole:
         return Contour(pixels, pixels, normal)
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    ideal = camera.normalise(pixels) * focal + centre
-    ahead = camera.normalise(pixels + np.stack([-normal[:, 1], normal[:, 0]], axis=1)) * focal + centre
-    tangent = ahead - ideal
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
-    return Contour(pixels, ideal, np.stack([tangent[:, 1], -tangent[:, 0]], axis=1))
+    xy = camera.normalise(pixels)
+    across = camera.project_along(np.c_[xy, np.ones(len(xy))], normal)[1][:, :2] / focal  # towards the normal's side
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    return Contour(pixels, xy * focal + centre, across)
 
 
 def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:

@@ -81,6 +81,18 @@ def test_contour_is_subpixel_with_outward_normals() -> None:
     assert ((way / radius[:, None] * contour.normals).sum(axis=1) > 0.97).all()
 
 
+def test_normals_of_a_contour_are_those_of_the_undistorted_one() -> None:
+    v, u = np.mgrid[:480, :640]
+    mask = np.hypot(u - 170, v - 120) < 100  # near a corner, where the lens bends most
+    straight, bent = (find_contour(mask, camera) for camera in CAMERAS.values())
+    lens, step = CAMERAS["lens"], 1e-3
+    along = np.stack([-straight.normals[:, 1], straight.normals[:, 0]], axis=1)
+    ahead, behind = (lens.normalise(straight.pixels + sign * step * along) * [lens.fx, lens.fy] for sign in (1, -1))
+    tangent = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
+    np.testing.assert_allclose(bent.normals, np.stack([tangent[:, 1], -tangent[:, 0]], axis=1), atol=1e-6)
+    assert np.abs(bent.normals - straight.normals).max() > 0.01
+
+
 @pytest.mark.parametrize("method", FIELDS)
 def test_distance_field_is_zero_inside_mask(method: str) -> None:
     v, u = np.mgrid[:90, :120]
