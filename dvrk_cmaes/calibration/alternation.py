@@ -243,16 +243,11 @@ class Alternation:
             scales.append(1.0)  # with the camera that all rounds before have found
         begun = self._begin_with_few(scales)
         calibration, moved = self.solution.calibration, None
-        for iteration, scale in enumerate(scales[begun:], begun):
-            last = iteration + 1 == len(scales)
-            self.progress(_round_name(iteration, len(scales)), len(self.frames))
-            expected = self.model.priors(calibration, scale=scale)
-            self._fit(expected, self._starts(iteration, expected, moved, last=last), last=last)
-            # Fits that do not explain the mask are only excluded once the prior is no longer widened.
-            fits = self._solve_round(calibration, keep_all=scale != 1.0)
+        for iteration in range(begun, len(scales)):
+            fits = self._round(iteration, scales, calibration, moved)
             calibration = self.solution.calibration
             at, moved = fits.at, None
-            if self.change is not None and not last:
+            if self.change is not None and iteration + 1 < len(scales):
                 calibration, moved = self._use(self._fitted.with_camera(calibration, at))
             if iteration + 2 == len(scales):
                 at = at if moved is None else moved
@@ -263,6 +258,21 @@ class Alternation:
                     calibration, changed = self._use(self._fitted.with_margins(calibration, at))
                     moved = moved if changed is None else changed
         self._finish(fits)
+
+    def _round(
+        self, iteration: int, scales: Sequence[float], calibration: Calibration, moved: Posed | None
+    ) -> FrameFits:
+        """Fit the frames to what the calibration predicts, and estimate the calibration from the fits, returned.
+
+        ``scales`` are the factors on the standard deviations of the predictions, one of each round; ``moved`` is as in
+        `_starts`.
+        """
+        scale, last = scales[iteration], iteration + 1 == len(scales)
+        self.progress(f"round {iteration + 1} of {len(scales)}", len(self.frames))
+        expected = self.model.priors(calibration, scale=scale)
+        self._fit(expected, self._starts(iteration, expected, moved, last=last), last=last)
+        # Fits that do not explain the mask are only excluded once the prior is no longer widened.
+        return self._solve_round(calibration, keep_all=scale != 1.0)
 
     def _begin_with_few(self, scales: Sequence[float]) -> int:
         """Do the rounds whose predictions are widened with few of many frames; returns the number of these rounds.
@@ -276,16 +286,12 @@ class Alternation:
             The factors on the standard deviations of the predictions, one of each round.
         """
         index = few_of(len(self.frames)) if self.change is None else None
-        rounds = sum(scale != 1.0 for scale in scales)
+        rounds = sum(scale != 1.0 for scale in scales[:-1])  # all frames take part in the last one in any case
         if index is None or rounds == 0:
             return 0
         few = self._of_few(index.tolist())
-        for iteration, scale in enumerate(scales[:rounds]):
-            self.progress(_round_name(iteration, len(scales)), len(few.frames))
-            calibration = few.solution.calibration
-            expected = few.model.priors(calibration, scale=scale)
-            few._fit(expected, few._starts(iteration, expected, None, last=False), last=False)
-            few._solve_round(calibration, keep_all=True)
+        for iteration in range(rounds):
+            few._round(iteration, scales, few.solution.calibration, None)
         self.lag.take_from(few.lag)
         self.model = self.lag.corrected(self.model.with_deviations(few.model.deviations))
         calibration = few.solution.calibration
@@ -535,8 +541,3 @@ class Alternation:
         tasks = report_tasks(frames, self.stored, self.fits, model, solution, disagreements, session, stated)
         tasks = [replace(task, first=self._first.get(i), change=self.change) for i, task in enumerate(tasks)]
         return self.run(report_task, tasks), reasons
-
-
-def _round_name(iteration: int, count: int) -> str:
-    """Return the name of one of ``count`` rounds as a stage of progress."""
-    return f"round {iteration + 1} of {count}"

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -71,6 +72,11 @@ def write_cached(path: Path, instrument: Instrument, files: Iterable[Path]) -> N
     if shaft is not None:
         arrays |= {"shaft_point": shaft.point, "shaft_direction": shaft.direction}
         document["shaft"] = [shaft.radius, shaft.distal_end, shaft.proximal_end]
+    write_kept(path, document, arrays)
+
+
+def write_kept(path: Path, document: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write values and arrays to a file of the cache; failure to write is ignored."""
     with contextlib.suppress(DvrkCmaesError, OSError):
         write_arrays(path, document, arrays)
 

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.runs.worker_process import CallTimeoutError, ProcessDiedError, WorkerProcess, single_library_threads
@@ -249,18 +249,10 @@ def _done(
     pace: _Pace,
 ) -> Iterator[tuple[T, R | WorkerDied]]:
     """Run tasks together, or one by one where there is only one or that fails; yield each with its value."""
-    started = time.monotonic()
     if len(tasks) > 1:
-        try:
-            values = process.run(functools.partial(_each, call), tasks, time_limit)
-        except CallTimeoutError:
-            process.kill()
-            process.close()
-        except ProcessDiedError:
-            process.close()
-            if source.ended:
-                raise _NothingMoreError from None
-        else:
+        started = time.monotonic()
+        values = _tried(process, functools.partial(_each, call), tasks, time_limit, source, tries=1)
+        if not isinstance(values, WorkerDied):
             pace.took(time.monotonic() - started, len(tasks))
             yield from zip(tasks, values, strict=True)
             return
@@ -272,10 +264,15 @@ def _done(
 
 
 def _tried(
-    process: _Process, call: Callable[[T], R], task: T, time_limit: float | None, source: _Source[T]
+    process: _Process,
+    call: Callable[[T], R],
+    task: T,
+    time_limit: float | None,
+    source: _Source[Any],
+    tries: int = _TRIES,
 ) -> R | WorkerDied:
-    """Run a task, and again if its process dies, unless the run has been stopped by then."""
-    for _ in range(_TRIES):
+    """Run a task, ``tries`` times if its process dies, unless the run has been stopped by then."""
+    for _ in range(tries):
         try:
             return process.run(call, task, time_limit)
         except CallTimeoutError:
@@ -286,7 +283,7 @@ def _tried(
             process.close()
             if source.ended:
                 raise _NothingMoreError from None
-    return WorkerDied(f"its process died {_TRIES} times: out of memory, or a crash in a native library")
+    return WorkerDied(f"its process died {tries} times: out of memory, or a crash in a native library")
 
 
 class _Process:

@@ -11,14 +11,10 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
-from numpy.typing import NDArray
-
-from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument import Instrument, Link
-from dvrk_cmaes.instrument.cache import cache_file
-from dvrk_cmaes.io.mapped_arrays import UNUSABLE, map_arrays, write_arrays
+from dvrk_cmaes.instrument.cache import cache_file, write_kept
+from dvrk_cmaes.io.mapped_arrays import UNUSABLE, map_arrays
 from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.topology import MeshTopology, build_topology
 
@@ -33,7 +29,7 @@ def topology_of(instrument: Instrument) -> MeshTopology:
     topology = build_topology(instrument)
     if path is not None:
         arrays = {field.name: getattr(topology, field.name) for field in fields(topology) if field.init}
-        _write(path, {}, arrays)
+        write_kept(path, {}, arrays)
     return topology
 
 
@@ -53,7 +49,7 @@ def decimated(instrument: Instrument, cell: float) -> tuple[Instrument, float]:
         arrays = {}
         for i, link in enumerate(coarse.links):
             arrays |= {f"vertices_{i}": link.vertices, f"faces_{i}": link.faces}
-        _write(path, {"error": error}, arrays)
+        write_kept(path, {"error": error}, arrays)
     return coarse, error
 
 
@@ -70,9 +66,3 @@ def _digest(links: Iterable[Link]) -> str:
             digest.update(f"{array.dtype.str}{array.shape}".encode())
             digest.update(array.tobytes())
     return digest.hexdigest()
-
-
-def _write(path: Path, document: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    """Write a file of the cache; failure to write is ignored."""
-    with contextlib.suppress(DvrkCmaesError, OSError):
-        write_arrays(path, document, arrays)

@@ -22,7 +22,7 @@ from dvrk_cmaes.silhouette import Body
 COUNT, FEW = 12, 5
 
 
-def solved(body: Body) -> tuple[SolvedSession, list[tuple[str, int]]]:
+def solved(body: Body, config: EstimateConfig | None = None) -> tuple[SolvedSession, list[tuple[str, int]]]:
     """Calibrate a session; returns the numbers of frames that were fitted and whose outlines were linearised, too."""
     tasks: list[tuple[str, int]] = []
 
@@ -32,7 +32,7 @@ def solved(body: Body) -> tuple[SolvedSession, list[tuple[str, int]]]:
         return [function(body, EstimateConfig(), task) for task in of_frames]
 
     frames = make_frames_in_memory(body, COUNT, level="clean", seed=11)[2]
-    return calibrate_session(frames, body, run=run), tasks
+    return calibrate_session(frames, body, run=run, config=config), tasks
 
 
 def test_few_frames_are_those_of_the_whole_recording() -> None:
@@ -65,6 +65,13 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
     assert [result.status for result in by_few.results.values()] == [
         result.status for result in by_all.results.values()
     ]
+
+
+def test_all_frames_take_part_in_the_only_round(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(few_frames, "_FEW", FEW)
+    by_few, tasks = solved(bundled_body, EstimateConfig(session=SessionConfig(rounds=1, test_camera=False)))
+    assert tasks[0] == ("fit_task", COUNT)
+    assert len(by_few.results) == COUNT
 
 
 def test_poses_keep_their_differences_from_what_is_predicted() -> None:
