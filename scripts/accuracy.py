@@ -18,6 +18,7 @@
     python scripts/accuracy.py turned-rigs SESSION...  stereo sessions: rotations of the right eye that are found
     python scripts/accuracy.py disparity SESSION...    stereo images: rows of points that match, by --session, too
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
+    python scripts/accuracy.py image-sizes SESSION...  drawn masks of 14 sizes of images: errors, tips, times
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
     python scripts/accuracy.py worlds FOLDER           worlds of every kind (scripts/worlds), drawn into FOLDER and
                                                        solved by estimate, calibrate and track
@@ -47,6 +48,7 @@ from measure.accuracy.disparity import disparity_report
 from measure.accuracy.errors import error_report, feature_rows, frame_rows
 from measure.accuracy.fleet import fleet_report
 from measure.accuracy.halves import halved, halves_report
+from measure.accuracy.image_sizes import image_sizes_report
 from measure.accuracy.lag import find_lags, lag_report
 from measure.accuracy.lies import doubt_report, falsified_cases, load_others
 from measure.accuracy.perturbed import perturbed_report
@@ -253,6 +255,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
     "worlds": _worlds,
+    "image-sizes": lambda given, _: image_sizes_report(given),
 }
 
 

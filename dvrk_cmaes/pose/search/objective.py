@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LossWeights
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, shrunk
@@ -21,14 +20,29 @@ from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypo
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import PixelSums, Renderer
 
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+
+
+def mask_at(evidence: Evidence, width: int, height: int) -> tuple[Float32, Float32]:
+    """Return the mask (h, w), 0 to 1, and the weight of its pixels as the search compares them at an image size, px."""
+    mask, weight = evidence.mask.astype(np.float32), evidence.weight
+    if mask.shape == (height, width):
+        return mask, weight
+    less = shrunk(weight, width, height)
+    return np.asarray(shrunk(mask * weight, width, height) / np.maximum(less, 1e-6), dtype=np.float32), less
+
+
+def shows_both(mask: Float32) -> bool:
+    """Return whether some pixel of a mask (h, w), 0 to 1, is instrument and another one is background."""
+    return 0 < np.count_nonzero(mask > 0.5) < mask.size
 
 
 class Objective:
     """Weighted sum of all loss terms, for many candidates at once.
 
-    The mask is downsampled to the renderer's image size. ``field`` is the method of the distance field, ``decay`` (px
-    of the full image) the distance over which it increases by one.
+    The mask is downsampled to the renderer's image size, in which it `shows_both` instrument and background. ``field``
+    is the method of the distance field, ``decay`` (px of the full image) the distance over which it increases by one.
     """
 
     def __init__(
@@ -48,21 +62,9 @@ class Objective:
         self.weights = weights
         self.lines_per_pixel = lines_per_pixel
         camera = renderer.camera
-        size = (camera.width, camera.height)
-        mask = evidence.mask.astype(np.float32)
-        weight = evidence.weight
-        if mask.shape != (camera.height, camera.width):
-            full_weight = weight
-            weight = shrunk(full_weight, *size)
-            mask = np.asarray(shrunk(mask * full_weight, *size) / np.maximum(weight, 1e-6), dtype=np.float32)
+        mask, weight = mask_at(evidence, camera.width, camera.height)
         scale = camera.width / evidence.mask.shape[1]
-        inside = mask > 0.5
-        if inside.all() or not inside.any():
-            raise InputError(
-                f"mask: expected an instrument and background that show in {camera.width} x {camera.height} pixels, "
-                f"as the search draws it, got {'no background' if inside.any() else 'no instrument'}"
-            )
-        far = distance_field(inside, field) / (decay * scale)
+        far = distance_field(mask > 0.5, field) / (decay * scale)
         self._area = float((mask * weight).sum())
         self._square = float((mask * mask * weight).sum())
         self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import SearchConfig
 from dvrk_cmaes.evidence.gather import Evidence, shrunk
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.search.objective import Objective
+from dvrk_cmaes.pose.search.objective import Objective, mask_at, shows_both
 
 Float64 = NDArray[np.float64]
 
@@ -68,6 +68,7 @@ def screening_size(evidence: Evidence, size: tuple[int, int], search: SearchConf
     for divisor in range(search.screen_shrink, 1, -1):
         smaller = max(size[0] // divisor, 1), max(size[1] // divisor, 1)
         shares = shrunk(mask, *smaller)
-        if _SHOWING * shares.sum() <= np.count_nonzero(shares > 0.5) < shares.size:
+        most_shows = _SHOWING * shares.sum() <= np.count_nonzero(shares > 0.5)
+        if most_shows and shows_both(mask_at(evidence, *smaller)[0]):
             return smaller
     return None
