@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -66,6 +67,13 @@ class Folder:
     def times(self) -> dict[str, float]:
         """Return the times of the images by frame, on the clock of the readings, s."""
         return {name: float(truth["time"]) for name, truth in self.golden().items()}
+
+    def nearest_readings(self, stamp: float) -> dict[str, float]:
+        """Return the row of joints.csv, by joint, whose time is nearest to that of an image, s."""
+        with (self.path / "joints.csv").open(encoding="utf-8", newline="") as file:
+            rows = [{name: float(cell) for name, cell in row.items()} for row in csv.DictReader(file)]
+        nearest = min(rows, key=lambda row: abs(row["time"] - stamp))
+        return {name: value for name, value in nearest.items() if name != "time"}
 
 
 def arms(world: World) -> tuple[str, ...]:

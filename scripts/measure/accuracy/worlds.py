@@ -46,17 +46,18 @@ _WRONG_PX: Final = 2.0
 _WRONG_STD: Final = 3.0
 _WRONG_SHARE: Final = 0.2
 _LEAST_SEEN: Final = 0.5
+_REFUSED: Final = 2  # exit code
 _WITHOUT_POSE_MM: Final = 1000.0
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A command that ended with an error: what was run, its exit code, or "crash", and its last line on stderr."""
+    """A command that ended with an error: its exit code, or "crash", its last line on stderr, and what was run."""
 
     frame: str
-    run: str
     code: int | str
     error: str
+    run: str
 
 
 @dataclass(frozen=True)
@@ -171,17 +172,24 @@ def _stated(std: float | Mapping[str, float]) -> float:
 
 
 def _estimated(drawn: Folder) -> tuple[dict[str, Any], list[Failure]]:
-    """Estimate each frame by itself; return the results by frame, and what failed."""
+    """Estimate each frame by itself; return the results by frame, and what failed.
+
+    A frame that is refused with the file of readings and its time is estimated with the values of the nearest row.
+    """
     results, failures = {}, []
     for name, stamp in drawn.times().items():
         arguments = ["estimate", "--mask", str(drawn.path / "masks" / f"{name}.png"), "--frame", name, "--json"]
-        arguments += ["--camera", str(drawn.path / "camera.yaml"), "--joints", str(drawn.path / "joints.csv")]
-        arguments += ["--time", f"{stamp:.6f}", "--instrument", drawn.world.instrument, "--arm", drawn.world.arm]
+        arguments += ["--camera", str(drawn.path / "camera.yaml")]
+        arguments += ["--instrument", drawn.world.instrument, "--arm", drawn.world.arm]
         ignored = drawn.ignored / f"{name}.png"
         arguments += ["--ignore", str(ignored)] if ignored.exists() else []
         arguments += ["--label", "1"] if drawn.world.tools > 1 else []
-        out, failure = run(arguments, name)
+        out, failure = run([*arguments, "--joints", str(drawn.path / "joints.csv"), "--time", f"{stamp:.6f}"], name)
         failures += [] if failure is None else [failure]
+        if failure is not None and failure.code == _REFUSED:
+            values = ",".join(f"{joint}={value:g}" for joint, value in drawn.nearest_readings(stamp).items())
+            out, failure = run([*arguments, "--joints", values], name)
+            failures += [] if failure is None else [failure]
         if out.startswith("{"):
             results[name] = json.loads(out)
     return results, failures
@@ -218,7 +226,7 @@ def run(arguments: Sequence[str], frame: str) -> tuple[str, Failure | None]:
     if code in (0, 3):
         return out.getvalue(), None
     lines = err.getvalue().strip().splitlines() or ["(nothing on stderr)"]
-    return out.getvalue(), Failure(frame, shlex.join(["dvrk-cmaes", *arguments]), code, lines[-1])
+    return out.getvalue(), Failure(frame, code, lines[-1], shlex.join(["dvrk-cmaes", *arguments]))
 
 
 def tables(found: Sequence[Solved], undrawn: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
