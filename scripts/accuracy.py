@@ -63,6 +63,7 @@ from measure.accuracy.worlds import KINDS, worlds_report
 from measure.cases import Measurement, Run
 from measure.places import SHARED
 from measure.tables import Report, print_report, write_csv
+from worlds.table import worlds
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
@@ -229,8 +230,8 @@ def _worlds(given: Measurement, options: argparse.Namespace) -> Report:
     if len(given.folders) != 1:
         raise InputError(f"worlds: expected one folder to draw into, got {len(given.folders)}")
     only = options.only or [*KINDS]
-    folder = Path(given.folders[0])
-    return worlds_report(folder, count=options.worlds, seed=options.seed, only=only, frames=options.frames)
+    table = worlds()[: options.worlds]
+    return worlds_report(table, Path(given.folders[0]), seed=options.seed, only=only, frames=options.frames)
 
 
 COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]]] = {

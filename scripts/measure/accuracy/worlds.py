@@ -24,7 +24,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from worlds.folders import Folder, drawn_folder
 from worlds.motion import NOMINAL, Kind
-from worlds.table import World, worlds
+from worlds.table import World
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -108,14 +108,19 @@ class Solved:
 
 
 def worlds_report(
-    parent: Path, *, count: int | None, seed: int, only: Sequence[Command], frames: int | None
+    table: Sequence[World],
+    parent: Path,
+    *,
+    seed: int = 0,
+    only: Sequence[Command] = (*KINDS,),
+    frames: int | None = None,
 ) -> dict[str, Any]:
-    """Draw the first ``count`` worlds into a folder, solve them, and return tables; what is there is not done again.
+    """Draw worlds into a folder, solve them, and return tables; what is there is not done again.
 
     ``frames`` is the number of each session and recording, by default 10 and 30.
     """
     found, undrawn = [], []
-    for world in worlds()[:count]:
+    for world in table:
         for command in only:
             kind = KINDS[command]
             print(f"world {world.number}: {command}", file=sys.stderr, flush=True)
