@@ -44,7 +44,7 @@ class Seen:
 
 def rays_of(camera: Camera, pixels: Float64) -> Float32:
     """Return the rays (N, 3) of pixels (N, 2), points of the camera's frame at z = 1."""
-    return np.c_[camera.normalise(pixels), np.ones(len(pixels))].astype(np.float32)
+    return np.asarray(np.c_[camera.normalise(pixels), np.ones(len(pixels))], np.float32)
 
 
 @lru_cache(maxsize=1)

@@ -93,7 +93,7 @@ class Moving:
         joints = self.joints(times)
         poses = self.poses(joints)
         ends = apply(poses, self.instrument.ends(joints[:, 4:]))
-        return np.concatenate([poses[:, None, :3, 3], ends], axis=1)
+        return np.asarray(np.concatenate([poses[:, None, :3, 3], ends], axis=1), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
