@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -30,8 +30,9 @@ Bool = NDArray[np.bool_]
 
 WORLD: Final = "world.json"
 """File of a folder's parameters, written last."""
-USUAL: Final = 640 * 480
-"""Pixels of the images for which the levels' mistakes are stated; a segmenter's grow with the image."""
+USUAL_PIXELS: Final = 640 * 480
+USUAL_SHAFT: Final = 68.0
+"""Pixels of the images, and width of the shaft, px, for which the levels' mistakes are stated; they grow with both."""
 _BESIDE: Final = 2  # px beside another tool that do not count in `ignored`
 
 
@@ -121,8 +122,9 @@ def _draw(folder: Folder, seed: int) -> None:
     placed_at = [own.placed(times) for own in moving]
     for number, name in enumerate(folder.names):
         placed = [each[number] for each in placed_at]
-        _draw_frame(folder, seed, number, draw_tools(world.camera, placed))
-        golden[name] = _truth(moving[0], placed[0]) | {"visible": ends_seen(placed, 0), "time": float(stamps[number])}
+        overlap = _draw_frame(folder, seed, number, draw_tools(world.camera, placed))
+        seen = {"visible": ends_seen(placed, 0), "time": float(stamps[number]), "overlap": overlap}
+        golden[name] = _truth(moving[0], placed[0]) | seen
     base = moving[0].camera_from_base.tolist()
     write_json(out / "golden.json", {"camera_from_base": base, "lag": lag, "frames": golden})
 
@@ -141,12 +143,16 @@ def _truth(moving: Moving, placed: Placed) -> dict[str, Any]:
     return {"T_camera_roll_link": placed.camera_from_root.tolist(), "joints": joints, "tips_camera_m": ends.tolist()}
 
 
-def _draw_frame(folder: Folder, seed: int, number: int, seen: Seen) -> None:
-    """Write the image, the mask and what does not count of a frame."""
+def _draw_frame(folder: Folder, seed: int, number: int, seen: Seen) -> float:
+    """Write the image, the mask and what does not count of a frame; return the overlap of the mask with the truth.
+
+    The overlap is that of the instrument that is solved, intersection over union.
+    """
     world, name = folder.world, folder.names[number]
     inside = picture(world)
     rng = np.random.default_rng([seed, world.number, 4, number, folder.kind == "session"])
-    masks = [_segmented(world, (share > 0.5) & inside, rng, inside) for share in seen.coverage]
+    exact = [(share > 0.5) & inside for share in seen.coverage]
+    masks = [_segmented(world, each, rng, inside) for each in exact]
     if world.tools == 1:
         write_image(folder.path / "masks" / f"{name}.png", masks[0])
     else:
@@ -160,6 +166,7 @@ def _draw_frame(folder: Folder, seed: int, number: int, seen: Seen) -> None:
     if world.border == "circle":
         write_image(folder.path / "ignore" / f"{name}.png", ~inside)
     write_image(folder.path / "images" / f"{name}.jpg", draw_image(world, seed, number, seen), quality=92)
+    return float((masks[0] & exact[0]).sum() / max((masks[0] | exact[0]).sum(), 1))
 
 
 def _segmented(world: World, exact: Bool, rng: np.random.Generator, inside: Bool) -> Bool:
@@ -167,7 +174,7 @@ def _segmented(world: World, exact: Bool, rng: np.random.Generator, inside: Bool
     mistakes = LEVELS[world.level].mistakes
     if mistakes is None or not exact.any():
         return exact
-    sized = _sized(mistakes, world.size)
+    sized = _sized(mistakes, world)
     part = _around(exact, int(3 * sized.lump_radius[1]) + 8)
     made = np.zeros_like(exact)
     made[part] = simulate_segmentation(exact[part], rng, sized).mask
@@ -181,14 +188,14 @@ def _around(region: Bool, margin: int) -> tuple[slice, slice]:
     return rows, slice(max(left - margin, 0), min(left + width + margin, region.shape[1]))
 
 
-def _sized(mistakes: Mistakes, size: Sequence[int]) -> Mistakes:
-    """Return mistakes as large in an image of another size as in the usual one."""
-    factor = float(np.sqrt(size[0] * size[1] / USUAL))
+def _sized(mistakes: Mistakes, world: World) -> Mistakes:
+    """Return mistakes that are as large beside the image and the instrument as usual, or smaller beside one of them."""
+    factor = min(float(np.sqrt(np.prod(world.size) / USUAL_PIXELS)), world.shaft_px / USUAL_SHAFT)
     smallest, largest = mistakes.lump_radius
     return replace(
         mistakes,
         cell=max(1, round(mistakes.cell * factor)),
         wave=mistakes.wave * factor,
-        wavelength=mistakes.wavelength * factor,
+        wavelength=max(4.0, mistakes.wavelength * factor),
         lump_radius=(smallest * factor, largest * factor),
     )

@@ -93,7 +93,7 @@ class Moving:
         joints = self.joints(times)
         poses = self.poses(joints)
         ends = apply(poses, self.instrument.ends(joints[:, 4:]))
-        return np.asarray(np.concatenate([poses[:, None, :3, 3], ends], axis=1), np.float64)
+        return np.concatenate([poses[:, None, :3, 3], ends], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def instrument_of(source: str) -> Instrument:
 
 def frame_times(world: World, kind: Kind, count: int) -> Float64:
     """Return the times (F,) at which the frames of a session or a recording show the instrument, s."""
-    return START + np.arange(count) * (PAUSE if kind == "session" else 1 / world.images_hz)
+    return np.asarray(START + np.arange(count) * (PAUSE if kind == "session" else 1 / world.images_hz), np.float64)
 
 
 def lag_of(world: World, seed: int) -> float:

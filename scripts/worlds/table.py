@@ -98,6 +98,11 @@ class World:
         """The camera, whose principal point is near the middle."""
         return _camera(self.size, self.focal, self.lens)
 
+    @property
+    def shaft_px(self) -> float:
+        """Width of the shaft at the wrist's distance, px."""
+        return SHAFT * self.focal * self.size[0] / self.distance
+
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON and for rows of a report."""
         name = Path(self.instrument).stem.removeprefix("instrument_")

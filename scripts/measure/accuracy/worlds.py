@@ -46,6 +46,7 @@ _WRONG_PX: Final = 2.0
 _WRONG_STD: Final = 3.0
 _WRONG_SHARE: Final = 0.2
 _LEAST_SEEN: Final = 0.5
+_CLEAR_OVERLAP: Final = 0.01  # by which the truth must overlap the mask more than a pose that is missed
 _REFUSED: Final = 2  # exit code
 _WITHOUT_POSE_MM: Final = 1000.0
 
@@ -64,7 +65,8 @@ class Failure:
 class Scored:
     """A frame: its status, the error of the ends and its stated standard deviation, mm, and of the rotation, deg.
 
-    ``limit_mm`` is the error from which on an ok frame is wrong.
+    ``limit_mm`` is the error from which on an ok frame is wrong. ``missed`` tells a pose in the wrong mode that overlaps
+    the mask less than the truth does: the search did not find what the mask shows.
     """
 
     frame: str
@@ -73,6 +75,7 @@ class Scored:
     std_mm: float
     rotation_deg: float
     limit_mm: float
+    missed: bool = False
 
     @property
     def solved(self) -> bool:
@@ -168,7 +171,9 @@ def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[
             rotation = float(np.degrees(rotation_angle(np.array(result["camera_from_root"]), pose)))
         pixel_mm = 1e3 * float(true[:, 2].mean()) / drawn.world.camera.fx
         limit = max(_WRONG_MM, _WRONG_PX * pixel_mm, _WRONG_STD * std)
-        yield Scored(name, result.get("status", "failed"), error, std, rotation, limit)
+        overlap = (result.get("quality") or {}).get("iou", 1.0)
+        missed = rotation >= RIGHT_MODE_DEG and overlap < truth["overlap"] - _CLEAR_OVERLAP
+        yield Scored(name, result.get("status", "failed"), error, std, rotation, limit, missed)
 
 
 def _stated(std: float | Mapping[str, float]) -> float:
@@ -282,6 +287,7 @@ def figures(found: Sequence[Solved]) -> dict[str, Any]:
         "frames": len(frames),
         "solved": _share([frame.solved for frame in frames]),
         "right mode": _share([frame.rotation_deg < RIGHT_MODE_DEG for frame in frames]),
+        "missed": sum(frame.missed for frame in frames),
         "ok": _share([frame.ok for frame in frames]),
         "ok and wrong": sum(frame.wrong for frame in frames),
         "recordings wrong": sum(each.recording_wrong for each in found),
