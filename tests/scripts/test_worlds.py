@@ -163,6 +163,27 @@ def test_whole_session_is_calibrated(tmp_path: Path) -> None:
     assert not found.recording_wrong
 
 
+def test_frames_are_compared_with_the_truth(tmp_path: Path) -> None:
+    from measure.accuracy.worlds import scored
+    from worlds.folders import Folder
+
+    ends = [[0.0, 0.0, 0.12], [0.0, 0.002, 0.12]]
+    truth = {"T_camera_roll_link": np.eye(4).tolist(), "tips_camera_m": ends, "visible": 1.0, "overlap": 0.95}
+    frames = dict.fromkeys("abc", truth) | {"hidden": truth | {"visible": 0.0}}
+    (tmp_path / "golden.json").write_text(json.dumps({"frames": frames}), encoding="utf-8")
+    std = {"tip_mm": {"jaw_1": 0.4, "jaw_2": 0.6, "mean": 0.1}}
+    close = {"status": "ok", "camera_from_root": np.eye(4).tolist(), "tips": [[1e-3, y, z] for _, y, z in ends]}
+    turned = close | {"camera_from_root": np.diag([-1.0, -1, 1, 1]).tolist(), "quality": {"iou": 0.9}}
+    a, b, c = scored(
+        Folder(tmp_path, a_world(), "session", 4), {"a": close | {"std": std}, "b": turned | {"std": {"tip_mm": 2.0}}}
+    )
+    assert (a.error_mm, a.std_mm, a.rotation_deg, a.limit_mm) == pytest.approx((1.0, 0.5, 0.0, 3.0))
+    assert (a.solved, a.missed) == (True, False)
+    assert (b.std_mm, b.rotation_deg, b.limit_mm) == pytest.approx((2.0, 180.0, 6.0))
+    assert (b.solved, b.missed) == (False, True)
+    assert (c.status, c.error_mm, c.solved) == ("failed", 1000, False)
+
+
 def test_figures_count_what_is_wrong_and_what_failed(tmp_path: Path) -> None:
     from measure.accuracy.worlds import Failure, Scored, Solved, run, tables
 
