@@ -61,8 +61,7 @@ def draw_tools(camera: Camera, tools: Sequence[Placed]) -> Seen:
     rays, shape = _first_rays(camera, step)
     face, depth = scene.hits(rays)
     tool = np.where(face < 0, -1, scene.tool[face]).reshape(shape)
-    size, whole = (camera.width, camera.height), (slice(camera.height), slice(camera.width))
-    spread = np.ones((step, step), np.int64)
+    whole, spread = (slice(camera.height), slice(camera.width)), np.ones((step, step), np.int64)
     shading = np.kron(_shaded(scene, rays, face, depth).reshape(shape), spread)[whole].astype(np.float32)
     tool = np.kron(tool, spread)[whole]
     coverage = np.stack([tool == number for number in range(len(tools))]).astype(np.float32)
@@ -79,7 +78,6 @@ def draw_tools(camera: Camera, tools: Sequence[Placed]) -> Seen:
         for number in range(len(tools)):
             coverage[number, rows, columns] = (seen == number).mean(axis=1)
     near = cv2.dilate(shading, np.ones((2 * step + 1, 2 * step + 1), np.uint8))
-    assert shading.shape == size[::-1]
     return Seen(coverage, np.where(shading > 0, shading, near))
 
 
@@ -87,10 +85,12 @@ def _shaded(scene: Scene, rays: Float32, face: NDArray[np.int64], depth: Float32
     """Return the brightness of what rays (N, 3) meet, lit from the camera; 0 where they meet nothing."""
     bright = np.zeros(len(rays), np.float32)
     hit = face >= 0
+    if not hit.any():
+        return bright
     towards = rays[hit] / np.linalg.norm(rays[hit], axis=1, keepdims=True)
     facing = np.abs((scene.normals(face[hit]) * towards).sum(axis=1))
     steel = scene.steel(face[hit])
-    light = np.clip((depth.mean() if not hit.any() else np.median(depth[hit])) / depth[hit], 0.5, 1.5)
+    light = np.clip(np.median(depth[hit]) / depth[hit], 0.5, 1.5)
     gloss = np.where(steel, 0.7, 0.1) * facing**20
     bright[hit] = np.clip((np.where(steel, *_ALBEDO[::-1]) * (0.25 + 0.75 * facing) + gloss) * light, 0.02, 1)
     return bright
