@@ -52,14 +52,14 @@ class Evidence:
             mask, weight = self.mask.astype(np.float32), self.weight
             if mask.shape != (height, width):
                 weight = shrunk(self.weight, width, height)
-                mask = shrunk(mask * self.weight, width, height) / np.maximum(weight, 1e-6)
+                mask = np.divide(shrunk(mask * self.weight, width, height), np.maximum(weight, 1e-6), dtype=np.float32)
             known[width, height] = mask, weight
         return known[width, height]
 
     def shows_both(self, width: int, height: int) -> bool:
         """Return whether some pixel is instrument, and another one background, at an image size, px."""
         mask, _ = self.at_size(width, height)
-        return 0 < np.count_nonzero(mask > 0.5) < mask.size
+        return 0 < int(np.count_nonzero(mask > 0.5)) < mask.size
 
     @cached_property
     def ignores(self) -> bool:
@@ -170,7 +170,7 @@ def _gathered(
 
 def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
     """Downsample an image (H, W) to another size by area averaging; one of ones, as most weights are, stays exact."""
-    if image.min() == 1 == image.max():
+    if bool(image.min() == 1) and bool(image.max() == 1):
         return np.ones((height, width), dtype=np.float32)
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
