@@ -236,7 +236,7 @@ class RefineConfig:
         Difference of the negative log-likelihood from the best pose beyond which a pose does not continue, if its
         outline alone is worse than the best outline by a third of that too.
     half_size_modes
-        Number of best modes that are refined at half the image size.
+        Number of best modes that are refined at half the image size, or at about 400 px where that is larger.
     modes, full_steps
         Number of best modes that are refined at full image size, and largest number of iterations there before the
         contour's noise is estimated. The last iterations follow.

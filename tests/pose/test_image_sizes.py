@@ -13,7 +13,6 @@ from dvrk_cmaes import estimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import gather_evidence, shrunk
 from dvrk_cmaes.pose.search.global_search import search_size
-from dvrk_cmaes.pose.search.objective import mask_at
 from dvrk_cmaes.pose.search.screening import screening_size
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -62,7 +61,7 @@ def test_sizes_of_search_show_mask_of_any_area(bundled_body: Body, size: tuple[i
     evidence = gather_evidence(mask, camera, bundled_body.instrument, features=False)
     searched = search_size(evidence, SEARCH.width_px)
     for width, height in (searched, screening_size(evidence, searched, SEARCH) or searched):
-        inside = mask_at(evidence, width, height)[0] > 0.5
+        inside = evidence.at_size(width, height)[0] > 0.5
         assert inside.shape == (height, width)
         assert inside.any()
         assert not inside.all()

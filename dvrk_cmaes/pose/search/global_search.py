@@ -11,7 +11,7 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
 from dvrk_cmaes.pose.search.modes import Candidate, best_per_mode
-from dvrk_cmaes.pose.search.objective import Objective, mask_at, shows_both
+from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.screening import screened, screening_size
 from dvrk_cmaes.pose.search.starts import draw_starts
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -41,7 +41,7 @@ def search_size(evidence: Evidence, width: int) -> tuple[int, int]:
     legible = int(np.sqrt(np.count_nonzero(evidence.mask) / _LEAST_AREA))
     shrink = min(max(legible, finest), coarsest)
     sizes = ((max(camera.width // by, 1), max(camera.height // by, 1)) for by in range(shrink, 0, -1))
-    return next(size for size in sizes if shows_both(mask_at(evidence, *size)[0]))
+    return next(size for size in sizes if evidence.shows_both(*size))
 
 
 def find_candidates(

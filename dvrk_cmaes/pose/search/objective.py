@@ -12,7 +12,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LossWeights
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import distance_field
-from dvrk_cmaes.evidence.gather import Evidence, shrunk
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
@@ -20,28 +20,13 @@ from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypo
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import PixelSums, Renderer
 
-Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-
-
-def mask_at(evidence: Evidence, width: int, height: int) -> tuple[Float32, Float32]:
-    """Return the mask (h, w), 0 to 1, and the weight of its pixels as the search compares them at an image size, px."""
-    mask, weight = evidence.mask.astype(np.float32), evidence.weight
-    if mask.shape == (height, width):
-        return mask, weight
-    less = shrunk(weight, width, height)
-    return np.asarray(shrunk(mask * weight, width, height) / np.maximum(less, 1e-6), dtype=np.float32), less
-
-
-def shows_both(mask: Float32) -> bool:
-    """Return whether some pixel of a mask (h, w), 0 to 1, is instrument and another one is background."""
-    return 0 < np.count_nonzero(mask > 0.5) < mask.size
 
 
 class Objective:
     """Weighted sum of all loss terms, for many candidates at once.
 
-    The mask is downsampled to the renderer's image size, in which it `shows_both` instrument and background. ``field``
+    The mask is downsampled to the renderer's image size, in which instrument and background show. ``field``
     is the method of the distance field, ``decay`` (px of the full image) the distance over which it increases by one.
     """
 
@@ -62,7 +47,7 @@ class Objective:
         self.weights = weights
         self.lines_per_pixel = lines_per_pixel
         camera = renderer.camera
-        mask, weight = mask_at(evidence, camera.width, camera.height)
+        mask, weight = evidence.at_size(camera.width, camera.height)
         scale = camera.width / evidence.mask.shape[1]
         far = distance_field(mask > 0.5, field) / (decay * scale)
         self._area = float((mask * weight).sum())

@@ -201,7 +201,7 @@ def draw_starts(
         others = (count - free - first) // (len(pairs) - 1)
         shares = [count - free - others * (len(pairs) - 1)] + [others] * (len(pairs) - 1)
     poses = [_on_edges(pair, evidence, instrument, n, rng) for pair, n in zip(pairs, shares, strict=True)]
-    v, u = np.nonzero(evidence.mask)
+    v, u = np.divmod(np.flatnonzero(evidence.mask), evidence.mask.shape[1])
     pixels = np.stack([u, v], axis=1).astype(np.float64)
     distances = sample_distances(free, config.lookat, likely_distances(evidence, instrument), rng)
     poses.append(sample_lookat(distances, config.lookat, rng, camera=evidence.camera, pixels=pixels))

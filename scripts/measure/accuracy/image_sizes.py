@@ -19,6 +19,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.prepare import decimated_body
 from measure.accuracy.errors import compared
 from measure.accuracy.figures import percentiles
 from measure.cases import Case, Measurement
@@ -31,8 +32,8 @@ COMPARED: Final = ((640, 480), (1280, 1024), (1920, 1080))
 TOOLS: Final = 100  # of each size
 _SHARES = np.log([0.001, 0.6])  # of the image that the tool covers
 _DISTANCES = np.log([0.008, 1.5])  # m
-_SMALL = 160  # px, width of the images in which the distance is found
-_HALVINGS = 20
+_SMALL, _DETAIL = 80, 2e-3  # width, px, of the images in which the distance is found; cells of their mesh, m
+_HALVINGS = 12
 _CLOSE = 0.2  # of the logarithm of the share
 
 
@@ -70,7 +71,7 @@ def placed(given: Measurement, case: Case, camera: Camera, rng: np.random.Genera
     """Draw a pose (4, 4), turned about the optical axis, at which the tool covers 0.1 to 60 % of an image."""
     at, share = case.true(given.instrument), rng.uniform(*_SHARES)
     small = camera.scaled(_SMALL, max(round(_SMALL * camera.height / camera.width), 1))
-    renderer = Renderer(given.body, small, threads=1)
+    renderer = Renderer(decimated_body(given.body, _DETAIL), small, threads=1)
     while True:
         rotation = exp_rotation(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])) @ at.pose[:3, :3]
         pixel = rng.uniform(-0.1, 1.1, 2) * [camera.width, camera.height]
