@@ -19,6 +19,8 @@ from helpers.places import SCRIPTS
 
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
 
@@ -167,20 +169,25 @@ def test_frames_are_compared_with_the_truth(tmp_path: Path) -> None:
     from measure.accuracy.worlds import scored
     from worlds.folders import Folder
 
-    ends = [[0.0, 0.0, 0.12], [0.0, 0.002, 0.12]]
-    truth = {"T_camera_roll_link": np.eye(4).tolist(), "tips_camera_m": ends, "visible": 1.0, "overlap": 0.95}
-    frames = dict.fromkeys("abc", truth) | {"hidden": truth | {"visible": 0.0}}
+    joints = {"wrist_pitch": 0.1, "wrist_yaw": 0.2, "jaw": 0.3}
+    pose = np.eye(4)
+    pose[2, 3] = 0.1
+    ends = apply(pose, load_instrument("lnd").ends([0.1, 0.2, 0.3])).tolist()
+    truth = {"T_camera_roll_link": pose.tolist(), "tips_camera_m": ends, "visible": 1.0, "overlap": 0.95}
+    frames = dict.fromkeys("abcd", truth) | {"hidden": truth | {"visible": 0.0}}
     (tmp_path / "golden.json").write_text(json.dumps({"frames": frames}), encoding="utf-8")
     std = {"tip_mm": {"jaw_1": 0.4, "jaw_2": 0.6, "mean": 0.1}}
-    close = {"status": "ok", "camera_from_root": np.eye(4).tolist(), "tips": [[1e-3, y, z] for _, y, z in ends]}
-    turned = close | {"camera_from_root": np.diag([-1.0, -1, 1, 1]).tolist(), "quality": {"iou": 0.9}}
-    a, b, c = scored(
-        Folder(tmp_path, a_world(), "session", 4), {"a": close | {"std": std}, "b": turned | {"std": {"tip_mm": 2.0}}}
-    )
+    shifted = pose + np.eye(4, k=3) * 1e-3
+    close = {"status": "ok", "camera_from_root": shifted.tolist(), "joints": joints}
+    turned = close | {"camera_from_root": (pose @ np.diag([-1.0, -1, 1, 1])).tolist(), "quality": {"iou": 0.9}}
+    without_jaws = {"tip_mm": None, "translation_mm": [0.0, 0.3, 0.4]}
+    found = {"a": close | {"std": std}, "b": turned | {"std": {"tip_mm": 2.0}}, "d": close | {"std": without_jaws}}
+    a, b, c, d = scored(Folder(tmp_path, a_world(), "session", 5), found)
     assert (a.error_mm, a.std_mm, a.rotation_deg, a.limit_mm) == pytest.approx((1.0, 0.5, 0.0, 3.0))
     assert (a.solved, a.missed) == (True, False)
     assert (b.std_mm, b.rotation_deg, b.limit_mm) == pytest.approx((2.0, 180.0, 6.0))
     assert (b.solved, b.missed) == (False, True)
+    assert d.std_mm == pytest.approx(0.5)
     assert (c.status, c.error_mm, c.solved) == ("failed", 1000, False)
 
 

@@ -23,12 +23,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from worlds.folders import Folder, drawn_folder
-from worlds.motion import NOMINAL, Kind
+from worlds.motion import NOMINAL, Kind, instrument_of
 from worlds.table import World
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.geometry import apply, rotation_angle
 from dvrk_cmaes.io.atomic import write_json
 from measure.accuracy.figures import RIGHT_MODE_DEG
 
@@ -161,6 +161,7 @@ def solved(drawn: Folder, command: Command) -> Solved:
 
 def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[Scored]:
     """Compare results by frame, of frames/FRAME.json or rows of tracks.jsonl, with the truth."""
+    instrument = instrument_of(drawn.world.instrument)
     for name, truth in drawn.golden().items():
         if truth["visible"] < _LEAST_SEEN:
             continue
@@ -168,8 +169,10 @@ def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[
         result = results.get(name, {})
         error, std, rotation = _WITHOUT_POSE_MM, 0.0, 180.0
         if result.get("camera_from_root") is not None:
-            error = 1e3 * float(np.linalg.norm(np.array(result["tips"]) - true, axis=1).mean())
-            std = _stated(result["std"]["tip_mm"])
+            joints = [result["joints"][joint] for joint in instrument.joint_names]
+            ends = apply(np.array(result["camera_from_root"]), instrument.ends(joints))
+            error = 1e3 * float(np.linalg.norm(ends - true, axis=1).mean())
+            std = _stated(result["std"])
             rotation = float(np.degrees(rotation_angle(np.array(result["camera_from_root"]), pose)))
         pixel_mm = 1e3 * float(true[:, 2].mean()) / drawn.world.camera.fx
         limit = max(_WRONG_MM, _WRONG_PX * pixel_mm, _WRONG_STD * std)
@@ -178,9 +181,17 @@ def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[
         yield Scored(name, result.get("status", "failed"), error, std, rotation, limit, missed)
 
 
-def _stated(std: float | Mapping[str, float]) -> float:
-    """Return the mean standard deviation of the ends, mm; a result states it for each end and for their mean."""
-    return float(np.mean([value for end, value in std.items() if end != "mean"]) if isinstance(std, Mapping) else std)
+def _stated(std: Mapping[str, Any]) -> float:
+    """Return the mean standard deviation of the ends, mm: a result states it for each, a row of tracks.jsonl for all.
+
+    Of an instrument without a pair of jaws such a row does not state it: then it is that of the position.
+    """
+    ends = std["tip_mm"]
+    if ends is None:
+        return float(np.linalg.norm(std["translation_mm"]))
+    return float(
+        np.mean([value for end, value in ends.items() if end != "mean"]) if isinstance(ends, Mapping) else ends
+    )
 
 
 def _estimated(drawn: Folder) -> tuple[dict[str, Any], list[Failure]]:
