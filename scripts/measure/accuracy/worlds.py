@@ -65,8 +65,8 @@ class Failure:
 class Scored:
     """A frame: its status, the error of the ends and its stated standard deviation, mm, and of the rotation, deg.
 
-    ``limit_mm`` is the error from which on an ok frame is wrong. ``missed`` tells a pose in the wrong mode, or none,
-    that overlaps the mask less than the truth does: the search did not find what the mask shows.
+    ``limit_mm`` is the error from which on an ok frame is wrong. ``missed`` tells a pose in the wrong mode that
+    overlaps the mask less than the truth does: the search did not find what the mask shows.
     """
 
     frame: str
@@ -176,7 +176,7 @@ def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[
             rotation = float(np.degrees(rotation_angle(np.array(result["camera_from_root"]), pose)))
         pixel_mm = 1e3 * float(true[:, 2].mean()) / drawn.world.camera.fx
         limit = max(_WRONG_MM, _WRONG_PX * pixel_mm, _WRONG_STD * std)
-        overlap = (result.get("quality") or {}).get("iou", 0.0)
+        overlap = (result.get("quality") or {}).get("iou", 1.0)
         missed = rotation >= RIGHT_MODE_DEG and overlap < truth["overlap"] - _CLEAR_OVERLAP
         yield Scored(name, result.get("status", "failed"), error, std, rotation, limit, missed)
 
