@@ -18,6 +18,7 @@
     python scripts/accuracy.py turned-rigs SESSION...  stereo sessions: rotations of the right eye that are found
     python scripts/accuracy.py disparity SESSION...    stereo images: rows of points that match, by --session, too
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
+    python scripts/accuracy.py image-sizes SESSION...  drawn masks of 14 sizes of images: errors, tips, times
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
@@ -45,6 +46,7 @@ from measure.accuracy.disparity import disparity_report
 from measure.accuracy.errors import error_report, feature_rows, frame_rows
 from measure.accuracy.fleet import fleet_report
 from measure.accuracy.halves import halved, halves_report
+from measure.accuracy.image_sizes import image_sizes_report
 from measure.accuracy.lag import find_lags, lag_report
 from measure.accuracy.lies import doubt_report, falsified_cases, load_others
 from measure.accuracy.perturbed import perturbed_report
@@ -230,6 +232,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
+    "image-sizes": lambda given, _: image_sizes_report(given),
 }
 
 

@@ -280,6 +280,11 @@ class Instrument:
         return hinges
 
     @property
+    def shaft_radius(self) -> float | None:
+        """Radius of the shaft, m; None without a straight shaft."""
+        return None if self.shaft is None else self.shaft.radius
+
+    @property
     def reach(self) -> float:
         """Largest distance of a vertex below the root link from the root link's origin, all joints at zero, m."""
         poses = self.forward(np.zeros(len(self.joint_names)))
