@@ -26,8 +26,8 @@ struct Grid {
   static Grid columns(const Camera& camera) { return {camera.width, camera.height, 1, true}; }
 
   int count() const { return pixels * per_pixel; }
-  double across(Vector2 pixel) const { return pixel[vertical ? 0 : 1]; }
-  double along(Vector2 pixel) const { return pixel[vertical ? 1 : 0]; }
+  double across(const Vector2& pixel) const { return pixel[vertical ? 0 : 1]; }
+  double along(const Vector2& pixel) const { return pixel[vertical ? 1 : 0]; }
   double line_of(double across) const { return per_pixel * across + (per_pixel - 1) / 2.0; }
   double place_of(int line) const { return (line + 0.5) / per_pixel - 0.5; }
 };
@@ -48,20 +48,31 @@ class Lines {
   std::vector<Index> begin;  // of each line's crossings, and one more
   std::vector<Crossing> crossings;
 
-  // Find the crossings, and sort them by line and place: first by coarse places, then by lines, which leaves few of a
-  // line in the wrong order. Both are linear in their number; those at the same place stay in the order of the pieces.
+  // Find the crossings, line by line. The pieces that cross a line are nearly in the order in which they cross the line
+  // before, so keeping them in order costs little more than passing over them.
   void find(const std::vector<Piece>& pieces, const Grid& lines) {
     grid = lines;
-    begin.assign(grid.count() + 1, 0);
-    loose_.clear();
-    for (std::size_t i = 0; i < pieces.size(); ++i) cross(pieces[i], static_cast<Index>(i));
-    sum_up(begin);
-    order_by_place();
-    crossings.resize(loose_.size());
-    next_.assign(begin.begin(), begin.end() - 1);
-    Index* next = next_.data();
-    for (Index i : order_) crossings[next[loose_[i].line]++] = loose_[i];
-    for (int line = 0; line < grid.count(); ++line) finish_order(line);
+    const int count = grid.count();
+    find_crossed(pieces);
+    begin.resize(count + 1);
+    crossings.resize(total_);
+    along_.resize(crossed_.size()), active_.resize(crossed_.size());
+    Crossing* next = crossings.data();
+    std::size_t added = 0, kept = 0;
+    for (int line = 0; line < count; ++line) {
+      begin[line] = static_cast<Index>(next - crossings.data());
+      const std::size_t before = kept;
+      kept = 0;
+      for (std::size_t i = 0; i < before; ++i) {
+        if (crossed_[active_[i]].last > line) insert(active_[i], line, kept++);
+      }
+      for (; added < order_.size() && crossed_[order_[added]].first == line; ++added) insert(order_[added], line, kept++);
+      for (std::size_t i = 0; i < kept; ++i) {
+        const Crossed& one = crossed_[active_[i]];
+        *next++ = {along_[i], one.piece, static_cast<std::uint16_t>(line), one.change, false};
+      }
+    }
+    begin[count] = static_cast<Index>(next - crossings.data());
   }
 
   // Decide by the layer count what is covered.
@@ -98,58 +109,61 @@ class Lines {
     return static_cast<int>(within(std::ceil(across), 0.0, double(grid.count())));
   }
 
-  void cross(const Piece& piece, Index number) {
-    const double from = grid.line_of(grid.across(piece.from)), to = grid.line_of(grid.across(piece.to));
-    const int first = first_line(std::min(from, to)), last = first_line(std::max(from, to));
-    if (first == last) return;
-    const double slope = (grid.along(piece.to) - grid.along(piece.from)) / (to - from);
-    // from the end that is nearer to the first line: the other one may lie very far outside the image
-    const bool near_end = std::abs(first - to) < std::abs(first - from);
-    const double at = near_end ? to : from, along = grid.along(near_end ? piece.to : piece.from);
-    // columns are rows of the mirrored image, in which the left and the right side of an edge change places
-    const auto change = static_cast<std::int8_t>((from < to) != grid.vertical ? piece.change : -piece.change);
-    const double limit = grid.extent - 0.5;
-    const std::size_t count = loose_.size();
-    loose_.resize(count + (last - first));
-    Crossing* next = loose_.data() + count;
-    Index* counted = begin.data() + 1;
-    for (int line = first; line < last; ++line) {
-      const double place = within(along + slope * (line - at), -0.5, limit);
-      *next++ = {place, number, static_cast<std::uint16_t>(line), change, false};
-      ++counted[line];
+  // A piece and the lines that it crosses, from first to before last; it crosses the line `at` at `along`, px.
+  struct Crossed {
+    double at, along, slope;
+    int first, last;
+    Index piece;
+    std::int8_t change;
+
+    Crossed(double at, double along, double slope, int first, int last, Index piece, std::int8_t change)
+        : at(at), along(along), slope(slope), first(first), last(last), piece(piece), change(change) {}
+  };
+
+  // Find the pieces that cross lines, and their order by the first of these.
+  void find_crossed(const std::vector<Piece>& pieces) {
+    crossed_.clear();
+    total_ = 0;
+    starts_.assign(grid.count() + 1, 0);
+    for (std::size_t i = 0; i < pieces.size(); ++i) {
+      const Piece& piece = pieces[i];
+      const double from = grid.line_of(grid.across(piece.from)), to = grid.line_of(grid.across(piece.to));
+      const int start = first_line(from), end = first_line(to);
+      if (start == end) continue;
+      const int first = std::min(start, end), last = std::max(start, end);
+      const double slope = (grid.along(piece.to) - grid.along(piece.from)) / (to - from);
+      // from the end that is nearer to the first line: the other one may lie very far outside the image
+      const bool near_end = std::abs(first - to) < std::abs(first - from);
+      // columns are rows of the mirrored image, in which the left and the right side of an edge change places
+      const auto change = static_cast<std::int8_t>((from < to) != grid.vertical ? piece.change : -piece.change);
+      crossed_.emplace_back(near_end ? to : from, near_end ? grid.along(piece.to) : grid.along(piece.from), slope,
+                            first, last, static_cast<Index>(i), change);
+      ++starts_[first + 1];
+      total_ += last - first;
     }
+    for (std::size_t i = 1; i < starts_.size(); ++i) starts_[i] += starts_[i - 1];
+    order_.resize(crossed_.size());
+    for (std::size_t i = 0; i < crossed_.size(); ++i) order_[starts_[crossed_[i].first]++] = static_cast<Index>(i);
   }
 
-  // Turn numbers of elements, each after its place, into offsets.
-  static void sum_up(std::vector<Index>& counts) {
-    for (std::size_t i = 1; i < counts.size(); ++i) counts[i] += counts[i - 1];
-  }
-
-  void order_by_place() {
-    const int bins = static_cast<int>(std::min<std::size_t>(loose_.size() / 4 + 1, 1024));
-    const double scale = (bins - 1) / double(grid.extent);
-    const auto bin_of = [&](const Crossing& one) { return static_cast<int>((one.along + 0.5) * scale); };
-    next_.assign(bins + 1, 0);
-    order_.resize(loose_.size());
-    Index *next = next_.data(), *order = order_.data();
-    for (const Crossing& one : loose_) ++next[bin_of(one) + 1];
-    sum_up(next_);
-    for (const Crossing& one : loose_) order[next[bin_of(one)]++] = static_cast<Index>(&one - loose_.data());
-  }
-
-  void finish_order(int line) {
-    Crossing *const first = crossings.data() + begin[line], *const last = crossings.data() + begin[line + 1];
-    for (Crossing* next = first + 1; next < last; ++next) {
-      if (!(next->along < next[-1].along)) continue;
-      const Crossing moved = *next;
-      Crossing* place = next;
-      for (; place > first && moved.along < place[-1].along; --place) *place = place[-1];
-      *place = moved;
+  // Put a piece that crosses a line into its place among the first `count`.
+  void insert(Index crossed, int line, std::size_t count) {
+    const Crossed& one = crossed_[crossed];
+    const double place = within(one.along + one.slope * (line - one.at), -0.5, grid.extent - 0.5);
+    double* const along = along_.data();
+    Index* const active = active_.data();
+    for (; count > 0 && place < along[count - 1]; --count) {
+      along[count] = along[count - 1];
+      active[count] = active[count - 1];
     }
+    along[count] = place;
+    active[count] = crossed;
   }
 
-  std::vector<Crossing> loose_;  // in the order of the pieces
-  std::vector<Index> order_, next_;
+  std::size_t total_ = 0;
+  std::vector<Crossed> crossed_;
+  std::vector<double> along_;
+  std::vector<Index> active_, order_, starts_;
 };
 
 }  // namespace kernel

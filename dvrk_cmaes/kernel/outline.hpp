@@ -22,6 +22,10 @@ struct Piece {
   Vector2 from, to;  // px
   Index chord;
   int change;  // of the layer count from the left to the right side, where the piece runs downwards
+
+  // An aggregate would be made elsewhere and copied in wider parts than it was written in, which stalls the processor.
+  Piece(const Vector2& from, const Vector2& to, Index chord, int change)
+      : from(from), to(to), chord(chord), change(change) {}
 };
 
 // Finds the outline of one pose after another; its arrays keep their memory.
@@ -210,7 +214,7 @@ class Outline {
 
   void add(Index chord, const Projected& from, const Projected& to, int change) {
     if (camera_->is_pinhole()) {
-      pieces.push_back({from.pixel, to.pixel, chord, change});
+      pieces.emplace_back(from.pixel, to.pixel, chord, change);
     } else {
       add_bent(chord, from, to, change);
     }
@@ -221,7 +225,7 @@ class Outline {
     Vector2 last = from.pixel;
     double last_share = 0.0;
     const auto add_until = [&](double share, Vector2 pixel) {
-      pieces.push_back({last, pixel, chord, change});
+      pieces.emplace_back(last, pixel, chord, change);
       shares_.push_back({last_share, share});
       last = pixel, last_share = share;
     };
