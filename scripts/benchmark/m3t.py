@@ -1,8 +1,8 @@
 """Adapter of M3T (github.com/DLR-RM/3DObjectTracking): writes its model and configuration files, and reads poses.
 
 M3T takes images without a lens, so these are undistorted. Its joints turn about an axis of a joint frame; the jaws,
-which one joint moves, are two of them. Its generator reads ``config.yaml``. M3T writes no poses: a publisher that prints
-``body2world_pose()`` of each body after each image as a row of ``poses.csv`` is to be added to it.
+which one joint moves, are two of them. Its generator reads ``config.yaml``. M3T writes no poses: a publisher is to
+be added to it that prints ``body2world_pose()`` of each body after each image, as a row of ``poses.csv``.
 """
 
 from __future__ import annotations
@@ -50,7 +50,6 @@ def write_tracker(out: Path, given: Given, start: Row) -> Path:
     instrument, camera = instrument_of(given.world.instrument), given.world.camera
     for name in given.frames:
         image = read_image(given.given.path / "images" / f"{name}.jpg")
-        image = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
         write_image(out / "images" / f"{name}.png", _undistorted(camera, image))
     _write_yaml(out / "camera.yaml", _camera(camera, given.frames[0]))
     _write_yaml(out / "region_model.yaml", _MODEL)
@@ -59,7 +58,7 @@ def write_tracker(out: Path, given: Given, start: Row) -> Path:
     parents = _parents(instrument)
     for number, link in enumerate(instrument.links):
         mesh = trimesh.Trimesh(link.vertices, link.faces, process=False)
-        write_text(out / f"{link.name}.obj", mesh.export(file_type="obj"))
+        write_text(out / f"{link.name}.obj", str(mesh.export(file_type="obj")))
         _write_yaml(out / f"{link.name}.yaml", _body(link.name, number + 1))
         parent = parents[link.name]
         from_parent = np.eye(4) if parent is None else inverse(poses[parent]) @ poses[number]

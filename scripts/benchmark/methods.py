@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from measure.accuracy.worlds import estimated, solved_whole, written_by
+from measure.accuracy.worlds import Failure, estimated, solved_whole, written_by
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from worlds.motion import instrument_of
 
 from benchmark.particles import follow
-from benchmark.submission import AXES, JOINTS, Row, read_submission, write_submission
+from benchmark.submission import JOINTS, Row, read_submission, write_submission
 from benchmark.tasks import BASE, Given, TaskName, readings_of
 from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
 from dvrk_cmaes.frames.frame import FrameFiles
@@ -41,22 +43,23 @@ def solved(method: str, given: Given, out: Path) -> dict[str, Row]:
         seconds = (sum(os.times()[:4]) - started) / len(given.frames)
         missing = [Row(given.task, given.world.number, name, "failed") for name in given.frames if name not in found]
         rows = [*found.values(), *missing]
-        for row in rows:
-            object.__setattr__(row, "seconds", seconds)
-        write_submission(path, rows)
+        write_submission(path, [replace(row, seconds=seconds) for row in rows])
     return {row.frame: row for row in read_submission(path).values()}
 
 
 def _estimate(given: Given, _: Path) -> Iterator[Row]:
     """Estimate each frame by itself."""
-    for name, result in estimated(given.given)[0].items():
+    results, failures = estimated(given.given)
+    _tell(given, failures)
+    for name, result in results.items():
         yield _row(given, name, result)
 
 
 def _calibrate(given: Given, out: Path) -> Iterator[Row]:
     """Calibrate a session, for its frames or for its base."""
     folder = out / f"calibrate-{given.given.frames}"
-    results, _ = solved_whole(given.given, "calibrate", out=folder)
+    results, failures = solved_whole(given.given, "calibrate", out=folder)
+    _tell(given, failures)
     path = written_by(given.given, folder) / "session.json"
     if given.task != "base":
         for name, result in results.items():
@@ -73,8 +76,16 @@ def _track(given: Given, out: Path, *options: str) -> Iterator[Row]:
     evidence = "images" if given.task == "images" else "masks"
     options = ("--evidence", evidence, "--no-video", "--no-page", *options)
     folder = out / f"track{'-causal' if '--causal' in options else ''}-{given.task}"
-    for name, result in solved_whole(given.given, "track", *options, out=folder)[0].items():
+    results, failures = solved_whole(given.given, "track", *options, out=folder)
+    _tell(given, failures)
+    for name, result in results.items():
         yield _row(given, name, result)
+
+
+def _tell(given: Given, failures: Sequence[Failure]) -> None:
+    """Print the commands that failed on stderr; their frames count as failed."""
+    for failure in failures:
+        print(f"world {given.world.number}, {given.task}: {failure.error} (of: {failure.run})", file=sys.stderr)
 
 
 def _row(given: Given, name: str, result: Mapping[str, Any]) -> Row:
@@ -139,5 +150,3 @@ METHODS: Final[Mapping[str, tuple[tuple[TaskName, ...], Method]]] = {
 """The tasks of each method, and the method."""
 OURS: Final = ("estimate", "calibrate", "track", "track-causal")
 """The methods of this program."""
-
-__all__ = ["AXES", "METHODS", "OURS", "solved"]

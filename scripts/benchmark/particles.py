@@ -118,10 +118,9 @@ def _edges(given: Folder, name: str, size: tuple[int, int], renderer: Renderer, 
     inside = cv2.distanceTransform(small.astype(np.uint8), cv2.DIST_L2, 5)
     outside = cv2.distanceTransform((~small).astype(np.uint8), cv2.DIST_L2, 5)
     distance = np.minimum(outside, _FARTHEST) - np.minimum(inside, _FARTHEST)
-    ignored = cv2.imread(str(given.ignored / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
-    if ignored is not None:
-        distance[cv2.resize(ignored, size, interpolation=cv2.INTER_NEAREST) > 0] = 0.0
-    between = (
-        renderer.sums(particles.pose, particles.joints, PixelSums.of(distance[None]))[:, 0] - distance[small].sum()
-    )
+    ignored = given.ignored / f"{name}.png"
+    if ignored.exists():
+        distance[cv2.resize(read_mask(ignored).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0] = 0.0
+    within = renderer.sums(particles.pose, particles.joints, PixelSums.of(distance[None]))[:, 0]
+    between = within - distance[small].sum()
     return np.asarray(2 * between / (EDGE_PX**2 * EDGE_LENGTH))

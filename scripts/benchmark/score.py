@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from measure.accuracy.worlds import WITHOUT_POSE_MM, WRONG_MM, Scored, Solved, figures, scored
+from measure.accuracy.worlds import WITHOUT_POSE_MM, WRONG_MM, Command, Scored, Solved, figures, scored
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
@@ -37,8 +37,8 @@ class Scores:
     """Scores of a task in a world: frames, the errors of poses, and errors in standard deviations.
 
     ``root_mm``, ``shaft_deg`` and ``joints_deg`` (the mean of the absolute values) are of frames with a pose.
-    ``ratios`` (N, 6 + J) are the errors of the ok frames that state standard deviations, in these, ``squares`` the squared
-    errors in their covariances with the number of degrees of freedom. ``seconds`` are of each row.
+    ``ratios`` (N, 6 + J) are the errors of the ok frames that state standard deviations, in these, ``squares`` the
+    squared errors in their covariances with the number of degrees of freedom. ``seconds`` are of each row.
     """
 
     given: Given
@@ -122,7 +122,7 @@ def _of_base(given: Given, rows: Mapping[str, Row]) -> Iterable[Scored]:
 
 def score_row(method: str, task: TaskName, scores: Sequence[Scores]) -> dict[str, Any]:
     """Return the row of the table for a method in a task, over its worlds."""
-    command = "estimate" if task in ("frame", BASE) else "track"
+    command: Command = "estimate" if task in ("frame", BASE) else "track"
     found = [Solved(each.given.world, command, each.frames, (), 0.0) for each in scores]
     common = figures(found)
     errors = [frame.error_mm for each in scores for frame in each.frames]

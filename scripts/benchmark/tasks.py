@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from worlds.drawing import picture
@@ -23,6 +24,7 @@ from worlds.motion import Kind, draw_motion, frame_times
 from worlds.scene import NEAREST, Scene
 from worlds.table import World, worlds
 
+from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.markers import place_markers, read_marker_table
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
@@ -73,7 +75,11 @@ TASKS: Final[Mapping[TaskName, Task]] = {
     "session": Task("session", "the same from all frames of a session together"),
     "base": Task("session", "camera_from_base of a session (the hand-eye transform of a camera that stands)"),
     "masks": Task("recording", "pose and joints in every frame of a recording, by masks and readings"),
-    "images": Task("recording", "the same by images, without masks", ("masks", "ignored", "markers.csv")),
+    "images": Task(
+        "recording",
+        "the same by images, without masks, and a box around the instrument in the first one",
+        ("masks", "ignored", "markers.csv"),
+    ),
 }
 
 
@@ -131,8 +137,19 @@ def given_task(
         shutil.rmtree(path, ignore_errors=True)
         hidden = shutil.ignore_patterns("golden.json", "world.json", *asked.without)
         shutil.copytree(drawn.path, path, ignore=hidden, copy_function=shutil.copyfile)
+        if "masks" in asked.without:
+            write_text(path / "boxes.csv", _first_box(drawn))
         os.utime(path)
     return Given(task, replace(drawn, path=path), drawn)
+
+
+def _first_box(drawn: Folder) -> str:
+    """Return boxes.csv: the box around the mask in the first image, which tells the instrument that is meant."""
+    name = drawn.names[0]
+    mask = read_mask(drawn.path / "masks" / f"{name}.png", label=1 if drawn.world.tools > 1 else None)
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    row = [name, *map(str, (left, top, left + width - 1, top + height - 1))]
+    return csv_text(("frame", "x0", "y0", "x1", "y1"), [row])
 
 
 def _detected_markers(drawn: Folder, seed: int) -> str:
