@@ -50,7 +50,7 @@ def write_tracker(out: Path, given: Given, start: Row) -> Path:
     instrument, camera = instrument_of(given.world.instrument), given.world.camera
     for name in given.frames:
         image = read_image(given.given.path / "images" / f"{name}.jpg")
-        write_image(out / "images" / f"{name}.png", _undistorted(camera, image))
+        write_image(out / "images" / f"{name}.png", undistorted(camera, image))
     _write_yaml(out / "camera.yaml", _camera(camera, given.frames[0]))
     _write_yaml(out / "region_model.yaml", _MODEL)
     _write_yaml(out / "detector.yaml", {"link2world_pose": start.pose})
@@ -71,7 +71,7 @@ def write_tracker(out: Path, given: Given, start: Row) -> Path:
     return out / "config.yaml"
 
 
-def _undistorted(camera: Camera, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def undistorted(camera: Camera, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return an image as a pinhole camera of the same matrix sees it."""
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)

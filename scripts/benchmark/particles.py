@@ -34,9 +34,9 @@ WIDTH: Final = 160
 """Width of the images in which silhouettes are compared, px."""
 START: Final = np.array([0.002] * 3 + [0.05] * 3 + [0.10] * 3)
 """Standard deviations at the start: of the pose along and about the root's axes (m, rad), and of the joints (rad)."""
-WALK: Final = np.array([0.0003] * 3 + [0.006] * 3 + [0.015] * 3)
+WALK: Final = np.array([0.0006] * 3 + [0.012] * 3 + [0.03] * 3)
 """Standard deviations of a step from one image to the next."""
-EDGE_PX: Final = 0.5
+EDGE_PX: Final = 1.0
 """Standard deviation of the mask's contour, px of the small image."""
 EDGE_LENGTH: Final = 8.0
 """Length of contour, px of the small image, within which its errors are the same."""

@@ -230,15 +230,18 @@ def solved_whole(
     arguments = [command, str(drawn.path), "--out", str(out), "--workers", "1", "--json", *options]
     arguments += ["--only", drawn.arm] if drawn.world.tools > 1 else []
     _, failure = run(arguments, "")
+    return whole_results(drawn, command, out), [] if failure is None else [failure]
+
+
+def whole_results(drawn: Folder, command: Command, out: Path) -> dict[str, Any]:
+    """Return the results by frame of a session or recording that was solved as a whole, from the files in ``out``."""
     own = written_by(drawn, out)
     if command == "track":
         tracks = own / "tracks.jsonl"
         rows = [json.loads(line) for line in tracks.read_text(encoding="utf-8").splitlines()] if tracks.exists() else []
-        results = {row["frame"]: row for row in rows}
-    else:
-        files = sorted((own / "frames").glob("*.json"))
-        results = {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
-    return results, [] if failure is None else [failure]
+        return {row["frame"]: row for row in rows}
+    files = sorted((own / "frames").glob("*.json"))
+    return {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
 
 
 def written_by(drawn: Folder, out: Path) -> Path:
