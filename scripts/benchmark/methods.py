@@ -65,10 +65,7 @@ def _calibrate(given: Given, out: Path) -> Iterator[Row]:
         _tell(given, solved_whole(given.given, "calibrate", out=folder)[1])
         write_json(spent, {"seconds": sum(os.times()[:4]) - started})
     seconds = json.loads(spent.read_text(encoding="utf-8"))["seconds"] / len(given.frames)
-    results, document = (
-        whole_results(given.given, "calibrate", folder),
-        written_by(given.given, folder) / "session.json",
-    )
+    document = written_by(given.given, folder) / "session.json"
     if given.task != "base":
         for name, result in whole_results(given.given, "calibrate", folder).items():
             yield replace(_row(given, name, result), seconds=seconds)
